@@ -1,0 +1,147 @@
+"""Rigid motions as arrays, batched over leading axes.
+
+Conventions, said once: a placement ``T_a_b`` is a 4x4 homogeneous matrix that reads "frame b in frame a"; a twist is
+``(v, w)``, linear part first, as in Pinocchio; perturbations multiply on the right, ``T exp(twist)``, so twists are
+expressed in the local frame of ``T``.
+"""
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+
+_SMALL_ANGLE = 1e-4
+
+
+def skew(v: Array) -> Array:
+    """Return the cross-product matrices ``[v]x`` (..., 3, 3) of vectors (..., 3)."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def placement(rotation: Array, translation: Array) -> Array:
+    """Return the placements (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    out = np.zeros((*shape, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, translation, 1.0
+    return out
+
+
+def translation(t: Array) -> Array:
+    """Return the placements (..., 4, 4) that translate by ``t`` (..., 3)."""
+    return placement(np.eye(3), t)
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverses of placements (..., 4, 4)."""
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    return placement(R_t, -(R_t @ T[..., :3, 3, None])[..., 0])
+
+
+def adjoint(T: Array) -> Array:
+    """Return Ad(T) (..., 6, 6): ``exp(Ad(T) x) = T exp(x) T^-1`` for twists x = (v, w)."""
+    R = T[..., :3, :3]
+    out = np.zeros((*T.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(T[..., :3, 3]) @ R
+    return out
+
+
+def rotation_about(axis: Array, angle: Array | float) -> Array:
+    """Return the rotations (..., 3, 3) by ``angle`` (...) about the unit vector(s) ``axis`` (..., 3)."""
+    angle = np.asarray(angle)[..., None, None]
+    K = skew(axis)
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K))
+
+
+def exp3(w: Array) -> Array:
+    """Return the rotations (..., 3, 3) of rotation vectors (..., 3)."""
+    theta = np.linalg.norm(w, axis=-1)[..., None, None]
+    K = skew(w)
+    # sinc is exact at zero, and (1 - cos t)/t^2 = sinc(t/2)^2 / 2 does not cancel.
+    return np.eye(3) + np.sinc(theta / np.pi) * K + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (K @ K)
+
+
+def log3(R: Array) -> Array:
+    """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
+    q = quaternion_of(R)
+    w, v = q[..., :1], q[..., 1:]
+    s = np.linalg.norm(v, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(s, w)
+    scale = np.divide(angle, s, out=np.full_like(s, 2.0), where=s > 1e-12)
+    return np.asarray(scale * v)
+
+
+def left_jacobian_inverse(w: Array) -> Array:
+    """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
+    theta = np.linalg.norm(w, axis=-1)[..., None, None]
+    half = 0.5 * theta
+    with np.errstate(invalid="ignore", divide="ignore"):
+        c = np.where(theta > _SMALL_ANGLE, (1.0 - half / np.tan(half)) / theta**2, 1.0 / 12.0)
+    K = skew(w)
+    return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
+
+
+def rx_ry_rz(angles: Array) -> Array:
+    """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
+    a, b, c = (rotation_about(axis, angles[..., i]) for i, axis in enumerate(np.eye(3)))
+    return np.asarray(a @ b @ c)
+
+
+def rpy_of(R: Array) -> Array:
+    """Return URDF roll, pitch, yaw (..., 3) with R = Rz(yaw) Ry(pitch) Rx(roll), accurate also near pitch +-90 deg.
+
+    The pitch comes from atan2, which stays exact near +-90 deg where arcsin loses half the digits; there roll and yaw
+    are one angle, and roll takes none of it.
+    """
+    cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
+    yaw = np.where(cos_pitch > 1e-12, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1]))
+    s, c = np.sin(yaw), np.cos(yaw)
+    # With yaw known, Rz(yaw)^T R = Ry Rx gives roll without dividing by the small cosine.
+    roll = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def rotation_of_rpy(rpy: Array) -> Array:
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3), URDF's convention."""
+    x, y, z = (rotation_about(axis, rpy[..., i]) for i, axis in enumerate(np.eye(3)))
+    return np.asarray(z @ y @ x)
+
+
+def rotation_of_quaternion(q: Array) -> Array:
+    """Return the rotations (..., 3, 3) of unit quaternions (..., 4) in the order w, x, y, z."""
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    K = skew(q[..., 1:])
+    return np.asarray(np.eye(3) + 2.0 * q[..., :1, None] * K + 2.0 * (K @ K))
+
+
+def quaternion_of(R: Array) -> Array:
+    """Return unit quaternions (..., 4) in the order w, x, y, z with w >= 0 of rotations (..., 3, 3)."""
+    # Largest of the four forms of each quaternion, so that nothing is divided by a small number.
+    m = R
+    d = np.einsum("...ii->...i", m)
+    trace = d.sum(axis=-1)
+    forms = np.empty((*m.shape[:-2], 4, 4))
+    forms[..., 0, 0] = 1.0 + trace
+    forms[..., 0, 1] = forms[..., 1, 0] = m[..., 2, 1] - m[..., 1, 2]
+    forms[..., 0, 2] = forms[..., 2, 0] = m[..., 0, 2] - m[..., 2, 0]
+    forms[..., 0, 3] = forms[..., 3, 0] = m[..., 1, 0] - m[..., 0, 1]
+    for i in range(3):
+        forms[..., i + 1, i + 1] = 1.0 + 2.0 * d[..., i] - trace
+        for j in range(i):
+            forms[..., i + 1, j + 1] = forms[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
+    best = np.argmax(np.einsum("...ii->...i", forms), axis=-1)
+    q = np.take_along_axis(forms, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
+
+
+def nearest_rotation(M: Array) -> Array:
+    """Return the rotations nearest (Frobenius) to matrices (..., 3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    U = U.copy()
+    U[..., :, -1] *= np.linalg.det(U @ Vt)[..., None]
+    return np.asarray(U @ Vt)

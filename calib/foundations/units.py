@@ -1,0 +1,84 @@
+"""Units at the edges: SI inside, a unit on everything a user reads or writes.
+
+The only place where a conversion factor stands.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.errors import CalibError, JobError
+
+Dimension = Literal["length", "angle", "torque", "mass", "time", "temperature", "pixel", "number"]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit: ``si = factor * value``."""
+
+    symbol: str
+    dimension: Dimension
+    factor: float
+
+
+UNITS: dict[str, Unit] = {
+    unit.symbol: unit
+    for unit in (
+        Unit("m", "length", 1.0),
+        Unit("cm", "length", 1e-2),
+        Unit("mm", "length", 1e-3),
+        Unit("um", "length", 1e-6),
+        Unit("inch", "length", 25.4e-3),
+        Unit("rad", "angle", 1.0),
+        Unit("mrad", "angle", 1e-3),
+        Unit("urad", "angle", 1e-6),
+        Unit("deg", "angle", float(np.pi) / 180.0),
+        Unit("Nm", "torque", 1.0),
+        Unit("kg", "mass", 1.0),
+        Unit("s", "time", 1.0),
+        Unit("ms", "time", 1e-3),
+        Unit("degC", "temperature", 1.0),
+        Unit("px", "pixel", 1.0),
+        Unit("1", "number", 1.0),
+    )
+}
+
+# The plain decimal and exponent forms only: float() would also take 1_0, nan, inf and full-width digits.
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?", re.ASCII)
+_QUANTITY = re.compile(rf"\s*({NUMBER.pattern})\s*([A-Za-z0-9]*)\s*", re.ASCII)
+
+
+def symbols(dimension: Dimension) -> tuple[str, ...]:
+    """Return the symbols allowed for a dimension, in the order they are offered to a user."""
+    return tuple(unit.symbol for unit in UNITS.values() if unit.dimension == dimension)
+
+
+def unit_of(symbol: str, dimension: Dimension, where: str, error: type[CalibError] = JobError) -> Unit:
+    """Return the unit ``symbol`` of the given dimension, or raise ``error`` with a sentence."""
+    unit = UNITS.get(symbol)
+    if unit is None or unit.dimension != dimension:
+        allowed = ", ".join(symbols(dimension))
+        raise error(f"{where}: unit {symbol!r} is not a unit of {dimension}; allowed are {allowed}.")
+    return unit
+
+
+def parse_quantity(text: str, dimension: Dimension, where: str, error: type[CalibError] = JobError) -> float:
+    """Return the SI value of a quantity like ``"0.02 mm"``.
+
+    Raises ``error`` when there is no finite number, no unit, or a unit of another dimension.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise error(f"{where}: {text!r} is not a number with a unit, like {_example(dimension)!r}.")
+    if not match[2]:
+        raise error(f"{where}: {text!r} has no unit; allowed are {', '.join(symbols(dimension))}.")
+    value = float(match[1]) * unit_of(match[2], dimension, where, error).factor
+    if not np.isfinite(value):
+        raise error(f"{where}: {text!r} is not a finite number.")
+    return value
+
+
+def _example(dimension: Dimension) -> str:
+    return {"length": "0.02 mm", "angle": "0.01 deg"}.get(dimension, f"1.5 {symbols(dimension)[0]}")
