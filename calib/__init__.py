@@ -1,3 +1,31 @@
-"""Calibrate any robot arm described by a URDF."""
+"""Calibrate any robot arm described by a URDF: what deviates, how sure, and a corrected URDF.
+
+    import calib
+
+    robot = calib.load_robot("arm.urdf", tip="probe")
+    data = calib.read_measurements("identification.csv", robot, sigma=0.02e-3)
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
+    print(calib.table(fit))
+    calib.write_urdf(fit, "calibrated.urdf")
+
+SI units inside and in every argument: m, rad.
+"""
+
+from calib.foundations.errors import (
+    CalibError,
+    IdentificationError,
+    JobError,
+    MeasurementError,
+    OutputError,
+    RobotError,
+)
+from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.fit import Fit
+from calib.identification.identify import identify
+from calib.identification.parameters import Parameter
+from calib.measurement.instruments import LaserTracker
+from calib.measurement.measurements import Measurements
+from calib.measurement.read import read_measurements
+from calib.robot.robot import Deviations, Robot, load_robot
 
 __version__ = "0.1.0.dev0"

@@ -66,7 +66,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
     every instant one whole folder exists; :func:`recover_folder` puts it back. When the block raises, ``path`` is
     untouched.
     """
-    path = path.absolute()
+    path = path.resolve()  # a link to a folder stays a link: what it points to is replaced
     new = None
     try:
         recover_folder(path)

@@ -61,7 +61,7 @@ def exp3(w: Array) -> Array:
     theta = np.linalg.norm(w, axis=-1)[..., None, None]
     K = skew(w)
     # sinc is exact at zero, and (1 - cos t)/t^2 = sinc(t/2)^2 / 2 does not cancel.
-    return np.eye(3) + np.sinc(theta / np.pi) * K + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (K @ K)
+    return np.asarray(np.eye(3) + np.sinc(theta / np.pi) * K + 0.5 * np.sinc(theta / (2 * np.pi)) ** 2 * (K @ K))
 
 
 def log3(R: Array) -> Array:

@@ -1,0 +1,92 @@
+"""The result of an identification, with its own doubts."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray
+from calib.identification.error_model import ErrorModel
+from calib.identification.identifiability import BlindDirection
+from calib.identification.machine import Machine
+from calib.identification.noise import Noise
+from calib.identification.parameters import Parameter, scales
+from calib.measurement.measurements import Measurements
+
+BlindPolicy = Literal["nearest", "minimal", "refuse"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Identified parameters and what is known about them. Made by :func:`calib.identify`.
+
+    ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
+    choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
+    ``rank``: number of parameter combinations that the data determine, priors left out; ``singular_values``
+    (descending) of the scaled Jacobian; ``blind_directions``: what they cannot tell apart. ``held``: parameters that
+    policy "minimal" kept at their nominal values.
+    ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
+    ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
+    ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
+    """
+
+    model: ErrorModel
+    measurements: tuple[Measurements, ...]
+    parameters: tuple[Parameter, ...]
+    values: Array
+    covariance: Array
+    rank: int
+    singular_values: Array
+    blind_directions: tuple[BlindDirection, ...]
+    blind: BoolArray
+    policy: BlindPolicy
+    held: tuple[Parameter, ...]
+    noise: tuple[Noise, ...]
+    machine: Machine
+    nominal: Machine
+    residuals: tuple[Array, ...]
+    nominal_residuals: tuple[Array, ...]
+    evaluations: int
+    step: float
+    converged: bool
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
+        return np.where(self.blind, np.nan, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def weak(self) -> BoolArray:
+        """Parameters (p,) that are determined, but not better than half an ordinary deviation or half their prior."""
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.asarray(~self.blind & (sigmas > 0.5 * scales(self.parameters)))
+
+    def value(self, name: str) -> float:
+        """Return the value of a parameter in SI units. Raises KeyError for an unknown name."""
+        for parameter, value in zip(self.parameters, self.values, strict=True):
+            if parameter.name == name:
+                return float(value)
+        raise KeyError(name)
+
+    def records(self) -> list[dict[str, object]]:
+        """Return one plain record for every parameter: name, value, unit, sigma (None where blind), flags."""
+        return [
+            {
+                "name": parameter.name,
+                "value": float(value),
+                "unit": parameter.unit,
+                "sigma": None if blind else float(sigma),
+                "prior": parameter.prior,
+                "identifiable": not blind,
+                "weak": bool(weak),
+            }
+            for parameter, value, sigma, blind, weak in zip(
+                self.parameters, self.values, self.sigmas, self.blind, self.weak, strict=True
+            )
+        ]
+
+    def __str__(self) -> str:
+        rows = sum(len(data) for data in self.measurements)
+        blind = len(self.blind_directions)
+        said = {0: "no direction is blind", 1: "1 direction is blind"}.get(blind, f"{blind} directions are blind")
+        return f"Fit of {len(self.parameters)} parameters to {rows} rows: rank {self.rank}, {said}."

@@ -1,0 +1,132 @@
+"""What the data can see: rank, blind directions, and what is done about them.
+
+Everything here works on a triangle R (q, p) of the whitened Jacobian whose columns are scaled: one unit is one ordinary
+deviation (1 mm, 1 mrad, or the prior). In these units a direction is structurally blind when its singular value is
+below ``RANK_TOLERANCE`` of the largest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray
+from calib.identification.parameters import Parameter
+
+RANK_TOLERANCE = 1e-9
+_MOST_NAMED = 4
+# Smaller shares of a direction are second-order and would hide what matters.
+_TOLD_SHARE = 1e-2
+# A parameter is called blind when a unit blind direction moves it by more than this.
+_BLIND_SHARE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Directions:
+    """Directions in scaled parameter space: ``blind`` (p, k) orthonormal; ``singular_values`` (p,), descending."""
+
+    blind: Array
+    singular_values: Array
+
+    @property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determine."""
+        return len(self.blind) - int(self.blind.shape[1])
+
+
+def directions(triangle: Array) -> Directions:
+    """Return the blind directions of a scaled Jacobian or its triangle (q, p)."""
+    p = triangle.shape[1]
+    _, values, Vt = np.linalg.svd(triangle, full_matrices=triangle.shape[0] < p)
+    values = np.concatenate([values, np.zeros(p - len(values))])
+    rank = int(np.count_nonzero(values > RANK_TOLERANCE * values[0])) if p else 0
+    return Directions(Vt[rank:].T.copy(), values)
+
+
+def gauge(blind: Array, parameters: Sequence[Parameter]) -> Array:
+    """Return rows G (k, p) such that ``G z = 0`` picks, among all equal fits, the one nearest to the nominal machine.
+
+    Among the fits that the data cannot tell apart (z moves along ``blind`` (p, k)), the chosen one has the least sum of
+    squares over the robot's parameters; base and tool carry no weight, except where a blind direction moves only them:
+    there they stay nearest to their start. These are the inner constraints of a free network adjustment (P. Meissl,
+    1962). As the data do not see these directions, the rows add nothing to the residuals' cost.
+    """
+    of_robot = np.array([parameter.of_robot for parameter in parameters], dtype=bool)
+    U, values, Wt = np.linalg.svd(blind * of_robot[:, None])
+    seen = values > 1e-9
+    first = U[:, : len(values)][:, seen].T * of_robot
+    # Directions that leave the robot alone.
+    rest = (blind @ Wt[~seen].T).T
+    return np.concatenate([first, rest])
+
+
+def blind_parameters(blind: Array) -> BoolArray:
+    """Return which parameters (p,) some blind direction moves, so that no single value of theirs is known."""
+    return np.asarray(np.linalg.norm(blind, axis=1) > _BLIND_SHARE)
+
+
+def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
+    """Return the order in which a minimal set prefers parameters: base, tool, offsets, placements from the base on."""
+    rank = {"base": 0, "tool": 1, "offset": 2, "placement": 3}
+    return tuple(sorted(range(len(parameters)), key=lambda k: (rank[parameters[k].kind], k)))
+
+
+def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, ...]:
+    """Return the indices of ``rank`` parameters that together see all that can be seen, in ascending order.
+
+    Chosen greedily in the given order of preference: a parameter is taken when its column (of ``triangle`` (q, p)) lies
+    clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow rounding, the choice
+    depends on the order alone. Columns that are nearly in that span are considered only when rank is still missing.
+    """
+    basis = np.zeros((triangle.shape[0], 0))
+    taken: list[int] = []
+    for share in (3e-2, 1e-3, 1e-5, 1e-7, 0.0):
+        for k in order:
+            if len(taken) == rank:
+                return tuple(sorted(taken))
+            if k in taken:
+                continue
+            column = triangle[:, k]
+            for _ in range(2):  # twice is enough for orthogonality to rounding
+                column = column - basis @ (basis.T @ column)
+            remainder = np.linalg.norm(column)
+            if remainder > share * np.linalg.norm(triangle[:, k]):
+                basis = np.column_stack([basis, column / remainder])
+                taken.append(k)
+    return tuple(sorted(taken))
+
+
+@dataclass(frozen=True, slots=True)
+class BlindDirection:
+    """A change of parameters that the data cannot see: ``shares`` in SI units, the largest first after ``parameter``.
+
+    ``parameter`` is one that a minimal set does without; it moves by one ordinary deviation and the others imitate it.
+    """
+
+    parameter: str
+    shares: dict[str, float]
+    units: dict[str, str]
+
+    def __str__(self) -> str:
+        """Say the direction in mm and mrad."""
+        own, *others = (f"{v * 1e3:+.3g} m{self.units[name]} of {name}" for name, v in self.shares.items())
+        more = f" and {len(others) - _MOST_NAMED} more" if len(others) > _MOST_NAMED else ""
+        return f"{own} cannot be told from {', '.join(others[:_MOST_NAMED]) + more if others else 'no change at all'}."
+
+
+def blind_directions(blind: Array, parameters: Sequence[Parameter], kept: Sequence[int]) -> tuple[BlindDirection, ...]:
+    """Return the blind space (p, k), scaled, as directions that a person can read; ``kept`` is a minimal set."""
+    dropped = [k for k in range(len(blind)) if k not in set(kept)]
+    basis = np.linalg.solve(blind[dropped].T, blind.T)
+    said = []
+    for own, direction in zip(dropped, basis, strict=True):
+        told = np.abs(direction) > _TOLD_SHARE * np.max(np.abs(direction))
+        order = sorted(map(int, np.flatnonzero(told)), key=lambda k: (k != own, -abs(direction[k]), k))
+        # The imitation carries the opposite sign: moving the one is undone by moving the others.
+        shares = {
+            parameters[k].name: float(direction[k] * parameters[k].scale) * (1 if k == own else -1) for k in order
+        }
+        said.append(
+            BlindDirection(parameters[own].name, shares, {parameters[k].name: parameters[k].unit for k in order})
+        )
+    return tuple(said)

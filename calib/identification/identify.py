@@ -1,0 +1,118 @@
+"""Identification: measurements in, parameters with their doubts out."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only, read_only_view
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.identification import identifiability
+from calib.identification.error_model import ErrorModel
+from calib.identification.fit import BlindPolicy, Fit
+from calib.identification.machine import values_at
+from calib.identification.noise import Noise, noise_of
+from calib.identification.parameters import Parameter
+from calib.identification.solver import Solution, solve
+from calib.identification.start import start_frames
+from calib.identification.system import Problem, residuals
+from calib.measurement.measurements import Measurements
+
+
+def identify(
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    blind: BlindPolicy = "nearest",
+    model_sigmas: Sequence[float] | None = None,
+) -> Fit:
+    """Identify the free parameters of ``model`` from one or several sets of measurements.
+
+    ``blind`` says what to do about directions that the data cannot see: "nearest" takes, among all equal fits, the
+    machine nearest to the nominal one; "minimal" holds what exceeds a minimal set of parameters at its nominal value;
+    "refuse" raises. ``model_sigmas``: standard deviations (m or rad) of what the model cannot explain, one for each
+    component of the data (position, then orientation, of each set in order); estimated when None.
+
+    Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
+    IdentificationError when the rows are too few or when directions are blind under "refuse".
+    """
+    if blind not in ("nearest", "minimal", "refuse"):
+        raise JobError(f"blind: {blind!r} is not one of nearest, minimal, refuse.")
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = with_common_tools(model, sets)
+    parameters = model.parameters(sets[0].tools)
+    if not parameters:
+        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    variances = None if model_sigmas is None else tuple(sigma**2 for sigma in model_sigmas)
+
+    aligned = start_frames(model, sets)
+    bare = replace(model, offsets=(), placements=())
+    before = Problem(bare, bare.parameters(sets[0].tools), aligned, sets)
+    start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
+    nominal = before.machine(np.zeros(0) if start is None else start.x)
+
+    problem = Problem(model, parameters, nominal.frames, sets)
+    found = solve(problem, values_at(model.robot, parameters, nominal.frames), variances)
+    kept = identifiability.minimal_set(
+        found.data[:, :-1], found.directions.rank, identifiability.preference(parameters)
+    )
+    directions = identifiability.blind_directions(found.directions.blind, parameters, kept)
+    if blind == "refuse" and directions:
+        raise IdentificationError(f"the data are blind in {len(directions)} directions; the first: {directions[0]}")
+    held: tuple[Parameter, ...] = ()
+    if blind == "minimal" and directions:
+        held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
+        problem = replace(problem, parameters=tuple(parameters[k] for k in kept))
+        found = solve(problem, values_at(model.robot, problem.parameters, nominal.frames), variances)
+    machine = problem.machine(found.x)
+    after = residuals(model.robot, sets, machine)
+    return Fit(
+        model=model,
+        measurements=sets,
+        parameters=problem.parameters,
+        values=read_only(found.x),
+        covariance=read_only(found.covariance),
+        rank=found.directions.rank,
+        singular_values=read_only(found.directions.singular_values),
+        blind_directions=directions,
+        blind=read_only_view(identifiability.blind_parameters(found.unseen)),
+        policy=blind,
+        held=held,
+        noise=_noise(problem, found, after),
+        machine=machine,
+        nominal=nominal,
+        residuals=tuple(read_only(r) for r in after),
+        nominal_residuals=tuple(read_only(r) for r in residuals(model.robot, sets, nominal)),
+        evaluations=found.evaluations,
+        step=found.step,
+        converged=found.converged,
+    )
+
+
+def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:
+    return tuple(
+        noise_of(
+            component.measurements,
+            component.quantity,
+            after[component.measurements][:, component.columns].ravel(),
+            problem.measurements[component.measurements].sigma[:, component.columns].ravel(),
+            variance,
+            redundancy,
+        )
+        for component, variance, redundancy in zip(problem.components, found.variances, found.redundancies, strict=True)
+    )
+
+
+def with_common_tools(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return the sets with one common list of tools; raises MeasurementError when they are not of this robot."""
+    names = tuple(reading.name for reading in model.robot.readings)
+    for data in sets:
+        if data.reading_names != names:
+            raise MeasurementError(
+                f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
+            )
+    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    return tuple(
+        replace(data, tools=tools, tool=np.array([tools.index(name) for name in data.tools], dtype=np.intp)[data.tool])
+        for data in sets
+    )

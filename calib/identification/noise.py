@@ -1,0 +1,68 @@
+"""How large is the noise? The instrument's part is stated, the model's part is estimated from the residuals.
+
+A calibrated model never explains a machine to the last digit, so the scatter of its residuals is more than the
+instrument's: ``sigma^2 = instrument^2 + model^2``. The model part is estimated for every component (one quantity in one
+set of measurements) by restricted maximum likelihood, so that the parameters the fit has used up are accounted for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from calib.foundations.arrays import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of one component: rms of the instrument's sigmas and sigma of the model part, in m or rad.
+
+    ``chi_square`` is the sum of squared residuals over the instrument's variances alone, per degree of freedom: 1 where
+    the instrument explains the residuals; nan where the instrument's noise is not known.
+    """
+
+    measurements: int
+    quantity: str
+    instrument: float
+    model: float
+    degrees_of_freedom: float
+    chi_square: float
+
+    @property
+    def total(self) -> float:
+        """Standard deviation of one residual component, in m or rad."""
+        return float(np.hypot(self.instrument, self.model))
+
+
+def noise_of(
+    measurements: int, quantity: str, residuals: Array, instrument: Array, variance: float, degrees_of_freedom: float
+) -> Noise:
+    """Return the noise of a component from its residuals (n,), instrument sigmas (n,) and model variance."""
+    known = bool(np.all(instrument > 0.0)) and degrees_of_freedom > 0.0
+    return Noise(
+        measurements,
+        quantity,
+        float(np.sqrt(np.mean(instrument**2))),
+        float(np.sqrt(variance)),
+        degrees_of_freedom,
+        float(np.sum((residuals / instrument) ** 2)) / degrees_of_freedom if known else float("nan"),
+    )
+
+
+def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: float) -> float:
+    """Return the v >= 0 with ``sum r^2 / (instrument^2 + v) = degrees_of_freedom``, 0 when the instrument suffices.
+
+    ``residuals`` (n,) and ``instrument`` (n,) in the same unit; this is the REML equation for given weights.
+    """
+    squares, variances = residuals**2, instrument**2
+    if degrees_of_freedom <= 0.0:
+        return 0.0
+    mean = float(squares.sum()) / degrees_of_freedom
+    if mean == 0.0 or np.all(variances == 0.0):
+        return mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_zero = np.nansum(squares / variances)
+    if at_zero <= degrees_of_freedom:
+        return 0.0
+    # At v = mean the sum is at most the degrees of freedom, so the root lies below.
+    return float(brentq(lambda v: float(np.sum(squares / (variances + v))) - degrees_of_freedom, 1e-12 * mean, mean))

@@ -1,0 +1,44 @@
+"""Named parameters: what may deviate, in which unit, and how far one expects it to."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+
+ParameterKind = Literal["offset", "placement", "base", "tool"]
+
+# What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.
+DEFAULT_SIGMA = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One unknown of the machine.
+
+    ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
+    ``slot`` is its place in the full state vector. ``prior`` is the standard deviation of a prior about the nominal
+    value, in ``unit``, or None.
+    """
+
+    name: str
+    unit: Literal["m", "rad"]
+    kind: ParameterKind
+    slot: int
+    prior: float | None = None
+
+    @property
+    def of_robot(self) -> bool:
+        """Whether the parameter belongs to the robot itself rather than to a frame of the set-up."""
+        return self.kind in ("offset", "placement")
+
+    @property
+    def scale(self) -> float:
+        """Size of an ordinary deviation, in ``unit``: the prior's where there is one."""
+        return DEFAULT_SIGMA if self.prior is None else self.prior
+
+
+def scales(parameters: tuple[Parameter, ...]) -> Array:
+    """Return the scales (p,) of the parameters."""
+    return np.array([parameter.scale for parameter in parameters])

@@ -1,0 +1,249 @@
+"""The least-squares solution of a problem: Levenberg-Marquardt by SciPy, then Gauss-Newton to the last digit.
+
+Blind directions are closed by inner constraints (:func:`calib.identification.identifiability.gauge`), taken anew at
+every step of the second phase, so that the chosen machine does not depend on where the search began. Model variances
+are estimated on the way and the rows are weighted anew.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calib.foundations.arrays import Array
+from calib.foundations.errors import IdentificationError
+from calib.identification import identifiability
+from calib.identification.identifiability import Directions
+from calib.identification.noise import model_variance
+from calib.identification.parameters import scales
+from calib.identification.system import Evaluation, Problem, evaluate, residuals
+
+_MOST_STEPS = 40
+# The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it, so 1e-6
+# ordinary deviations (1e-9 m) leave less than 1e-12 m.
+_NEGLIGIBLE_STEP = 1e-6
+_NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
+# Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
+_ROUGH = 1e-4
+
+
+class Solution(NamedTuple):
+    """A least-squares solution.
+
+    ``x`` (p,): values in SI units. ``data`` (q, p + 1): triangle of the whitened, scaled ``[J r]`` of the data at x;
+    ``directions``: what the data alone see; ``unseen`` (p, k): what neither they nor priors see. ``covariance`` (p, p)
+    in SI units.
+    ``variances``, ``redundancies``: of every component. ``step``: the last one, in ordinary deviations.
+    """
+
+    x: Array
+    data: Array
+    unseen: Array
+    directions: Directions
+    covariance: Array
+    variances: tuple[float, ...]
+    redundancies: tuple[float, ...]
+    evaluations: int
+    step: float
+    converged: bool
+
+
+def solve(problem: Problem, x0: Array, variances: Sequence[float] | None = None) -> Solution:
+    """Solve a problem from x0 (p,); ``variances`` of the model part for every component, estimated when None.
+
+    Raises IdentificationError when there are no more rows and priors than the rank.
+    """
+    s = scales(problem.parameters)
+    z0 = x0 / s
+    v = _mean_squares(problem, x0) if variances is None else tuple(variances)
+    evaluator = _Evaluator(problem, s)
+    sigmas = _sigmas(problem, v)
+    evaluation = evaluator(z0, sigmas)
+    rows = np.concatenate([*evaluation.triangles, _prior_rows(problem, z0)])
+    _require_rows(problem, rows)
+    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, _gauge(problem, rows[:, :-1]))
+
+    step, settled = np.inf, False
+    for _ in range(_MOST_STEPS):
+        evaluation = evaluator(z, sigmas)
+        state = _State.of(problem, evaluation, z, sigmas, v, estimate=variances is None)
+        delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - z0)])
+        z, step = z + delta, float(np.max(np.abs(delta)))
+        v, sigmas, settled = state.variances, state.sigmas, state.settled
+        if step < _NEGLIGIBLE_STEP and settled:
+            break
+    A = state.spread[:, : len(state.data) + len(state.priors)]
+    return Solution(
+        z * s,
+        state.data,
+        identifiability.directions(np.concatenate([state.data, state.priors])[:, :-1]).blind,
+        identifiability.directions(state.data[:, :-1]),
+        (A @ A.T) * s[:, None] * s,
+        state.variances,
+        state.redundancies,
+        evaluator.count,
+        step,
+        step < _NEGLIGIBLE_STEP and settled,
+    )
+
+
+class _State(NamedTuple):
+    """The system at one point: whitened ``[J r]`` of data and priors, inner constraints, and the noise that fits them.
+
+    ``spread`` (p, q + k) is the inverse that maps residuals of data, priors and constraints to parameters. ``settled``:
+    the rows of this evaluation were weighted by the sigmas that its residuals show.
+    """
+
+    data: Array
+    priors: Array
+    gauge: Array
+    spread: Array
+    variances: tuple[float, ...]
+    sigmas: tuple[Array, ...]
+    redundancies: tuple[float, ...]
+    settled: bool
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        evaluation: Evaluation,
+        z: Array,
+        weighted_by: tuple[Array, ...],
+        v: tuple[float, ...],
+        *,
+        estimate: bool,
+    ) -> "_State":
+        """Find the model variances that agree with the residuals at z, without a new evaluation.
+
+        Weights that are new by one factor for a whole component scale its triangle; if they change from row to row, the
+        triangle keeps the mean factor and is not settled until the next evaluation.
+        """
+        priors = _prior_rows(problem, z)
+        sigmas, settled = weighted_by, True
+        factors = np.ones(len(problem.components))
+        for _ in range(_MOST_STEPS):
+            triangles = [triangle / f for triangle, f in zip(evaluation.triangles, factors, strict=True)]
+            data = np.concatenate(triangles)
+            rows = np.concatenate([data, priors])[:, :-1]
+            gauge = _gauge(problem, rows)
+            # Full rank by construction: what neither data nor priors see, the inner constraints do.
+            spread = np.linalg.pinv(np.concatenate([rows, gauge]), rcond=1e-14)
+            redundancies = _redundancies(problem, triangles, spread)
+            if not estimate:
+                break
+            v = _estimate(problem, evaluation, redundancies)
+            sigmas = _sigmas(problem, v)
+            new, settled = _factors(problem, weighted_by, sigmas)
+            change, factors = float(np.max(np.abs(np.log(new / factors)))), new
+            if change < _NEGLIGIBLE_CHANGE_OF_SIGMA:
+                break
+        return cls(data, priors, gauge, spread, v, sigmas, redundancies, settled)
+
+
+class _Evaluator:
+    """Evaluates a problem at scaled values, remembers the last answer, and counts."""
+
+    def __init__(self, problem: Problem, s: Array) -> None:
+        self.count = 0
+        self._problem, self._s = problem, s
+        self._at: tuple[Array, Sequence[Array]] | None = None
+        self._last: Evaluation | None = None
+
+    def __call__(self, z: Array, sigmas: Sequence[Array]) -> Evaluation:
+        known = self._at is not None and self._at[1] is sigmas and np.array_equal(self._at[0], z)
+        if not known or self._last is None:
+            self._last = evaluate(self._problem, sigmas, z * self._s)
+            self._at = (z.copy(), sigmas)
+            self.count += 1
+        return self._last
+
+
+def _levenberg_marquardt(
+    problem: Problem, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, G: Array
+) -> Array:
+    def rows(z: Array) -> Array:
+        gauge = np.column_stack([G, G @ (z - z0)])
+        return np.concatenate([*evaluator(z, sigmas).triangles, _prior_rows(problem, z), gauge])
+
+    def residual(z: Array) -> Array:
+        return rows(z)[:, -1]
+
+    def jacobian(z: Array) -> Array:
+        return rows(z)[:, :-1]
+
+    # lm and not trf: its first step is not held back, which saves half of the evaluations on nearly linear problems.
+    result = least_squares(
+        residual, z0, jac=jacobian, method="lm", ftol=_ROUGH, xtol=_ROUGH, gtol=_ROUGH, max_nfev=_MOST_STEPS
+    )
+    return np.asarray(result.x)
+
+
+def _gauge(problem: Problem, triangle: Array) -> Array:
+    """Return the inner constraints of what neither data nor priors see, weighted like an ordinary direction."""
+    directions = identifiability.directions(triangle)
+    seen = directions.singular_values[: directions.rank]
+    weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
+    return weight * identifiability.gauge(directions.blind, problem.parameters)
+
+
+def _prior_rows(problem: Problem, z: Array) -> Array:
+    """Return ``[J r]`` of the priors, x / sigma: a scaled parameter with a prior is its own whitened residual."""
+    with_prior = [k for k, parameter in enumerate(problem.parameters) if parameter.prior is not None]
+    return np.column_stack([np.eye(len(z))[with_prior], z[with_prior]])
+
+
+def _require_rows(problem: Problem, rows: Array) -> None:
+    priors = sum(parameter.prior is not None for parameter in problem.parameters)
+    count = sum(data.sigma.size for data in problem.measurements)
+    rank = identifiability.directions(rows[:, :-1]).rank
+    if count + priors <= rank:
+        raise IdentificationError(
+            f"{count} measured numbers and {priors} priors determine {rank} unknowns and leave none to judge the fit; "
+            "measure more poses, free fewer parameters, or give priors."
+        )
+
+
+def _sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
+    """Return the standard deviations (N, d) of every set: instrument and model part together."""
+    added = [np.zeros_like(data.sigma) for data in problem.measurements]
+    for component, v in zip(problem.components, variances, strict=True):
+        added[component.measurements][:, component.columns] = v
+    sigmas = tuple(np.sqrt(data.sigma**2 + a) for data, a in zip(problem.measurements, added, strict=True))
+    # A perfect fit of noise-free data has no scatter at all; any positive number then weighs the rows alike.
+    return tuple(np.maximum(sigma, 1e-15) for sigma in sigmas)
+
+
+def _mean_squares(problem: Problem, x: Array) -> tuple[float, ...]:
+    r = residuals(problem.model.robot, problem.measurements, problem.machine(x))
+    return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
+
+
+def _estimate(problem: Problem, evaluation: Evaluation, redundancies: Sequence[float]) -> tuple[float, ...]:
+    return tuple(
+        model_variance(
+            evaluation.residuals[c.measurements][:, c.columns].ravel(),
+            problem.measurements[c.measurements].sigma[:, c.columns].ravel(),
+            redundancy,
+        )
+        for c, redundancy in zip(problem.components, redundancies, strict=True)
+    )
+
+
+def _redundancies(problem: Problem, triangles: Sequence[Array], spread: Array) -> tuple[float, ...]:
+    """Return the degrees of freedom of every component: its rows less those the parameters have used up."""
+    found, start = [], 0
+    for component, triangle in zip(problem.components, triangles, strict=True):
+        used = float(np.sum(spread[:, start : start + len(triangle)] * triangle[:, :-1].T))
+        start += len(triangle)
+        found.append(problem.measurements[component.measurements].sigma[:, component.columns].size - used)
+    return tuple(found)
+
+
+def _factors(problem: Problem, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:
+    """Return the mean factor new / old of every component's sigmas, and whether it is one and the same for its rows."""
+    logs = [np.log(new[c.measurements][:, c.columns] / old[c.measurements][:, c.columns]) for c in problem.components]
+    middle = np.array([log.mean() for log in logs])
+    spread = max(float(np.max(np.abs(log - m))) for log, m in zip(logs, middle, strict=True))
+    return np.exp(middle), spread < _NEGLIGIBLE_CHANGE_OF_SIGMA

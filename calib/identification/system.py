@@ -1,0 +1,142 @@
+"""The whitened least-squares system of all measurements, reduced block by block to a small triangle.
+
+For residuals r (m) and Jacobian J (m, p) only ``[J r] = Q [R c; 0 s]`` matters to a least-squares solver: the triangle
+has the same cost, gradient and Gauss-Newton matrix as the full system. It is accumulated over blocks of rows, so that
+memory does not grow with rows times parameters.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import linear, rigid
+from calib.foundations.arrays import Array
+from calib.identification.error_model import ErrorModel
+from calib.identification.machine import Frames, Layout, Machine, machine
+from calib.identification.observations import Linearised, pose, position
+from calib.identification.parameters import Parameter, scales
+from calib.measurement.measurements import Measurements
+from calib.robot.robot import Robot
+
+BLOCK = 2048
+
+
+class Component(NamedTuple):
+    """Rows of one physical quantity in one set of measurements, which share a noise model."""
+
+    measurements: int
+    quantity: str  # "position" or "orientation"
+    columns: slice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """The unknowns, the frames they are relative to, and the measurements that are to be explained."""
+
+    model: ErrorModel
+    parameters: tuple[Parameter, ...]
+    reference: Frames
+    measurements: tuple[Measurements, ...]
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """The groups of residuals that share a noise model."""
+        parts = {"position": (("position", slice(0, 3)),), "orientation": (("orientation", slice(3, 6)),)}
+        kinds = {"position": parts["position"], "pose": parts["position"] + parts["orientation"]}
+        return tuple(
+            Component(i, quantity, columns)
+            for i, data in enumerate(self.measurements)
+            for quantity, columns in kinds[data.kind]
+        )
+
+    def machine(self, x: Array) -> Machine:
+        """Return the machine at parameter values x (p,)."""
+        return machine(self.model.robot, self.parameters, self.reference, x)
+
+
+class Evaluation(NamedTuple):
+    """Residuals of every set (N, d) in m and rad, and a triangle (q, p + 1) of ``[J r]`` for every component.
+
+    Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
+    the sigmas that were given.
+    """
+
+    residuals: tuple[Array, ...]
+    triangles: tuple[Array, ...]
+
+
+def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
+    """Evaluate residuals and reduced Jacobians at parameter values x (p,); ``sigmas``: an (N, d) array for each set."""
+    columns = len(problem.parameters) + 1
+    triangles = [np.empty((0, columns)) for _ in problem.components]
+    found: list[Array] = []
+    at = problem.machine(x)
+    for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
+        parts: list[Array] = []
+        for rows, observed, J in _blocks(problem, data, at):
+            parts.append(observed.residual)
+            whitened = np.concatenate([J, observed.residual[:, :, None]], axis=2) / sigma[rows, :, None]
+            for c, component in enumerate(problem.components):
+                if component.measurements == i:
+                    block = whitened[:, component.columns].reshape(-1, columns)
+                    triangles[c] = linear.triangle(np.concatenate([triangles[c], block]))
+        found.append(np.concatenate(parts))
+    return Evaluation(tuple(found), tuple(triangles))
+
+
+def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
+    """Return the unwhitened Jacobians (N, d, p) of the residuals, in m and rad per SI unit of each parameter."""
+    at, s = problem.machine(x), scales(problem.parameters)
+    return tuple(np.concatenate([J / s for _, _, J in _blocks(problem, data, at)]) for data in problem.measurements)
+
+
+def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
+    """Return the residuals (N, 3 or 6) of every set, measured minus predicted, in m and rad, for a machine."""
+    return tuple(
+        _observe(
+            data,
+            slice(None),
+            at.frames.base @ robot.tips(data.readings, at.deviations) @ at.frames.tools[data.tool],
+        ).residual
+        for data in measurements
+    )
+
+
+def _observe(data: Measurements, rows: slice, tools: Array) -> Linearised:
+    if data.orientation is None:
+        return position.residual(data.position[rows], tools)
+    return pose.residual(data.position[rows], data.orientation[rows], tools)
+
+
+def _blocks(problem: Problem, data: Measurements, at: Machine) -> Iterator[tuple[slice, Linearised, Array]]:
+    """Yield rows, residuals and scaled Jacobians (n, d, p) of one set, block by block."""
+    model, parameters = problem.model, problem.parameters
+    layout = Layout(model.robot)
+    s = scales(parameters)
+    of = {kind: [k for k, p in enumerate(parameters) if p.kind == kind] for kind in ("base", "tool")}
+    of_robot = [k for k, p in enumerate(parameters) if p.of_robot]
+    slots = np.array([p.slot for p in parameters], dtype=np.intp)
+    base_twists = model.robot.base_column(at.deviations) @ at.base_twists
+    to_tool = rigid.adjoint(rigid.inverse(at.frames.tools))
+    for start in range(0, len(data), BLOCK):
+        rows = slice(start, start + BLOCK)
+        tool = data.tool[rows]
+        motion = model.robot.motion(data.readings[rows], at.deviations)
+        tips = rigid.placement(motion.rotation, motion.position)
+        observed = _observe(data, rows, at.frames.base @ tips @ at.frames.tools[tool])
+        n, d, _ = observed.twist.shape
+        # Residual per local twist of the tip link, then per local twist of every joint placement.
+        by_tip = observed.twist @ (to_tool[0] if len(to_tool) == 1 else to_tool[tool])
+        by_joint = (by_tip @ motion.regressor).reshape(n * d, -1)
+        joints = np.zeros((motion.joints.shape[0], len(parameters)))
+        tail = np.zeros((6, len(parameters)))
+        joints[:, of_robot], tail[:, of_robot] = motion.joints[:, slots[of_robot]], motion.tail[:, slots[of_robot]]
+        joints[:6, of["base"]] = base_twists[:, slots[of["base"]] - layout.base]
+        J = by_joint @ (joints * s) + by_tip.reshape(n * d, 6) @ (tail * s)
+        J = J.reshape(n, d, -1)
+        for k in of["tool"]:
+            t, component = divmod(int(slots[k]) - layout.tools, 6)
+            J[:, :, k] = (observed.twist @ (at.tool_twists[t][:, component] * s[k])) * (tool == t)[:, None]
+        yield rows, observed, J

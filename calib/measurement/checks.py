@@ -1,0 +1,182 @@
+"""Sanity of measurements before any fit: typical mistakes, recognised by their signature and said in one sentence.
+
+An error says that a fit would be meaningless; a warning, that a look is worth it. The limits of the signatures stand
+below with their reasons; all are far from what real data show.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.measurement.measurements import Measurements
+from calib.robot.robot import Reading
+
+# Controllers and rounding pass a limit by little: a warning from 1 mrad (1 mm) plus 0.1 % of the joint's largest limit.
+_SLACK = 1e-3
+# No controller passes its limits by a tenth of the largest; another variant of the robot does.
+_BEYOND = 0.1
+# Degrees read as radians pass the limits by up to 57 times; twice the largest limit is beyond any turn counter.
+_FAR_BEYOND = 2.0
+# A wrong header shows in many rows, a slip of the pen in one.
+_MANY = 0.1
+_DEGREES = 180.0 / np.pi
+# Positions scatter by the robot's size: a factor of 1000 leaves more than a decade on both sides of these.
+_TOO_WIDE = 20.0
+_TOO_NARROW = 1e-3
+# An encoder at rest jitters by less; a motion so small (0.1 mrad, 0.1 mm) tells a fit nothing of its joint.
+_AT_REST = 1e-4
+# Below this much of motion (0.2 rad, 0.2 m) the positions of a sound table may be narrow.
+_IN_MOTION = 0.2
+_LISTED = 10
+
+_UNITS = {"angle": "rad", "length": "m"}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing worth saying of the measurements: ``code`` names the check, ``sentence`` says it with the evidence."""
+
+    severity: Literal["error", "warning"]
+    code: str
+    sentence: str
+
+
+def check(measurements: Measurements, readings: Sequence[Reading], reach: float) -> tuple[Finding, ...]:
+    """Return what looks wrong, the checks of the readings first.
+
+    ``readings`` are the robot's, in the order of the columns of ``measurements.readings``; ``reach`` is the longest
+    distance in m from the robot's base to its tip. Raises nothing: an empty tuple is a sound table.
+    """
+    if len(measurements) == 0:
+        return ()
+    return (
+        *_beyond_limits(measurements, readings),
+        *_radians_as_degrees(measurements, readings),
+        *_at_rest(measurements),
+        *_spread(measurements, reach),
+        *_repeated(measurements),
+    )
+
+
+# ---- readings
+
+
+def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
+    largest = np.array([_largest_limit(reading) for reading in readings])
+    slack = _SLACK * (1.0 + largest)
+    excess = _excess(m.readings, readings)
+    beyond = excess.max(axis=0)
+    in_degrees = _excess(m.readings / _DEGREES, readings).max(axis=0) <= slack
+    many = np.mean(excess > slack, axis=0) >= _MANY
+    far = many & (np.abs(m.readings).max(axis=0) > _FAR_BEYOND * largest)
+    degrees = far & in_degrees & np.array([reading.dimension == "angle" for reading in readings], dtype=np.bool_)
+
+    def farthest(j: int) -> str:
+        reading, row = readings[j], int(excess[:, j].argmax())
+        lower, upper = _limits(reading)
+        unit = _UNITS[reading.dimension]
+        return (
+            f"{m.where}:{m.lines[row]}: column {reading.name!r} has {m.readings[row, j]:.6g} {unit} "
+            f"where the limits are {lower:.6g} and {upper:.6g} {unit}"
+        )
+
+    if degrees.any():
+        first, *others = (int(j) for j in np.flatnonzero(degrees))
+        also = f"; likewise in {', '.join(repr(readings[j].name) for j in others)}" if others else ""
+        yield Finding(
+            "error",
+            "degrees-as-radians",
+            f"{farthest(first)}, and divided by 57.3 all its rows fit: degrees seem to stand under [rad]{also}.",
+        )
+    for j in (int(j) for j in np.flatnonzero((beyond > slack) & ~degrees)):
+        yield Finding(
+            "error" if beyond[j] > _BEYOND * largest[j] else "warning",
+            "beyond-limits",
+            f"{farthest(j)}; {np.sum(excess[:, j] > slack[j])} of {len(m)} rows are beyond.",
+        )
+
+
+def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
+    angles = [j for j, reading in enumerate(readings) if reading.dimension == "angle"]
+    values = m.readings[:, angles]
+    largest = float(np.abs(values).max(initial=0.0))
+    moving = np.ptp(values, axis=0).max(initial=0.0) > _IN_MOTION / _DEGREES
+    fits = _excess(values * _DEGREES, [readings[j] for j in angles]).max(initial=-np.inf) <= _SLACK
+    if moving and fits and largest < 2.0 * np.pi / _DEGREES:
+        yield Finding(
+            "warning",
+            "radians-as-degrees",
+            f"{m.where}: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit "
+            "the limits: radians seem to stand under [deg].",
+        )
+
+
+def _at_rest(m: Measurements) -> Iterable[Finding]:
+    still = np.flatnonzero(np.ptp(m.readings, axis=0) <= _AT_REST)
+    if len(m) > 1 and still.size:
+        names = ", ".join(repr(m.reading_names[j]) for j in still)
+        yield Finding("warning", "joint-at-rest", f"{m.where}: joints that never move: {names}.")
+
+
+def _limits(reading: Reading) -> tuple[float, float]:
+    lower = -np.inf if reading.lower is None else reading.lower
+    upper = np.inf if reading.upper is None else reading.upper
+    return lower, upper
+
+
+def _largest_limit(reading: Reading) -> float:
+    return max((abs(limit) for limit in (reading.lower, reading.upper) if limit is not None), default=np.inf)
+
+
+def _excess(values: Array, readings: Sequence[Reading]) -> Array:
+    """Return how far readings (N, k) are outside their limits, negative inside."""
+    limits = np.array([_limits(reading) for reading in readings]).reshape(-1, 2)
+    return np.asarray(np.maximum(limits[:, 0] - values, values - limits[:, 1]))
+
+
+# ---- positions and rows
+
+
+def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
+    # The median row stands for all of them, so that one wild row is not taken for a wrong unit.
+    distance = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=-1)
+    typical, farthest = float(np.median(distance)), int(distance.argmax())
+    motion = float(np.ptp(m.readings, axis=0).max(initial=0.0))
+    if typical > _TOO_WIDE * reach and typical / 1000.0 <= 2.0 * reach:
+        yield Finding(
+            "error",
+            "millimetres-as-metres",
+            f"{m.where}: half of the positions are over {typical:.4g} m from their median, and the robot reaches "
+            f"{reach:.4g} m; divided by 1000 they fit: millimetres seem to stand under [m].",
+        )
+    elif distance[farthest] > _TOO_WIDE * reach:
+        yield Finding(
+            "error",
+            "position-beyond-reach",
+            f"{m.where}:{m.lines[farthest]}: the position is {distance[farthest]:.4g} m from the median of all, and "
+            f"the robot reaches {reach:.4g} m.",
+        )
+    elif typical < _TOO_NARROW * reach and motion > _IN_MOTION:
+        yield Finding(
+            "warning",
+            "metres-as-millimetres",
+            f"{m.where}: half of the positions are within {typical:.4g} m of their median, and the robot reaches "
+            f"{reach:.4g} m: metres seem to stand under [mm], or the point was held still.",
+        )
+
+
+def _repeated(m: Measurements) -> Iterable[Finding]:
+    orientation = np.zeros((len(m), 0)) if m.orientation is None else m.orientation.reshape(len(m), 9)
+    rows = np.hstack([m.readings, m.position, orientation, m.tool[:, None]])
+    _, first = np.unique(rows, axis=0, return_index=True)
+    again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
+    if again.size:
+        listed = ", ".join(map(str, again[:_LISTED])) + (", ..." if again.size > _LISTED else "")
+        yield Finding(
+            "warning",
+            "repeated-row",
+            f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {listed}.",
+        )

@@ -1,0 +1,202 @@
+"""Triangles: the simple shapes a scene is drawn with, and mesh files read under declared roots.
+
+A mesh is decoration: whatever is wrong with one (missing, outside the roots, broken), the scene is drawn without it.
+"""
+
+import io
+import struct
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import RobotError
+from calib.foundations.files import read_bytes
+
+Rgb = tuple[float, float, float]
+
+# Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
+_FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
+_LARGEST_FILE = 200_000_000
+# What the readers were seen to raise on damaged files; they have no exception of their own.
+_DAMAGED = (
+    *(ArithmeticError, AttributeError, LookupError, MemoryError),
+    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
+)
+# Edges sharper than this stay edges; the browser shades the rest smoothly.
+_CREASE = np.deg2rad(30.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangles:
+    """Triangles of one colour: vertices (V, 3) in m, faces (F, 3) of vertex indices, and red, green, blue in 0..1."""
+
+    vertices: Array
+    faces: IntArray
+    rgb: Rgb
+
+
+def balls(centres: Array, radius: float, rgb: Rgb, subdivisions: int = 0) -> Triangles:
+    """Return triangles that draw a ball at each of ``centres`` (N, 3), with 20 faces, times 4 a subdivision."""
+    import trimesh  # noqa: PLC0415 - calib must not load it on import
+
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return Triangles(
+        (centres[:, None] + ball.vertices).reshape(-1, 3), _repeated(np.asarray(ball.faces), len(centres)), rgb
+    )
+
+
+def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) -> Triangles:
+    """Return triangles that draw a stick from each of ``starts`` (N, 3) to its end, none where the two coincide."""
+    length = np.linalg.norm(ends - starts, axis=1)
+    starts, ends, length = (a[length > 0.0] for a in (starts, ends, length))
+    axis = (ends - starts) / length[:, None]
+    # The coordinate axis least along the stick is safely not parallel to it.
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    angle = 2.0 * np.pi * np.arange(sides)[:, None] / sides
+    ring = radius * (np.cos(angle) * across[:, None] + np.sin(angle) * np.cross(axis, across)[:, None])
+    vertices = np.concatenate([starts[:, None] + ring, ends[:, None] + ring], axis=1).reshape(-1, 3)
+    i = np.arange(sides)
+    j = (i + 1) % sides
+    wall = np.concatenate([np.stack([i, j, i + sides], axis=1), np.stack([j, j + sides, i + sides], axis=1)])
+    return Triangles(vertices, _repeated(wall, len(starts)), rgb)
+
+
+def primitive(shape: Any, rgb: Rgb) -> Triangles:
+    """Return the box, sphere or cylinder (along z) of a yourdfpy geometry."""
+    from trimesh import creation  # noqa: PLC0415
+
+    if shape.box is not None:
+        mesh = creation.box(extents=shape.box.size)
+    elif shape.sphere is not None:
+        mesh = creation.icosphere(subdivisions=3, radius=shape.sphere.radius)
+    else:
+        mesh = creation.cylinder(radius=shape.cylinder.radius, height=shape.cylinder.length, sections=48)
+    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
+
+
+def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
+    """Return the same triangles with all parts of one colour joined, in the order in which colours first appear."""
+    colours = dict.fromkeys(part.rgb for part in parts)
+    return tuple(_concatenated([part for part in parts if part.rgb == rgb], rgb) for rgb in colours)
+
+
+def moved(part: Triangles, T: Array) -> Triangles:
+    """Return the triangles moved by the placement (or any affine map) ``T`` (4, 4)."""
+    return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
+
+
+def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
+    """Return the file that a URDF's mesh ``filename`` means, or None when it is not a file below one of ``roots``.
+
+    ``package://NAME/REST`` is ROOT/NAME/REST or ROOT/REST; a relative path starts at a root; ``file://`` and absolute
+    paths must lead below one. Links are followed first, and a path that leaves its root is refused.
+    """
+    scheme, mark, rest = uri.partition("://")
+    if not mark:
+        names = [uri]
+    elif scheme == "file":
+        names = [unquote(rest)]
+    elif scheme == "package":
+        names = [rest, rest.partition("/")[2]]
+    else:
+        return None
+    for root in roots:
+        for name in names:
+            try:
+                path = (root / name).resolve()
+                if path.is_relative_to(root.resolve()) and path.is_file():
+                    return path
+            except (OSError, RuntimeError, ValueError):
+                # A loop of links, a name too long, a zero byte: no file of that name.
+                continue
+    return None
+
+
+def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
+    """Return the triangles of a mesh file in m, in its own colours or ``otherwise``; None when the file is unusable.
+
+    Nothing but ``path`` is opened: textures and material libraries beside it are not followed.
+    """
+    import trimesh  # noqa: PLC0415
+    from collada.common import DaeError  # type: ignore[import-untyped]  # noqa: PLC0415
+
+    if path.suffix.lower() not in _FORMATS:
+        return None
+    try:
+        data = read_bytes(path, RobotError, _LARGEST_FILE)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=None)
+            # COLLADA states its unit, and ROS viewers obey it.
+            unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
+            parts = [
+                moved(_triangles(scene.geometry[name], otherwise), T @ np.diag([unit, unit, unit, 1.0]))
+                for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
+                if isinstance(scene.geometry[name], trimesh.Trimesh)
+            ]
+    except (RobotError, DaeError, *_DAMAGED):
+        return None
+    usable = (
+        bool(parts) and all(np.isfinite(part.vertices).all() for part in parts) and any(len(p.faces) for p in parts)
+    )
+    return joined(parts) if usable else None
+
+
+def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
+    """Return the parts with at most ``most_faces`` faces in all: vertices that share a cell of a grid become one.
+
+    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough.
+    """
+    cell = 1e-6
+    out = tuple(_clustered(part, cell) for part in parts)
+    cell = 5e-4
+    while sum(len(part.faces) for part in out) > most_faces:
+        out, cell = tuple(_clustered(part, cell) for part in out), 1.4 * cell
+    return out
+
+
+def creased(part: Triangles) -> Triangles:
+    """Return the triangles with vertices doubled along sharp edges, which smooth shading would otherwise smear."""
+    import trimesh  # noqa: PLC0415
+
+    if not len(part.faces):
+        return part
+    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(part.vertices, part.faces, process=False), angle=_CREASE)
+    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), part.rgb)
+
+
+def _triangles(mesh: Any, otherwise: Rgb) -> Triangles:
+    material = getattr(mesh.visual, "material", None)
+    named = mesh.visual if material is None else material
+    r, g, b = (c / 255.0 for c in named.main_color[:3].tolist()) if mesh.visual.defined else otherwise
+    return Triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces), (r, g, b))
+
+
+def _repeated(faces: npt.NDArray[np.integer], n: int) -> IntArray:
+    return np.asarray((faces + np.arange(n)[:, None, None] * (faces.max() + 1)).reshape(-1, 3), dtype=np.intp)
+
+
+def _concatenated(parts: Sequence[Triangles], rgb: Rgb) -> Triangles:
+    first = np.cumsum([0] + [len(part.vertices) for part in parts])
+    return Triangles(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + i for part, i in zip(parts, first, strict=False)]),
+        rgb,
+    )
+
+
+def _clustered(part: Triangles, cell: float) -> Triangles:
+    _, first, index = np.unique(np.round(part.vertices / cell), axis=0, return_index=True, return_inverse=True)
+    faces = index.reshape(-1)[part.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return Triangles(part.vertices[first], faces[np.sort(once)], part.rgb)

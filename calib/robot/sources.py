@@ -1,0 +1,65 @@
+"""Where a robot description comes from: a path of the user, or ``example:`` and a path in example-robot-data."""
+
+import contextlib
+import difflib
+import sys
+from importlib import metadata
+from pathlib import Path, PurePosixPath
+
+from calib.foundations.errors import RobotError
+
+EXAMPLE = "example:"
+
+_DISTRIBUTION = "example-robot-data"
+_FOLDER = f"share/{_DISTRIBUTION}/robots"
+
+
+def resolve(path: str | Path) -> Path:
+    """Return the file that ``path`` stands for: itself, or for ``example:x`` the file x of example-robot-data.
+
+    A plain path is returned as it is; whoever opens it says why that fails. An example must exist. Raises RobotError
+    when it does not, when its path leaves the folder of the examples, or when the examples are not installed.
+    """
+    text = str(path)
+    if not text.startswith(EXAMPLE):
+        return Path(path)
+    inside = PurePosixPath(text.removeprefix(EXAMPLE))
+    if inside.is_absolute() or ".." in inside.parts:
+        raise RobotError(f"{text}: an example is a path inside the folder of the examples, without '..'.")
+    robots = examples_folder()
+    with contextlib.suppress(OSError):  # such as a name longer than the file system takes
+        if (robots / inside).is_file():
+            return robots / inside
+    raise RobotError(f"{text[:200]}: there is no such example{_hint(str(inside))}")
+
+
+def examples() -> tuple[str, ...]:
+    """Return every URDF of example-robot-data as ``example:...``, sorted."""
+    robots = examples_folder()
+    return tuple(sorted(EXAMPLE + file.relative_to(robots).as_posix() for file in robots.rglob("*.urdf")))
+
+
+def examples_folder() -> Path:
+    """Return the folder ``robots`` of example-robot-data, or raise RobotError when it is not installed."""
+    # The wheel keeps its data under a cmeel prefix and, since version 6, has no Python module to ask; conda and
+    # system packages put the same folder under the interpreter's own prefix.
+    candidates = [Path(sys.prefix) / _FOLDER]
+    try:
+        wheel = metadata.distribution(_DISTRIBUTION)
+        candidates.insert(0, Path(str(wheel.locate_file(f"cmeel.prefix/{_FOLDER}"))))
+    except metadata.PackageNotFoundError:
+        pass
+    for folder in candidates:
+        if folder.is_dir():
+            return folder
+    raise RobotError(f"The example robots are not installed; install the package {_DISTRIBUTION}.")
+
+
+def _hint(inside: str) -> str:
+    """Return the end of the sentence: the URDFs whose path resembles ``inside``, or where all of them are."""
+    known = examples()
+    # A robot's name alone, "panda", is found in its path; a slip of the pen by its likeness.
+    word = PurePosixPath(inside).stem.lower()
+    containing = [name for name in known if word and word in name.lower()]
+    near = (containing or difflib.get_close_matches(EXAMPLE + inside[:200], known))[:3]
+    return f"; did you mean {' or '.join(near)}?" if near else f"; they are the files in {examples_folder()}."

@@ -1,0 +1,427 @@
+"""URDF in: a strict reader that refuses what it cannot read with certainty.
+
+Only direct children of ``<robot>``, and direct children of its joints, count: ``<transmission>``, ``<gazebo>`` and
+``<ros2_control>`` have joints and links of their own that mean something else. What does not bear on kinematics
+(inertia, meshes, unknown elements) is passed over; what does is read exactly or refused in one sentence.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NoReturn, cast, get_args
+from xml.parsers import expat
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import RobotError
+from calib.foundations.files import read_bytes
+from calib.foundations.rigid import placement, rotation_of_rpy
+from calib.foundations.units import NUMBER
+from calib.robot.sources import resolve
+
+JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+
+# Joints with one position, a number: they have an axis, may mimic and may be mimicked.
+_ONE_POSITION = ("revolute", "continuous", "prismatic")
+
+# Fifty times the largest URDF we know; bounds time and memory on any input.
+LARGEST_URDF = 10_000_000
+_DEEPEST = 100
+_LONGEST_NAME = 200
+# Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
+_LARGEST_NUMBER = 1e6
+# A shorter axis is a zero with rounding noise and has no direction.
+_SHORTEST_AXIS = 1e-6
+# cp1252 reaches expat through Python, the others are its own; all of them are ASCII in tags and numbers.
+_ENCODINGS = ("UTF-8", "UTF8", "UTF-16", "ISO-8859-1", "US-ASCII", "ASCII", "WINDOWS-1252")
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """A joint that follows another: position = multiplier * position of ``joint`` + offset (SI)."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrdfJoint:
+    """A joint as the file states it.
+
+    ``origin`` (4, 4) is the frame of the joint in its parent link, ``axis`` (3,) a unit vector in that frame; both
+    read-only. ``lower`` and ``upper`` are in rad or m, None where unlimited. ``line`` is where the joint starts.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    lower: float | None
+    upper: float | None
+    mimic: Mimic | None
+    line: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Urdf:
+    """A robot description that holds together: one tree of links, unique names, mimics that end at a driver.
+
+    Links and joints are in document order; ``where`` is the name of the file in messages.
+    """
+
+    name: str
+    root: str
+    links: tuple[str, ...]
+    joints: tuple[UrdfJoint, ...]
+    source: bytes
+    where: str
+
+    def joint(self, name: str) -> UrdfJoint:
+        """Return the joint called ``name``, or raise RobotError with the names that are near."""
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise RobotError(f"{self.where}: there is no joint {shown(name)}{_hint(name, [j.name for j in self.joints])}")
+
+    def parent_joint(self, link: str) -> UrdfJoint | None:
+        """Return the joint that carries ``link``, None for the root; raise RobotError when there is no such link."""
+        if link not in self.links:
+            raise RobotError(f"{self.where}: there is no link {shown(link)}{_hint(link, self.links)}")
+        return next((joint for joint in self.joints if joint.child == link), None)
+
+
+def read_urdf(path: str | Path) -> Urdf:
+    """Read a URDF file, or an ``example:...`` of example-robot-data.
+
+    Raises RobotError when it cannot be read or is not one robot whose kinematics is certain.
+    """
+    return parse_urdf(read_bytes(resolve(path), RobotError, LARGEST_URDF), str(path))
+
+
+def parse_urdf(source: bytes, where: str) -> Urdf:
+    """Read a URDF from its bytes; ``where`` names it in messages. Raises RobotError."""
+    robot = read_document(source, where)
+    if robot.tag != "robot":
+        raise RobotError(
+            f"{where}:{robot.line}: the outermost element is <{shortened(robot.tag)}>; a URDF has <robot>."
+        )
+    links = tuple(_unique("link", robot, where))
+    if not links:
+        raise RobotError(f"{where}:{robot.line}: the robot has no link.")
+    joints = tuple(_joint(name, element, where) for name, element in _unique("joint", robot, where).items())
+    root = _root(links, joints, where)
+    _check_mimics(joints, where)
+    return Urdf(_text(robot, "name", f"{where}:{robot.line}: the robot") or "", root, links, joints, source, where)
+
+
+# The document: XML as elements that know where they stand in the bytes. ------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """An XML element with the line and the byte where its start tag begins.
+
+    ``end`` is the byte after its start tag when it is empty (``<a/>``), else the byte where its end tag begins.
+    """
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    start: int
+    end: int
+    children: tuple["Element", ...]
+
+
+def read_document(source: bytes, where: str) -> Element:
+    """Return the outermost element of an XML document with two generations below it.
+
+    Raises RobotError for what is not XML, and for entities, document types, endless nesting and unexpanded xacro.
+    """
+    if len(source) > LARGEST_URDF:
+        raise RobotError(f"{where}: is larger than {LARGEST_URDF} bytes.")
+    builder = _Builder(where)
+    try:
+        builder.parser.Parse(source, True)
+    except expat.ExpatError as e:
+        raise RobotError(f"{where}:{e.lineno}: is not well-formed XML ({expat.ErrorString(e.code)}).") from e
+    return builder.root
+
+
+class _Builder:
+    """Expat's handlers: a stack of open elements, closed into frozen ones."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.root: Element
+        self.depth = 0
+        self.open: list[tuple[str, dict[str, str], int, int, list[Element]]] = []
+        self.parser = expat.ParserCreate()
+        self.parser.XmlDeclHandler = self.declaration
+        self.parser.StartDoctypeDeclHandler = self.doctype
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+
+    def refuse(self, what: str) -> NoReturn:
+        raise RobotError(f"{self.where}:{self.parser.CurrentLineNumber}: {what}")
+
+    def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        # Any other would be looked up among Python's codecs, which are more than character sets.
+        if encoding is not None and encoding.upper() not in _ENCODINGS:
+            self.refuse(f"the encoding {shown(encoding)} is not one that is read; save the file as UTF-8.")
+
+    def doctype(self, *_: object) -> None:
+        # Without a document type there are no entities, hence no bombs and nothing external.
+        self.refuse("a DOCTYPE is not allowed in a URDF; remove it.")
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            self.refuse(f"elements are nested more than {_DEEPEST} deep.")
+        if tag.startswith("xacro:"):
+            self.refuse(f"<{shortened(tag)}> is not expanded; run xacro first and use the URDF that it prints.")
+        if self.depth <= 3:
+            self.open.append((tag, attributes, self.parser.CurrentLineNumber, self.parser.CurrentByteIndex, []))
+
+    def end(self, _tag: str) -> None:
+        self.depth -= 1
+        if self.depth >= 3:
+            return
+        tag, attributes, line, start, children = self.open.pop()
+        element = Element(tag, attributes, line, start, self.parser.CurrentByteIndex, tuple(children))
+        if self.open:
+            self.open[-1][-1].append(element)
+        else:
+            self.root = element
+
+
+# Elements to joints. ---------------------------------------------------------------------------------------------
+
+
+def _unique(tag: str, robot: Element, where: str) -> dict[str, Element]:
+    """Return the children ``tag`` of the robot by name, in document order; two of one name are refused."""
+    found: dict[str, Element] = {}
+    for element in robot.children:
+        if element.tag == tag:
+            name = _required(element, "name", f"{where}:{element.line}: <{tag}>")
+            if name in found:
+                first = found[name].line
+                raise RobotError(f"{where}:{element.line}: {tag} {shown(name)} is declared already in line {first}.")
+            found[name] = element
+    return found
+
+
+def _joint(name: str, element: Element, where: str) -> UrdfJoint:
+    at = f"{where}:{element.line}: joint {shown(name)}"
+    type_ = _required(element, "type", at)
+    if type_ not in get_args(JointType):
+        raise RobotError(f"{at} has type {shown(type_)}; allowed are {', '.join(get_args(JointType))}.")
+    parts = _parts(name, element, where)
+    ends = {}
+    for tag in ("parent", "child"):
+        if tag not in parts:
+            raise RobotError(f"{at} has no <{tag}>.")
+        ends[tag] = _required(parts[tag][0], "link", f"{parts[tag][1]}: <{tag}>")
+    one_position = type_ in _ONE_POSITION
+    lower, upper = _limits(*parts["limit"]) if type_ in ("revolute", "prismatic") and "limit" in parts else (None, None)
+    return UrdfJoint(
+        name=name,
+        type=cast(JointType, type_),
+        parent=ends["parent"],
+        child=ends["child"],
+        origin=_origin(*parts["origin"]) if "origin" in parts else read_only(np.eye(4)),
+        # Exporters write axis 0 0 0 and limits on fixed joints, where neither means anything.
+        axis=_axis(*parts["axis"]) if "axis" in parts and (one_position or type_ == "planar") else read_only([1, 0, 0]),
+        lower=lower,
+        upper=upper,
+        mimic=_mimic(*parts["mimic"]) if "mimic" in parts and one_position else None,
+        line=element.line,
+    )
+
+
+def _parts(name: str, joint: Element, where: str) -> dict[str, tuple[Element, str]]:
+    """Return the children of a joint that make its kinematics by tag, each with its place for messages."""
+    parts: dict[str, tuple[Element, str]] = {}
+    for child in joint.children:
+        if child.tag in ("parent", "child", "origin", "axis", "limit", "mimic"):
+            at = f"{where}:{child.line}: joint {shown(name)}"
+            if child.tag in parts:
+                raise RobotError(f"{at} has a second <{child.tag}>; the first is in line {parts[child.tag][0].line}.")
+            parts[child.tag] = child, at
+    return parts
+
+
+def _origin(element: Element, at: str) -> Array:
+    xyz, rpy = (
+        np.array(_numbers(element, name, at, count=3)) if name in element.attributes else np.zeros(3)
+        for name in ("xyz", "rpy")
+    )
+    return read_only(placement(rotation_of_rpy(rpy), xyz))
+
+
+def _axis(element: Element, at: str) -> Array:
+    axis = _numbers(element, "xyz", at, count=3)
+    length = math.hypot(*axis)
+    if length < _SHORTEST_AXIS:
+        raise RobotError(f"{at}: <axis> xyz={shown(element.attributes['xyz'])} has no direction.")
+    return read_only(np.array(axis) / length)
+
+
+def _limits(element: Element, at: str) -> tuple[float | None, float | None]:
+    """Return lower and upper, 0 where omitted as URDF has it, None where a file says unlimited by a huge number."""
+    lower, upper = (_number(element, name, at, 0.0, largest=math.inf) for name in ("lower", "upper"))
+    if lower > upper:
+        raise RobotError(f"{at}: <limit> lower={lower:g} is above upper={upper:g}.")
+    return None if lower < -_LARGEST_NUMBER else lower, None if upper > _LARGEST_NUMBER else upper
+
+
+def _mimic(element: Element, at: str) -> Mimic:
+    driver = _required(element, "joint", f"{at}: <mimic>")
+    multiplier = _number(element, "multiplier", at, 1.0)
+    if multiplier == 0.0:
+        raise RobotError(f"{at}: <mimic> multiplier is zero, so the joint does not follow {shown(driver)}.")
+    return Mimic(driver, multiplier, _number(element, "offset", at, 0.0))
+
+
+# Attributes. -----------------------------------------------------------------------------------------------------
+
+
+def _text(element: Element, attribute: str, at: str) -> str | None:
+    text = element.attributes.get(attribute)
+    if text is not None and ("${" in text or "$(" in text):
+        raise RobotError(f"{at}: {attribute}={shown(text)} is not expanded; run xacro first and use its output.")
+    return text
+
+
+def _required(element: Element, attribute: str, at: str) -> str:
+    text = _text(element, attribute, at)
+    if not text:
+        raise RobotError(f"{at} has no {attribute}.")
+    if len(text) > _LONGEST_NAME:
+        raise RobotError(f"{at}: {attribute}={shown(text)} is longer than {_LONGEST_NAME} characters.")
+    return text
+
+
+def _number(element: Element, attribute: str, at: str, default: float, largest: float = _LARGEST_NUMBER) -> float:
+    """Return the plain decimal number of an attribute, or ``default`` where it is omitted."""
+    if attribute not in element.attributes:
+        return default
+    return _numbers(element, attribute, at, count=1, largest=largest)[0]
+
+
+def _numbers(
+    element: Element, attribute: str, at: str, *, count: int, largest: float = _LARGEST_NUMBER
+) -> tuple[float, ...]:
+    """Return the ``count`` plain decimal numbers of an attribute that must be there."""
+    at = f"{at}: <{element.tag}>"
+    text = _text(element, attribute, at)
+    if text is None:
+        raise RobotError(f"{at} has no {attribute}.")
+    # XML's white space only: str.split() would also take the no-break space, which other readers choke on.
+    words = [word for word in re.split(r"[ \t\r\n]+", text) if word]
+    if len(words) != count or not all(map(NUMBER.fullmatch, words)):
+        allowed = "a plain decimal number" if count == 1 else f"{count} plain decimal numbers"
+        raise RobotError(f"{at} {attribute}={shown(text)} is not {allowed}.")
+    values = tuple(map(float, words))
+    if max(map(abs, values)) > largest:
+        raise RobotError(f"{at} {attribute}={shown(text)} is beyond {largest:g}, in metres and radians.")
+    return values
+
+
+# The robot as a whole. -------------------------------------------------------------------------------------------
+
+
+def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], where: str) -> str:
+    """Return the root link of the tree that the joints make of the links, or raise RobotError where they make none."""
+    known = frozenset(links)
+    carrier: dict[str, UrdfJoint] = {}
+    for joint in joints:
+        at = f"{where}:{joint.line}: joint {shown(joint.name)}"
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in known:
+                raise RobotError(f"{at} has the {role} link {shown(link)}, which does not exist{_hint(link, links)}")
+        if joint.child == joint.parent:
+            raise RobotError(f"{at} carries link {shown(joint.child)} on itself.")
+        if joint.child in carrier:
+            first = carrier[joint.child]
+            raise RobotError(
+                f"{at} carries link {shown(joint.child)}, which joint {shown(first.name)} in line {first.line} "
+                "carries already; a link has one parent."
+            )
+        carrier[joint.child] = joint
+    if loop := _cycle({joint.child: joint.parent for joint in joints}):
+        at = f"{where}:{carrier[loop[0]].line}"
+        raise RobotError(f"{at}: the links {_listed(loop)} carry each other in a circle; a URDF is a tree.")
+    roots = [link for link in links if link not in carrier]
+    if len(roots) > 1:
+        raise RobotError(f"{where}: the links {_listed(roots)} have no parent joint; a robot has one root.")
+    return roots[0]
+
+
+def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
+    """Raise RobotError unless every mimic leads to a joint that has a position of its own."""
+    by_name = {joint.name: joint for joint in joints}
+    followed: dict[str, str] = {}
+    for joint in joints:
+        if joint.mimic is None:
+            continue
+        at = f"{where}:{joint.line}: joint {shown(joint.name)} mimics"
+        wanted = joint.mimic.joint
+        driver = by_name.get(wanted)
+        if driver is None:
+            raise RobotError(f"{at} {shown(wanted)}, which does not exist{_hint(wanted, by_name)}")
+        if driver is joint:
+            raise RobotError(f"{at} itself.")
+        if driver.type not in _ONE_POSITION:
+            raise RobotError(f"{at} {shown(driver.name)}, which is {driver.type} and has no position to follow.")
+        followed[joint.name] = driver.name
+    if loop := _cycle(followed):
+        raise RobotError(f"{where}:{by_name[loop[0]].line}: the joints {_listed(loop)} mimic each other in a circle.")
+
+
+def _cycle(successor: Mapping[str, str]) -> list[str] | None:
+    """Return the nodes of one cycle of a graph where each node has at most one successor, None without a cycle."""
+    done: set[str] = set()
+    for start in successor:
+        path: dict[str, None] = {}
+        node = start
+        while node in successor and node not in done:
+            if node in path:
+                walked = list(path)
+                return walked[walked.index(node) :]
+            path[node] = None
+            node = successor[node]
+        done.update(path)
+    return None
+
+
+# Words in messages. ----------------------------------------------------------------------------------------------
+
+
+def shortened(text: str) -> str:
+    """Return ``text``, cut after 60 characters, so that a message stays one line."""
+    return text if len(text) <= 60 else text[:60] + "..."
+
+
+def shown(text: str) -> str:
+    """Return a user's text as a message quotes it."""
+    return repr(shortened(text))
+
+
+def _listed(names: Collection[str]) -> str:
+    first = list(names)[:8]
+    more = f" and {len(names) - len(first)} more" if len(names) > len(first) else ""
+    return ", ".join(map(shown, first)) + more
+
+
+def _hint(name: str, known: Collection[str]) -> str:
+    """Return the end of the sentence: the names near ``name``, or else all of them."""
+    if near := difflib.get_close_matches(name[:_LONGEST_NAME], known):
+        return f"; did you mean {' or '.join(map(shown, near))}?"
+    return f"; there are {_listed(known)}." if known else "; there are none."

@@ -1,0 +1,193 @@
+"""Every signature in one exact sentence, and nothing said of sound tables."""
+
+import numpy as np
+import pytest
+
+from calib.foundations.arrays import Array
+from calib.measurement.checks import Finding, check
+from calib.measurement.measurements import Measurements, measurements_from_table
+from calib.measurement.table import table_from_arrays
+from calib.robot.robot import Reading
+
+READINGS = (
+    Reading("a", "angle", -2.9, 2.9),
+    Reading("b", "angle", -3.0, -0.1),
+    Reading("c", "angle", None, None),
+    Reading("d", "length", 0.0, 0.5),
+)
+REACH = 1.5
+N = 40
+
+
+def sound_readings() -> Array:
+    u = np.random.default_rng(5).uniform(size=(N, 4))
+    return np.array([-2.5, -2.9, -9.0, 0.02]) + u * np.array([5.0, 2.6, 18.0, 0.45])
+
+
+def sound_positions() -> Array:
+    return np.random.default_rng(6).uniform(-1.0, 1.0, size=(N, 3))
+
+
+def measurements(readings: Array | None = None, position: Array | None = None) -> Measurements:
+    readings = sound_readings() if readings is None else readings
+    position = sound_positions() if position is None else position
+    columns = {f"{r.name} [{'rad' if r.dimension == 'angle' else 'm'}]": readings[:, j] for j, r in enumerate(READINGS)}
+    columns |= {f"{name} [m]": position[:, j] for j, name in enumerate("xyz")}
+    return measurements_from_table(table_from_arrays(columns, "t"), READINGS, "position")
+
+
+def with_value(row: int, column: int, value: float) -> Array:
+    readings = sound_readings()
+    readings[row, column] = value
+    return readings
+
+
+ANGLES = np.array([1.0, 1.0, 1.0, 0.0], dtype=bool)
+DEGREES = np.where(ANGLES, 180.0 / np.pi, 1.0)
+
+
+def found(m: Measurements) -> list[tuple[str, str, str]]:
+    return [(finding.severity, finding.code, finding.sentence) for finding in check(m, READINGS, REACH)]
+
+
+def test_a_sound_table_gives_nothing() -> None:
+    assert check(measurements(), READINGS, REACH) == ()
+
+
+def test_few_rows_and_no_rows_give_nothing() -> None:
+    assert check(measurements().subset([3]), READINGS, REACH) == ()
+    assert check(measurements().subset([]), READINGS, REACH) == ()
+
+
+def test_repeated_readings_with_other_positions_are_fine() -> None:
+    assert check(measurements(np.repeat(sound_readings()[::4], 4, axis=0)), READINGS, REACH) == ()
+
+
+def test_readings_at_their_limits_are_fine() -> None:
+    assert check(measurements(with_value(1, 0, 2.9 + 2e-3)), READINGS, REACH) == ()
+
+
+def test_degrees_under_rad() -> None:
+    readings = sound_readings() * DEGREES
+    row = int(np.argmax(np.abs(readings[:, 0])))
+    assert found(measurements(readings)) == [
+        (
+            "error",
+            "degrees-as-radians",
+            f"t:{row}: column 'a' has {readings[row, 0]:.6g} rad where the limits are -2.9 and 2.9 rad, "
+            "and divided by 57.3 all its rows fit: degrees seem to stand under [rad]; likewise in 'b'.",
+        )
+    ]
+
+
+def test_degrees_in_one_column_only() -> None:
+    readings = sound_readings() * np.array([1.0, DEGREES[0], 1.0, 1.0])
+    row = int(np.argmin(readings[:, 1]))
+    assert found(measurements(readings)) == [
+        (
+            "error",
+            "degrees-as-radians",
+            f"t:{row}: column 'b' has {readings[row, 1]:.6g} rad where the limits are -3 and -0.1 rad, "
+            "and divided by 57.3 all its rows fit: degrees seem to stand under [rad].",
+        )
+    ]
+
+
+def test_radians_under_deg() -> None:
+    u = np.random.default_rng(7).uniform(-1.0, 1.0, size=(N, 1))
+    readings = np.hstack([u * 2.0, u - 1.5, u, 0.25 + 0.1 * u]) / DEGREES
+    largest = float(np.abs(readings[:, :3]).max())
+    # b, whose limits leave zero out, is also said to be beyond them.
+    assert [finding[1] for finding in found(measurements(readings))] == ["beyond-limits", "radians-as-degrees"]
+    assert found(measurements(readings))[1] == (
+        "warning",
+        "radians-as-degrees",
+        f"t: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit the limits: "
+        "radians seem to stand under [deg].",
+    )
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "severity", "sentence"),
+    [
+        (
+            4,
+            0,
+            3.0,
+            "warning",
+            "t:4: column 'a' has 3 rad where the limits are -2.9 and 2.9 rad; 1 of 40 rows are beyond.",
+        ),
+        (
+            4,
+            0,
+            -3.2,
+            "error",
+            "t:4: column 'a' has -3.2 rad where the limits are -2.9 and 2.9 rad; 1 of 40 rows are beyond.",
+        ),
+        (
+            5,
+            0,
+            99.0,
+            "error",
+            "t:5: column 'a' has 99 rad where the limits are -2.9 and 2.9 rad; 1 of 40 rows are beyond.",
+        ),
+        (6, 3, 25.0, "error", "t:6: column 'd' has 25 m where the limits are 0 and 0.5 m; 1 of 40 rows are beyond."),
+    ],
+)
+def test_beyond_limits(row: int, column: int, value: float, severity: str, sentence: str) -> None:
+    assert found(measurements(with_value(row, column, value))) == [(severity, "beyond-limits", sentence)]
+
+
+def test_a_joint_that_never_moves() -> None:
+    readings = sound_readings()
+    readings[:, 1:3] = -1.0
+    assert found(measurements(readings)) == [("warning", "joint-at-rest", "t: joints that never move: 'b', 'c'.")]
+
+
+def test_millimetres_under_m() -> None:
+    assert found(measurements(position=1000.0 * sound_positions() + 5e3)) == [
+        (
+            "error",
+            "millimetres-as-metres",
+            "t: half of the positions are over 1010 m from their median, and the robot reaches 1.5 m; divided by 1000 "
+            "they fit: millimetres seem to stand under [m].",
+        )
+    ]
+
+
+def test_one_wild_position_is_not_taken_for_a_unit() -> None:
+    position = sound_positions()
+    position[7, 1] = 500.0
+    assert found(measurements(position=position)) == [
+        (
+            "error",
+            "position-beyond-reach",
+            "t:7: the position is 500.1 m from the median of all, and the robot reaches 1.5 m.",
+        )
+    ]
+
+
+def test_metres_under_mm() -> None:
+    assert found(measurements(position=sound_positions() / 1000.0)) == [
+        (
+            "warning",
+            "metres-as-millimetres",
+            "t: half of the positions are within 0.00101 m of their median, and the robot reaches 1.5 m: metres seem "
+            "to stand under [mm], or the point was held still.",
+        )
+    ]
+
+
+def test_repeated_rows() -> None:
+    m = measurements()
+    twice = m.subset([*range(N), 3, 5, 3])
+    assert found(twice) == [
+        ("warning", "repeated-row", "t: 3 of 43 rows repeat an earlier one to the last digit, at line 3, 5, 3.")
+    ]
+    assert found(m.subset([*range(N), *range(11)]))[0][2] == (
+        "t: 11 of 51 rows repeat an earlier one to the last digit, at line 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...."
+    )
+
+
+def test_findings_are_plain_values() -> None:
+    assert Finding("error", "a", "b") == Finding("error", "a", "b")

@@ -1,0 +1,261 @@
+"""Tables: what is accepted, that every way in gives the same numbers, and one exact sentence for every refusal."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.foundations.errors import MeasurementError
+from calib.measurement.table import Table, read_table, table_from_arrays, table_from_frame
+
+HEADER = "j1 [deg], x [mm], qw, point"
+ROWS = "90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n"
+UNITS = "m, cm, mm, um, inch, rad, mrad, urad, deg, Nm, kg, s, ms, degC, px, 1"
+
+
+def write(folder: Path, content: str | bytes) -> Path:
+    path = folder / "t.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def same(a: Table, b: Table) -> bool:
+    return list(a.columns) == list(b.columns) and all(
+        np.array_equal(column.values, b.columns[name].values) and column.unit == b.columns[name].unit
+        for name, column in a.columns.items()
+    )
+
+
+def test_values_are_si_read_only_and_know_their_line(tmp_path: Path) -> None:
+    table = read_table(write(tmp_path, f"# a robot\n\n{HEADER}\n  # later\n{ROWS}"))
+    assert list(table.columns) == ["j1", "x", "qw", "point"]
+    assert len(table) == 2
+    assert table.lines.tolist() == [5, 6]
+    np.testing.assert_allclose(table.columns["j1"].values, [np.pi / 2, np.deg2rad(-45.25)], rtol=1e-15)
+    np.testing.assert_allclose(table.columns["x"].values, [1.5e-3, 2.0], rtol=1e-15)
+    assert table.columns["point"].values == ("tcp", "ball")
+    assert table.columns["point"].unit is None
+    assert table.columns["qw"].unit.symbol == "1"
+    with pytest.raises(ValueError, match="read-only"):
+        table.columns["x"].values[0] = 0.0
+    with pytest.raises(TypeError):
+        table.columns["y"] = table.columns["x"]
+    with pytest.raises(ValueError, match="read-only"):
+        table.lines[0] = 0
+
+
+PLAIN = f"{HEADER}\n{ROWS}"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + PLAIN.encode(),
+        PLAIN.replace("\n", "\r\n").encode(),
+        PLAIN.replace("\n", "\r").encode(),
+        PLAIN.rstrip("\n").encode(),
+        PLAIN.replace(", ", ",").encode(),
+        PLAIN.replace(",", " \t, ").encode(),
+        PLAIN.replace("tcp", '"tcp"').replace("x [mm]", '" x  [ mm ] "').encode(),
+        ("#;\n\n" + PLAIN.replace("\n", "\n\n  \t\n# x\n")).encode(),
+    ],
+    ids=["bom", "crlf", "cr", "no-newline", "tight", "wide", "quoted", "comments"],
+)
+def test_spellings_of_one_table(tmp_path: Path, content: bytes) -> None:
+    plain = read_table(write(tmp_path, PLAIN))
+    assert same(read_table(write(tmp_path, content)), plain)
+
+
+def test_words_may_be_unicode_and_hold_commas_when_quoted(tmp_path: Path) -> None:
+    table = read_table(write(tmp_path, 'x [m], group\n1, "a, b"\n2, Größe\n'))
+    assert table.columns["group"].values == ("a, b", "Größe")
+
+
+def test_frame_arrays_and_file_agree(tmp_path: Path) -> None:
+    path = write(tmp_path, PLAIN)
+    table = read_table(path)
+    frame = pd.read_csv(path, skipinitialspace=True)
+    arrays = {"j1 [deg]": [90, -45.25], "x [mm]": (1.5, 2e3), "qw": np.array([1, 0.5]), "point": ["tcp", "ball"]}
+    assert same(table_from_frame(frame), table)
+    assert same(table_from_frame(frame.set_index("point", drop=False).astype(object)), table)
+    assert same(table_from_frame(pd.read_csv(path, skipinitialspace=True, dtype=str)), table)
+    assert same(table_from_arrays(arrays), table)
+    assert table_from_frame(frame).lines.tolist() == [0, 1]
+    assert table_from_frame(pd.DataFrame({"group": [1, 2]})).columns["group"].values == ("1", "2")
+
+
+def test_the_arrays_given_are_copied() -> None:
+    values = np.array([1.0, 2.0])
+    table = table_from_arrays({"x [m]": values})
+    values[0] = 9.0
+    assert table.columns["x"].values.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(("coarse", "fine", "factor"), [("m", "mm", 1e3), ("rad", "deg", 180 / np.pi)])
+def test_the_unit_does_not_change_the_value(coarse: str, fine: str, factor: float) -> None:
+    values = np.random.default_rng(1).normal(size=500)
+    a = table_from_arrays({f"c [{coarse}]": values}).columns["c"].values
+    b = table_from_arrays({f"c [{fine}]": factor * values}).columns["c"].values
+    np.testing.assert_allclose(a, b, rtol=1e-15, atol=0.0)
+
+
+def test_doubles_survive_the_file(tmp_path: Path) -> None:
+    values = np.random.default_rng(2).normal(size=200) * 10.0 ** np.arange(-100, 100)
+    path = write(tmp_path, "x [m]\n" + "\n".join(map(repr, values.tolist())))
+    assert np.array_equal(read_table(path).columns["x"].values, values)
+
+
+def test_renaming_reads_headers_of_somebody_else(tmp_path: Path) -> None:
+    path = write(tmp_path, "Joint A1, measurement_x [mm], Q.W, station\n90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n")
+    columns = {"j1 [deg]": "Joint A1", "x": "measurement_x", "qw": "Q.W", "point": "station"}
+    assert same(read_table(path, columns), read_table(write(tmp_path, PLAIN)))
+    frame = pd.DataFrame({"Tx (mm)": [1.0]})
+    assert table_from_frame(frame, columns={"x [mm]": "Tx (mm)"}).columns["x"].values.tolist() == [1e-3]
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({"x": "mesurement_x"}, "there is no column 'mesurement_x' to read as 'x'; near is 'measurement_x [mm]'."),
+        ({"x": "nothing"}, "there is no column 'nothing' to read as 'x'."),
+        ({"x [m]": "measurement_x"}, "column 'measurement_x [mm]' is renamed to 'x [m]', which has another unit."),
+        ({"y": "measurement_x"}, "column 'y' is there more than once."),
+        (
+            {"x": "measurement_x", "z": "measurement_x"},
+            "the renaming gives one column two names: {'x': 'measurement_x', 'z': 'measurement_x'}.",
+        ),
+    ],
+)
+def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
+    with pytest.raises(MeasurementError) as caught:
+        table_from_arrays({"measurement_x [mm]": [1.0], "y [mm]": [1.0]}, columns=columns)
+    assert str(caught.value) == f"arrays: {sentence}"
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("", ": is empty; a table starts with a header line."),
+        ("# only\n\n", ": is empty; a table starts with a header line."),
+        ("x [m]\n# none\n", ": has a header and no rows."),
+        ("x\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {UNITS}."),
+        ("x []\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {UNITS}."),
+        ("x (mm)\n1\n", f":1: column 'x (mm)' has no unit; write one in brackets, like 'x (mm) [mm]': {UNITS}."),
+        ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {UNITS}."),
+        ("x [MM]\n1\n", f":1: column 'x': unit 'MM' is not known; allowed are {UNITS}."),
+        ("point [mm]\na\n", ":1: column 'point' holds words and takes no unit, but has [mm]."),
+        ("x [m\n1\n", ":1: the header 'x [m' is not a name with a unit, like 'x [mm]'."),
+        ("x [m] [m]\n1\n", ":1: the header 'x [m] [m]' is not a name with a unit, like 'x [mm]'."),
+        ("x [m],,y [m]\n1,2,3\n", ":1: a column has no name (is there a comma too many?)."),
+        ("x [m], [m]\n1,2\n", ":1: a column has no name (is there a comma too many?)."),
+        ("\n#\nx [m], y [m], x [mm]\n1,2,3\n", ":3: column 'x' is there more than once."),
+        ("x [m], y [m]\n1,2\n\n3\n5,6\n", ":4: the header has 2 cells and this row has 1."),
+        ("x [m], y [m]\n1,2,\n", ":2: the header has 2 cells and this row has 3."),
+        (
+            "x [m], y [m]\n1,5,2,5\n",
+            ":2: the header has 2 cells and this row has 4; if these are decimal commas, write points.",
+        ),
+        (
+            "x [m], y [m]\n1,2\n3",
+            ":3: the header has 2 cells and this row has 1, and the file ends within this row: it seems truncated.",
+        ),
+        ("x [m]; y [m]\n1,5; 2\n", ":1: the cells are separated by semicolons; separate them by commas."),
+        ("x [m]\ty [m]\n1\t2\n", ":1: the cells are separated by tabs; separate them by commas."),
+        ("x [m], y [m]\n1,2\n3,\n", ":3: column 'y': the cell is empty."),
+        ("x [m], point\n1,tcp\n3,\n", ":3: column 'point': the cell is empty."),
+        ('x [m], y [m]\n"1,5",2\n', ":2: column 'x': '1,5' has a decimal comma; write a point."),
+        ('x [m], y [m]\n"1, 2\n3,4\n', ":2: a quote is not closed, or something follows it."),
+        ('x [m], y [m]\n"1"1, 2\n3,4\n', ":2: a quote is not closed, or something follows it."),
+        (b"x [m]\n1\n\xe4\n", ":3: is not UTF-8 text; save it as UTF-8."),
+        (b"\xef\xbb\xbf# \xe4\nx [m]\n1\n", ":1: is not UTF-8 text; save it as UTF-8."),
+        (b"x [m]\r1\r\0\n", ":3: has a NUL byte; a table is UTF-8 text."),
+        ("x [m]\n1\n".encode("utf-16"), ": is UTF-16 text; save it as UTF-8."),
+        ("x [m]\n1\n".encode("utf-16-le"), ":1: has a NUL byte; a table is UTF-8 text."),
+        ("x [m]\n" + "1" * 200_000 + "\n", ":2: is 200000 characters long; allowed are 100000."),
+        ("x [m]\n1\n" + '"' + "1\n" * 100, ":3: a quote is not closed, or something follows it."),
+        ("x [m]\n1\n1e999\n", ":3: column 'x': 1e999 is not a finite number."),
+        *(
+            (f"x [m]\n1\n{cell}\n", f":3: column 'x': {cell!r} is not a number like 12.5 or 1.25e1.")
+            for cell in (
+                "nan",
+                "inf",
+                "-Infinity",
+                "1_0",
+                "１２",
+                "0x10",
+                "1e",
+                "1 2",
+                "--1",
+                "1.5mm",
+                "1d5",
+                "tcp",
+                "1;2",
+            )
+        ),
+    ],
+)
+def test_bad_files_give_one_sentence(tmp_path: Path, content: str | bytes, sentence: str) -> None:
+    path = write(tmp_path, content)
+    with pytest.raises(MeasurementError) as caught:
+        read_table(path)
+    assert str(caught.value) == f"{path}{sentence}"
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    for path, sentence in ((tmp_path / "no.csv", "there is no such file."), (tmp_path, "is not a regular file.")):
+        with pytest.raises(MeasurementError) as caught:
+            read_table(path)
+        assert str(caught.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize(
+    ("frame", "sentence"),
+    [
+        (pd.DataFrame({"x [m]": [1.0, np.nan]}), "DataFrame:1: column 'x': nan is not a finite number."),
+        (pd.DataFrame({"x [m]": [1.0, np.inf]}), "DataFrame:1: column 'x': inf is not a finite number."),
+        (pd.DataFrame({"x [m]": [1, "a"]}), "DataFrame:1: column 'x': 'a' is not a number like 12.5 or 1.25e1."),
+        (
+            pd.DataFrame({"x [m]": [1, None]}, dtype=object),
+            "DataFrame:1: column 'x': 'None' is not a number like 12.5 or 1.25e1.",
+        ),
+        (pd.DataFrame({"x [m]": [True]}), "DataFrame:0: column 'x': 'True' is not a number like 12.5 or 1.25e1."),
+        (pd.DataFrame({"x [m]": [1 + 0j]}), "DataFrame:0: column 'x': '(1+0j)' is not a number like 12.5 or 1.25e1."),
+        (pd.DataFrame({"group": ["a", np.nan]}, dtype=object), "DataFrame:1: column 'group': nan is not a word."),
+        (pd.DataFrame({"group": [1.0]}), "DataFrame:0: column 'group': 1.0 is not a word."),
+        (pd.DataFrame({"group": ["a", " "]}), "DataFrame:1: column 'group': the cell is empty."),
+        (pd.DataFrame({0: [1.0]}), "DataFrame: the column label 0 is not text."),
+        (pd.DataFrame([[1, 2]], columns=["x [m]", "x [m]"]), "DataFrame: column 'x [m]' is there more than once."),
+        (pd.DataFrame({"x [m]": [1.0], "x [mm]": [1.0]}), "DataFrame: column 'x' is there more than once."),
+        (pd.DataFrame({"x [m]": []}), "DataFrame: has a header and no rows."),
+        (pd.DataFrame(), "DataFrame: has a header and no rows."),
+    ],
+)
+def test_bad_frames_give_one_sentence(frame: pd.DataFrame, sentence: str) -> None:
+    with pytest.raises(MeasurementError) as caught:
+        table_from_frame(frame)
+    assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("arrays", "shapes"),
+    [
+        ({"x [m]": [1.0], "y [m]": [1.0, 2.0]}, "'x [m]' (1,), 'y [m]' (2,)"),
+        ({"x [m]": 1.0}, "'x [m]' ()"),
+        ({"x [m]": [[1.0]]}, "'x [m]' (1, 1)"),
+    ],
+)
+def test_arrays_of_other_shapes_are_refused(arrays: dict[str, object], shapes: str) -> None:
+    with pytest.raises(MeasurementError) as caught:
+        table_from_arrays(arrays)
+    assert str(caught.value) == f"arrays: the columns are not one-dimensional and equally long: {shapes}."
+
+
+def test_a_long_table_is_read_quickly(tmp_path: Path) -> None:
+    row = ",".join(map(repr, np.random.default_rng(3).normal(size=12).tolist()))
+    header = ",".join(f"c{i} [m]" for i in range(12)) + ",group"
+    path = write(tmp_path, header + "\n" + f"{row},a\n" * 20_000)
+    start = time.perf_counter()
+    assert len(read_table(path)) == 20_000
+    assert time.perf_counter() - start < 3.0  # about 0.2 s; the bound only catches what is not linear

@@ -1,0 +1,92 @@
+"""Examples are found by name, and nothing outside their folder is."""
+
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from calib.foundations.errors import RobotError
+from calib.robot import sources
+
+FOLDER = sources.examples_folder()
+
+
+def test_a_plain_path_is_itself() -> None:
+    assert sources.resolve("no/such/file.urdf") == Path("no/such/file.urdf")
+    assert sources.resolve(Path("arm.urdf")) == Path("arm.urdf")
+    assert sources.resolve("./example:arm.urdf") == Path("./example:arm.urdf")
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_an_example_is_a_file_of_the_package(kind: type) -> None:
+    found = sources.resolve(kind("example:panda_description/urdf/panda.urdf"))
+    assert found == FOLDER / "panda_description/urdf/panda.urdf"
+    assert found.is_file()
+
+
+def test_examples_lists_urdfs_that_resolve() -> None:
+    listed = sources.examples()
+    assert len(listed) >= 50
+    assert list(listed) == sorted(listed)
+    assert "example:ur_description/urdf/ur5_robot.urdf" in listed
+    assert all(sources.resolve(name).suffix == ".urdf" for name in listed)
+
+
+@pytest.mark.parametrize(
+    ("path", "sentence"),
+    [
+        ("example:..", "example:..: an example is a path inside the folder of the examples, without '..'."),
+        (
+            "example:panda_description/../../../secret",
+            "example:panda_description/../../../secret: "
+            "an example is a path inside the folder of the examples, without '..'.",
+        ),
+        (
+            "example:/etc/passwd",
+            "example:/etc/passwd: an example is a path inside the folder of the examples, without '..'.",
+        ),
+        (
+            "example:xarm7.urdf",
+            "example:xarm7.urdf: there is no such example; did you mean example:xarm_description/urdf/xarm7.urdf?",
+        ),
+        (
+            "example:z1_description/urdf/z2.urdf",
+            "example:z1_description/urdf/z2.urdf: there is no such example; "
+            "did you mean example:z1_description/urdf/z1.urdf or ",
+        ),
+        ("example:", f"example:: there is no such example; they are the files in {FOLDER}."),
+        ("example:qqqq", f"example:qqqq: there is no such example; they are the files in {FOLDER}."),
+        ("example:a\0b", f"example:a\0b: there is no such example; they are the files in {FOLDER}."),
+        (
+            "example:" + "q" * 5000,
+            f"example:{'q' * 192}: there is no such example; they are the files in {FOLDER}.",
+        ),
+    ],
+)
+def test_what_is_no_example(path: str, sentence: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        sources.resolve(path)
+    assert str(caught.value).startswith(sentence)
+
+
+def test_a_folder_is_no_example() -> None:
+    with pytest.raises(RobotError, match="there is no such example; did you mean example:panda_description/urdf/panda"):
+        sources.resolve("example:panda_description")
+
+
+def test_examples_of_another_package_manager_lie_under_the_prefix(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def missing(name: str) -> metadata.Distribution:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "distribution", missing)
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    with pytest.raises(RobotError) as caught:
+        sources.examples()
+    assert str(caught.value) == "The example robots are not installed; install the package example-robot-data."
+    robot = tmp_path / "share/example-robot-data/robots/arm/arm.urdf"
+    robot.parent.mkdir(parents=True)
+    robot.touch()
+    assert sources.examples() == ("example:arm/arm.urdf",)
+    assert sources.resolve("example:arm/arm.urdf") == robot
