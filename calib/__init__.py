@@ -11,6 +11,8 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.compensation.model_file import CalibratedModel, load_model
+from calib.compensation.urdf import write_urdf
 from calib.foundations.errors import (
     CalibError,
     IdentificationError,
@@ -22,10 +24,33 @@ from calib.foundations.errors import (
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
-from calib.identification.parameters import Parameter
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.presentation.tables import table
 from calib.robot.robot import Deviations, Robot, load_robot
 
 __version__ = "0.1.0.dev0"
+
+__all__ = [
+    "CalibError",
+    "CalibratedModel",
+    "Deviations",
+    "ErrorModel",
+    "Fit",
+    "IdentificationError",
+    "JobError",
+    "LaserTracker",
+    "MeasurementError",
+    "Measurements",
+    "OutputError",
+    "Robot",
+    "RobotError",
+    "error_model",
+    "identify",
+    "load_model",
+    "load_robot",
+    "read_measurements",
+    "table",
+    "write_urdf",
+]

@@ -1,1 +1,1 @@
-"""Assessment."""
+"""Assessment: how good is a calibration, and may it be trusted."""

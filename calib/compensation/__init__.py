@@ -1,1 +1,1 @@
-"""Compensation."""
+"""Compensation: the calibrated machine put to use."""

@@ -22,9 +22,10 @@ class Fit:
 
     ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
     choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
-    ``rank``: number of parameter combinations that the data determine, priors left out; ``singular_values``
-    (descending) of the scaled Jacobian; ``blind_directions``: what they cannot tell apart. ``held``: parameters that
-    policy "minimal" kept at their nominal values.
+    ``rank``: number of parameter combinations that the data determine, priors left out; ``usable_rank``: of those, the
+    ones known to ten ordinary deviations or better. ``singular_values`` (descending) of the whitened, scaled Jacobian;
+    ``blind_directions``: what lies beyond the usable rank. ``held``: parameters that policy "minimal" kept at their
+    nominal values.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
@@ -36,6 +37,7 @@ class Fit:
     values: Array
     covariance: Array
     rank: int
+    usable_rank: int
     singular_values: Array
     blind_directions: tuple[BlindDirection, ...]
     blind: BoolArray

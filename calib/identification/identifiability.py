@@ -1,8 +1,11 @@
 """What the data can see: rank, blind directions, and what is done about them.
 
 Everything here works on a triangle R (q, p) of the whitened Jacobian whose columns are scaled: one unit is one ordinary
-deviation (1 mm, 1 mrad, or the prior). In these units a direction is structurally blind when its singular value is
-below ``RANK_TOLERANCE`` of the largest.
+deviation (1 mm, 1 mrad, or the prior), so that 1/s is the standard deviation of a direction in ordinary deviations. Two
+ranks follow. The rank counts singular values above ``RANK_TOLERANCE`` of the largest: what the data determine at all.
+The usable rank counts those above ``USABLE``: directions known to ten ordinary deviations or better. The rest would
+take any value that noise, or a second-order effect of a blind direction, dictates - turns of a tenth of a radian on
+real arms - and moves no prediction by more than the noise; they are treated like blind ones.
 """
 
 from collections.abc import Sequence
@@ -14,33 +17,46 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.identification.parameters import Parameter
 
 RANK_TOLERANCE = 1e-9
-_MOST_NAMED = 4
-# Smaller shares of a direction are second-order and would hide what matters.
+USABLE = 0.1
+# A parameter is blind when a unit blind direction moves it by more than this. Shares of truly seen parameters stay
+# below 0.02 (second-order effects of deviations up to 10 mm), those of blind ones above 0.1.
+_BLIND_SHARE = 0.02
+# Smaller shares of a blind direction are not told.
 _TOLD_SHARE = 1e-2
-# A parameter is called blind when a unit blind direction moves it by more than this.
-_BLIND_SHARE = 1e-6
+_MOST_NAMED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Directions in scaled parameter space: ``blind`` (p, k) orthonormal; ``singular_values`` (p,), descending."""
+    """Directions in scaled space, best seen first: columns of ``vectors`` (p, p), with ``singular_values`` (p,)."""
 
-    blind: Array
+    vectors: Array
     singular_values: Array
 
     @property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
-        return len(self.blind) - int(self.blind.shape[1])
+        return self._above(0.0)
+
+    @property
+    def usable(self) -> int:
+        """Number of parameter combinations that the data determine to ten ordinary deviations or better."""
+        return self._above(USABLE)
+
+    def hidden(self, rank: int) -> Array:
+        """Return the directions (p, p - rank) beyond the best ``rank`` ones."""
+        return self.vectors[:, rank:]
+
+    def _above(self, threshold: float) -> int:
+        values = self.singular_values
+        return int(np.count_nonzero(values > max(threshold, RANK_TOLERANCE * values[0]))) if values.size else 0
 
 
 def directions(triangle: Array) -> Directions:
-    """Return the blind directions of a scaled Jacobian or its triangle (q, p)."""
+    """Return the directions of a whitened, scaled Jacobian or its triangle (q, p)."""
     p = triangle.shape[1]
-    _, values, Vt = np.linalg.svd(triangle, full_matrices=triangle.shape[0] < p)
-    values = np.concatenate([values, np.zeros(p - len(values))])
-    rank = int(np.count_nonzero(values > RANK_TOLERANCE * values[0])) if p else 0
-    return Directions(Vt[rank:].T.copy(), values)
+    _, values, Vt = np.linalg.svd(triangle, full_matrices=len(triangle) < p)
+    return Directions(Vt.T, np.concatenate([values, np.zeros(p - len(values))]))
 
 
 def gauge(blind: Array, parameters: Sequence[Parameter]) -> Array:
@@ -116,7 +132,7 @@ class BlindDirection:
 
 def blind_directions(blind: Array, parameters: Sequence[Parameter], kept: Sequence[int]) -> tuple[BlindDirection, ...]:
     """Return the blind space (p, k), scaled, as directions that a person can read; ``kept`` is a minimal set."""
-    dropped = [k for k in range(len(blind)) if k not in set(kept)]
+    dropped = [k for k in range(len(blind)) if k not in kept]
     basis = np.linalg.solve(blind[dropped].T, blind.T)
     said = []
     for own, direction in zip(dropped, basis, strict=True):

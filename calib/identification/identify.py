@@ -10,7 +10,7 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
-from calib.identification.machine import values_at
+from calib.identification.machine import Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
@@ -24,14 +24,14 @@ def identify(
     measurements: Measurements | Sequence[Measurements],
     *,
     blind: BlindPolicy = "nearest",
-    model_sigmas: Sequence[float] | None = None,
+    model_sigmas: Sequence[float | None] | None = None,
 ) -> Fit:
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
     ``blind`` says what to do about directions that the data cannot see: "nearest" takes, among all equal fits, the
     machine nearest to the nominal one; "minimal" holds what exceeds a minimal set of parameters at its nominal value;
     "refuse" raises. ``model_sigmas``: standard deviations (m or rad) of what the model cannot explain, one for each
-    component of the data (position, then orientation, of each set in order); estimated when None.
+    component of the data (position, then orientation, of each set in order); None stands for one to be estimated.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
@@ -43,7 +43,7 @@ def identify(
     parameters = model.parameters(sets[0].tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    variances = None if model_sigmas is None else tuple(sigma**2 for sigma in model_sigmas)
+    variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
     aligned = start_frames(model, sets)
     bare = replace(model, offsets=(), placements=())
@@ -53,12 +53,14 @@ def identify(
 
     problem = Problem(model, parameters, nominal.frames, sets)
     found = solve(problem, values_at(model.robot, parameters, nominal.frames), variances)
-    kept = identifiability.minimal_set(
-        found.data[:, :-1], found.directions.rank, identifiability.preference(parameters)
-    )
-    directions = identifiability.blind_directions(found.directions.blind, parameters, kept)
+    # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
+    usable = min(found.directions.usable, found.directions.rank)
+    kept = identifiability.minimal_set(found.start, usable, identifiability.preference(parameters))
+    hidden = identifiability.directions(found.start).hidden(usable)
+    directions = identifiability.blind_directions(hidden, parameters, kept)
     if blind == "refuse" and directions:
         raise IdentificationError(f"the data are blind in {len(directions)} directions; the first: {directions[0]}")
+    rank = found.directions.rank
     held: tuple[Parameter, ...] = ()
     if blind == "minimal" and directions:
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
@@ -72,7 +74,8 @@ def identify(
         parameters=problem.parameters,
         values=read_only(found.x),
         covariance=read_only(found.covariance),
-        rank=found.directions.rank,
+        rank=rank,
+        usable_rank=usable,
         singular_values=read_only(found.directions.singular_values),
         blind_directions=directions,
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),
@@ -101,6 +104,21 @@ def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[N
         )
         for component, variance, redundancy in zip(problem.components, found.variances, found.redundancies, strict=True)
     )
+
+
+def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machine) -> tuple[Array, ...]:
+    """Return residuals (N, 3 or 6) of other measurements, in m and rad, for a machine of the fit.
+
+    Raises MeasurementError when they are not of this robot, or made with a tool that the fit does not know.
+    """
+    tools = fit.measurements[0].tools
+    for data in measurements:
+        for tool in data.tools:
+            if tool not in tools:
+                known = ", ".join(map(repr, tools))
+                raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
+    known_first = (fit.measurements[0], *measurements)
+    return residuals(fit.model.robot, with_common_tools(fit.model, known_first)[1:], machine)
 
 
 def with_common_tools(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:

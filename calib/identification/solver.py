@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from calib.foundations import linear
 from calib.foundations.arrays import Array
-from calib.foundations.errors import IdentificationError
+from calib.foundations.errors import IdentificationError, JobError
 from calib.identification import identifiability
 from calib.identification.identifiability import Directions
 from calib.identification.noise import model_variance
@@ -20,10 +21,12 @@ from calib.identification.parameters import scales
 from calib.identification.system import Evaluation, Problem, evaluate, residuals
 
 _MOST_STEPS = 40
+_STEPS_TO_DECIDE_RANK = 1
 # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it, so 1e-6
 # ordinary deviations (1e-9 m) leave less than 1e-12 m.
 _NEGLIGIBLE_STEP = 1e-6
 _NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
+_ROUNDING = 1e-10
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
 _ROUGH = 1e-4
 
@@ -31,17 +34,17 @@ _ROUGH = 1e-4
 class Solution(NamedTuple):
     """A least-squares solution.
 
-    ``x`` (p,): values in SI units. ``data`` (q, p + 1): triangle of the whitened, scaled ``[J r]`` of the data at x;
-    ``directions``: what the data alone see; ``unseen`` (p, k): what neither they nor priors see. ``covariance`` (p, p)
-    in SI units.
-    ``variances``, ``redundancies``: of every component. ``step``: the last one, in ordinary deviations.
+    ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data see at x, priors left out.
+    ``unseen`` (p, k), scaled: what neither data nor priors see well enough. ``start`` (q, p): the data's triangle at
+    the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component. ``step``:
+    the last one, in ordinary deviations.
     """
 
     x: Array
-    data: Array
-    unseen: Array
-    directions: Directions
     covariance: Array
+    directions: Directions
+    unseen: Array
+    start: Array
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
     evaluations: int
@@ -49,37 +52,44 @@ class Solution(NamedTuple):
     converged: bool
 
 
-def solve(problem: Problem, x0: Array, variances: Sequence[float] | None = None) -> Solution:
-    """Solve a problem from x0 (p,); ``variances`` of the model part for every component, estimated when None.
+def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+    """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
 
     Raises IdentificationError when there are no more rows and priors than the rank.
     """
     s = scales(problem.parameters)
     z0 = x0 / s
-    v = _mean_squares(problem, x0) if variances is None else tuple(variances)
+    fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
+    if len(fixed) != len(problem.components):
+        raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
+    v = _keep(fixed, _mean_squares(problem, x0))
     evaluator = _Evaluator(problem, s)
-    sigmas = _sigmas(problem, v)
-    evaluation = evaluator(z0, sigmas)
-    rows = np.concatenate([*evaluation.triangles, _prior_rows(problem, z0)])
-    _require_rows(problem, rows)
-    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, _gauge(problem, rows[:, :-1]))
+    sigmas = first_sigmas = _sigmas(problem, v)
+    first = evaluator(z0, sigmas)
+    G = _first_gauge(problem, first, _prior_rows(problem, z0), estimated=None in fixed)
+    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, G)
 
-    step, settled = np.inf, False
-    for _ in range(_MOST_STEPS):
+    step, settled, rank = np.inf, False, None
+    for k in range(_MOST_STEPS):
         evaluation = evaluator(z, sigmas)
-        state = _State.of(problem, evaluation, z, sigmas, v, estimate=variances is None)
+        state = _State.of(problem, evaluation, z, sigmas, v, fixed, rank)
+        # From then on the rank stays: to decide it anew at every step would make the steps jump.
+        rank = state.rank if k >= _STEPS_TO_DECIDE_RANK else None
         delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - z0)])
         z, step = z + delta, float(np.max(np.abs(delta)))
         v, sigmas, settled = state.variances, state.sigmas, state.settled
         if step < _NEGLIGIBLE_STEP and settled:
             break
+    # What is smaller than the steps can tell from zero is zero: joints that nothing moves keep their exact origins.
+    z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
     A = state.spread[:, : len(state.data) + len(state.priors)]
+    factors, _ = _factors(problem, first_sigmas, sigmas)
     return Solution(
         z * s,
-        state.data,
-        identifiability.directions(np.concatenate([state.data, state.priors])[:, :-1]).blind,
-        identifiability.directions(state.data[:, :-1]),
         (A @ A.T) * s[:, None] * s,
+        identifiability.directions(state.data[:, :-1]),
+        identifiability.directions(np.concatenate([state.data, state.priors])[:, :-1]).hidden(state.rank),
+        np.concatenate([triangle[:, :-1] / f for triangle, f in zip(first.triangles, factors, strict=True)]),
         state.variances,
         state.redundancies,
         evaluator.count,
@@ -91,13 +101,15 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float] | None = None)
 class _State(NamedTuple):
     """The system at one point: whitened ``[J r]`` of data and priors, inner constraints, and the noise that fits them.
 
-    ``spread`` (p, q + k) is the inverse that maps residuals of data, priors and constraints to parameters. ``settled``:
-    the rows of this evaluation were weighted by the sigmas that its residuals show.
+    ``rank``: number of directions that data and priors see; inner constraints close the rest. ``spread`` (p, q + k) is
+    the inverse that maps residuals of data, priors and constraints to parameters. ``settled``: the rows of this
+    evaluation were weighted by the sigmas that its residuals show.
     """
 
     data: Array
     priors: Array
     gauge: Array
+    rank: int
     spread: Array
     variances: tuple[float, ...]
     sigmas: tuple[Array, ...]
@@ -112,8 +124,8 @@ class _State(NamedTuple):
         z: Array,
         weighted_by: tuple[Array, ...],
         v: tuple[float, ...],
-        *,
-        estimate: bool,
+        fixed: Sequence[float | None],
+        rank: int | None,
     ) -> "_State":
         """Find the model variances that agree with the residuals at z, without a new evaluation.
 
@@ -127,19 +139,21 @@ class _State(NamedTuple):
             triangles = [triangle / f for triangle, f in zip(evaluation.triangles, factors, strict=True)]
             data = np.concatenate(triangles)
             rows = np.concatenate([data, priors])[:, :-1]
-            gauge = _gauge(problem, rows)
+            directions = identifiability.directions(rows)
+            seen = directions.usable if rank is None else rank
+            gauge = _gauge(problem, directions, seen)
             # Full rank by construction: what neither data nor priors see, the inner constraints do.
             spread = np.linalg.pinv(np.concatenate([rows, gauge]), rcond=1e-14)
             redundancies = _redundancies(problem, triangles, spread)
-            if not estimate:
+            if None not in fixed:
                 break
-            v = _estimate(problem, evaluation, redundancies)
+            v = _keep(fixed, _estimate(problem, evaluation, redundancies))
             sigmas = _sigmas(problem, v)
             new, settled = _factors(problem, weighted_by, sigmas)
             change, factors = float(np.max(np.abs(np.log(new / factors)))), new
             if change < _NEGLIGIBLE_CHANGE_OF_SIGMA:
                 break
-        return cls(data, priors, gauge, spread, v, sigmas, redundancies, settled)
+        return cls(data, priors, gauge, seen, spread, v, sigmas, redundancies, settled)
 
 
 class _Evaluator:
@@ -180,29 +194,38 @@ def _levenberg_marquardt(
     return np.asarray(result.x)
 
 
-def _gauge(problem: Problem, triangle: Array) -> Array:
-    """Return the inner constraints of what neither data nor priors see, weighted like an ordinary direction."""
-    directions = identifiability.directions(triangle)
-    seen = directions.singular_values[: directions.rank]
+def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, estimated: bool) -> Array:
+    """Return the inner constraints at the start, where residuals are large and the noise is still unknown.
+
+    What would remain of the residuals after a linear fit foretells the noise, on which the usable rank depends.
+    Raises IdentificationError when there are no more rows and priors than the rank.
+    """
+    data = linear.triangle(np.concatenate(evaluation.triangles))
+    count = sum(measured.sigma.size for measured in problem.measurements)
+    rank = identifiability.directions(np.concatenate([data, priors])[:, :-1]).rank
+    if count + len(priors) <= rank:
+        raise IdentificationError(
+            f"{count} measured numbers and {len(priors)} priors determine {rank} unknowns and leave none to judge the "
+            "fit; measure more poses, free fewer parameters, or give priors."
+        )
+    p = data.shape[1] - 1
+    foretold = abs(data[p, p]) / np.sqrt(max(count - min(rank, p), 1)) if estimated and len(data) > p else 1.0
+    rows = np.concatenate([data / max(float(foretold), 1e-12), priors])
+    directions = identifiability.directions(rows[:, :-1])
+    return _gauge(problem, directions, directions.usable) * foretold
+
+
+def _gauge(problem: Problem, directions: Directions, rank: int) -> Array:
+    """Return the inner constraints of what lies beyond ``rank``, weighted like an ordinary direction."""
+    seen = directions.singular_values[:rank]
     weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-    return weight * identifiability.gauge(directions.blind, problem.parameters)
+    return weight * identifiability.gauge(directions.hidden(rank), problem.parameters)
 
 
 def _prior_rows(problem: Problem, z: Array) -> Array:
     """Return ``[J r]`` of the priors, x / sigma: a scaled parameter with a prior is its own whitened residual."""
     with_prior = [k for k, parameter in enumerate(problem.parameters) if parameter.prior is not None]
     return np.column_stack([np.eye(len(z))[with_prior], z[with_prior]])
-
-
-def _require_rows(problem: Problem, rows: Array) -> None:
-    priors = sum(parameter.prior is not None for parameter in problem.parameters)
-    count = sum(data.sigma.size for data in problem.measurements)
-    rank = identifiability.directions(rows[:, :-1]).rank
-    if count + priors <= rank:
-        raise IdentificationError(
-            f"{count} measured numbers and {priors} priors determine {rank} unknowns and leave none to judge the fit; "
-            "measure more poses, free fewer parameters, or give priors."
-        )
 
 
 def _sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
@@ -218,6 +241,10 @@ def _sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
 def _mean_squares(problem: Problem, x: Array) -> tuple[float, ...]:
     r = residuals(problem.model.robot, problem.measurements, problem.machine(x))
     return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
+
+
+def _keep(fixed: Sequence[float | None], estimated: Sequence[float]) -> tuple[float, ...]:
+    return tuple(e if f is None else f for f, e in zip(fixed, estimated, strict=True))
 
 
 def _estimate(problem: Problem, evaluation: Evaluation, redundancies: Sequence[float]) -> tuple[float, ...]:

@@ -126,7 +126,7 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
     Nothing but ``path`` is opened: textures and material libraries beside it are not followed.
     """
     import trimesh  # noqa: PLC0415
-    from collada.common import DaeError  # type: ignore[import-untyped]  # noqa: PLC0415
+    from collada.common import DaeError  # noqa: PLC0415
 
     if path.suffix.lower() not in _FORMATS:
         return None

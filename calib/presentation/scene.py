@@ -280,7 +280,7 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
     with warnings.catch_warnings():
         # meshcat reaches for IPython on import, which warns.
         warnings.simplefilter("ignore")
-        import umsgpack  # type: ignore[import-untyped]  # noqa: PLC0415
+        import umsgpack  # noqa: PLC0415
         from meshcat import geometry as g  # noqa: PLC0415
         from meshcat.commands import SetObject, SetProperty, SetTransform  # noqa: PLC0415
         from meshcat.path import Path as Node  # noqa: PLC0415

@@ -42,7 +42,7 @@ def axis_frame(axis: Array) -> Array:
     """
     for k in range(3):
         if np.array_equal(axis, np.eye(3)[k]):
-            return rigid.placement(np.roll(np.eye(3), k + 1, axis=1), np.zeros(3))
+            return rigid.placement(np.roll(np.eye(3), 2 - k, axis=1), np.zeros(3))
     # Opposite to z there is no shortest way: half a turn about x comes first.
     first = np.eye(3) if axis[2] > -0.5 else np.diag([1.0, -1.0, -1.0])
     return rigid.placement(first @ _shortest_turn(np.eye(3)[2], first.T @ axis), np.zeros(3))

@@ -1,0 +1,88 @@
+"""The calibrated URDF: the nominal document with new joint origins, in which joint offsets are folded."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.foundations.errors import OutputError
+from calib.foundations.files import write_atomically
+from calib.identification.fit import Fit
+from calib.robot import deviation
+from calib.robot.robot import Deviations, Robot, load_robot
+from calib.robot.urdf import UrdfJoint, parse_urdf
+from calib.robot.urdf_writer import splice_origins
+
+# Largest difference at the tip, in m and in entries of the rotation, between the machine and its URDF read back.
+_ROUNDING = 1e-9
+
+
+def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Array]:
+    """Return the origins (4, 4), in the parent link, of all joints of the URDF that a calibration moves.
+
+    A joint's deviation and its offset become part of its origin, so that the URDF takes the same readings as before.
+    A joint that mimics another one, on the arm or beside it, takes over the multiple of the other's offset.
+    """
+    moving = [robot.chain[i].name for i in robot.moving]
+    offsets = dict(zip(moving, map(float, deviations.offsets), strict=True))
+    on_chain = {joint.name: (joint, d) for joint, d in zip(robot.chain, deviations.placements, strict=True)}
+    origins: dict[str, Array] = {}
+    for joint in robot.urdf.joints:
+        driver, multiplier = _driver(robot, joint)
+        # A mimic joint of the arm has an offset of its own beside what it takes over.
+        shift = offsets.get(joint.name, 0.0)
+        shift += 0.0 if driver == joint.name else multiplier * offsets.get(driver, 0.0)
+        motion = _motion(joint, shift)
+        if joint.name in on_chain:
+            link, d = on_chain[joint.name]
+            motion = link.frame @ deviation.motion(d) @ rigid.inverse(link.frame) @ motion
+        if not np.array_equal(motion, np.eye(4)):
+            origins[joint.name] = joint.origin @ motion
+    return origins
+
+
+def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
+    """Return the calibrated document: only origins differ from the nominal one, byte for byte.
+
+    Before it is returned it is read back and compared with the calibrated machine at the tip; raises OutputError if
+    they differ.
+    """
+    document = splice_origins(robot.urdf.source, calibrated_origins(robot, deviations), robot.urdf.where)
+    again = load_robot(parse_urdf(document, "the calibrated URDF"), robot.tip, robot.base)
+    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
+    difference = float(np.max(np.abs(again.tips(readings) - robot.tips(readings, deviations))))
+    if not difference < _ROUNDING:
+        raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
+    return document
+
+
+def write_urdf(fit: Fit, path: str | Path) -> None:
+    """Write the calibrated URDF of a fit; never over the nominal one.
+
+    Raises OutputError when the file cannot be written or is the nominal URDF.
+    """
+    path = Path(path)
+    robot = fit.model.robot
+    if path.exists() and path.read_bytes() == robot.urdf.source:
+        raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
+    write_atomically(path, calibrated_urdf(robot, fit.machine.deviations))
+
+
+def _motion(joint: UrdfJoint, q: float) -> Array:
+    """Return the motion (4, 4) of a joint at position q; fixed joints do not move."""
+    if q == 0.0:
+        return np.eye(4)
+    if joint.type == "prismatic":
+        return rigid.translation(q * joint.axis)
+    return rigid.placement(rigid.rotation_about(joint.axis, q), np.zeros(3))
+
+
+def _driver(robot: Robot, joint: UrdfJoint) -> tuple[str, float]:
+    """Return the joint at the end of a joint's chain of mimicry, itself where it mimics none, and the multiple."""
+    driver, multiplier = joint, 1.0
+    while driver.mimic is not None:
+        multiplier *= driver.mimic.multiplier
+        driver = robot.urdf.joint(driver.mimic.joint)
+    return driver.name, multiplier

@@ -1,0 +1,54 @@
+"""What measurements would reveal, before anything is solved."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.identification import identifiability
+from calib.identification.error_model import ErrorModel
+from calib.identification.identifiability import BlindDirection
+from calib.identification.identify import with_common_tools
+from calib.identification.machine import values_at
+from calib.identification.parameters import Parameter
+from calib.identification.start import start_frames
+from calib.identification.system import Problem, evaluate
+from calib.measurement.measurements import Measurements
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observability:
+    """What a set of poses can see of an error model, at the nominal robot.
+
+    ``numbers``: measured numbers. ``rank`` of ``parameters``; ``blind_directions``: what is not seen.
+    ``condition``: of the seen directions, for ordinary deviations.
+    """
+
+    parameters: tuple[Parameter, ...]
+    numbers: int
+    rank: int
+    condition: float
+    blind_directions: tuple[BlindDirection, ...]
+
+
+def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Observability:
+    """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
+    sets = with_common_tools(model, measurements)
+    parameters = model.parameters(sets[0].tools)
+    frames = start_frames(model, sets)
+    problem = Problem(model, parameters, frames, sets)
+    # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
+    ones = [np.full(data.sigma.shape, 1e-3) for data in sets]
+    x = values_at(model.robot, parameters, frames)
+    rows = np.concatenate([triangle[:, :-1] for triangle in evaluate(problem, ones, x).triangles])
+    directions = identifiability.directions(rows)
+    rank = directions.rank
+    kept = identifiability.minimal_set(rows, rank, identifiability.preference(parameters))
+    seen = directions.singular_values[:rank]
+    return Observability(
+        parameters,
+        sum(data.sigma.size for data in sets),
+        rank,
+        float(seen[0] / seen[-1]) if rank else float("nan"),
+        identifiability.blind_directions(directions.hidden(rank), parameters, kept),
+    )

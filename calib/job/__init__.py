@@ -1,0 +1,1 @@
+"""Job: a job file in, a folder of results out; no mathematics."""

@@ -1,0 +1,5 @@
+from tests.identification import machines
+
+
+def test_x():
+    assert machines.arm
