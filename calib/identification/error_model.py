@@ -13,7 +13,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import Parameter, ParameterKind
 from calib.robot import deviation
 from calib.robot.robot import Robot
 
@@ -43,32 +43,27 @@ class ErrorModel:
     def parameters(self, tools: Sequence[str] = ("tool",)) -> tuple[Parameter, ...]:
         """Return the free parameters for measurements made with the named tools, in the order of the state."""
         layout = Layout(self.robot)
-        joint_number = {joint.name: i for i, joint in enumerate(self.robot.chain)}
+        number = {joint.name: i for i, joint in enumerate(self.robot.chain)}
         found: list[Parameter] = []
+
+        def free(name: str, kind: ParameterKind, entry: int, *, length: bool) -> None:
+            prior = (self.prior_length if length else self.prior_angle) if kind in ("offset", "placement") else None
+            found.append(Parameter(name, "m" if length else "rad", kind, ((entry, 1.0),), prior))
+
         for joint, component in self.placements:
-            length = component.startswith("t")
-            slot = 6 * joint_number[joint] + deviation.COMPONENTS.index(component)
-            prior = self.prior_length if length else self.prior_angle
-            found.append(Parameter(f"{joint}.{component}", "m" if length else "rad", "placement", slot, prior))
+            entry = 6 * number[joint] + deviation.COMPONENTS.index(component)
+            free(f"{joint}.{component}", "placement", entry, length=component.startswith("t"))
         for j, i in enumerate(self.robot.moving):
-            joint_ = self.robot.chain[i]
-            if joint_.name in self.offsets:
-                length = joint_.type == "prismatic"
-                prior = self.prior_length if length else self.prior_angle
-                found.append(
-                    Parameter(f"{joint_.name}.offset", "m" if length else "rad", "offset", layout.offsets + j, prior)
-                )
+            moving = self.robot.chain[i]
+            if moving.name in self.offsets:
+                free(f"{moving.name}.offset", "offset", layout.offsets + j, length=moving.type == "prismatic")
         if self.base == "pose":
-            found += [
-                Parameter(f"base.{c}", "m" if k < 3 else "rad", "base", layout.base + k) for k, c in enumerate(POSE)
-            ]
+            for k, component in enumerate(POSE):
+                free(f"base.{component}", "base", layout.base + k, length=k < 3)
         for t, tool in enumerate(tools):
-            components = {"fixed": 0, "position": 3, "pose": 6}[self.tool]
             prefix = "tool" if tool == "tool" else f"tool.{tool}"
-            found += [
-                Parameter(f"{prefix}.{c}", "m" if k < 3 else "rad", "tool", layout.tools + 6 * t + k)
-                for k, c in enumerate(POSE[:components])
-            ]
+            for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
+                free(f"{prefix}.{component}", "tool", layout.tools + 6 * t + k, length=k < 3)
         names = [parameter.name for parameter in found]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import Parameter, directions
 from calib.robot import deviation
 from calib.robot.robot import Deviations, Robot
 
@@ -57,7 +57,9 @@ def machine(robot: Robot, parameters: Sequence[Parameter], reference: Frames, x:
     """
     layout = Layout(robot)
     state = _reference_state(layout, reference)
-    state[[parameter.slot for parameter in parameters]] = x
+    S = directions(parameters, len(state))
+    # Free entries are what the parameters say; the rest stay at the reference.
+    state = np.where(np.any(S, axis=1), S @ x, state)
     references = np.concatenate([reference.base[None], reference.tools])
     values = state[layout.base :].reshape(-1, 6)
     rotations = references[:, :3, :3] @ rigid.rx_ry_rz(values[:, 3:])
@@ -72,7 +74,8 @@ def machine(robot: Robot, parameters: Sequence[Parameter], reference: Frames, x:
 
 def values_at(robot: Robot, parameters: Sequence[Parameter], reference: Frames) -> Array:
     """Return the parameter values (p,) of the nominal robot whose base and tools are at ``reference``."""
-    return _reference_state(Layout(robot), reference)[[parameter.slot for parameter in parameters]]
+    state = _reference_state(Layout(robot), reference)
+    return np.asarray(state @ directions(parameters, len(state)))
 
 
 def _reference_state(layout: Layout, reference: Frames) -> Array:

@@ -1,5 +1,6 @@
 """Named parameters: what may deviate, in which unit, and how far one expects it to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,14 +19,14 @@ class Parameter:
     """One unknown of the machine.
 
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
-    ``slot`` is its place in the full state vector. ``prior`` is the standard deviation of a prior about the nominal
-    value, in ``unit``, or None.
+    ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
+    ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None.
     """
 
     name: str
     unit: Literal["m", "rad"]
     kind: ParameterKind
-    slot: int
+    direction: tuple[tuple[int, float], ...]
     prior: float | None = None
 
     @property
@@ -39,6 +40,15 @@ class Parameter:
         return DEFAULT_SIGMA if self.prior is None else self.prior
 
 
-def scales(parameters: tuple[Parameter, ...]) -> Array:
+def scales(parameters: Sequence[Parameter]) -> Array:
     """Return the scales (p,) of the parameters."""
     return np.array([parameter.scale for parameter in parameters])
+
+
+def directions(parameters: Sequence[Parameter], size: int) -> Array:
+    """Return the matrix (size, p) that maps parameter values to entries of a state of that size."""
+    S = np.zeros((size, len(parameters)))
+    for k, parameter in enumerate(parameters):
+        for entry, share in parameter.direction:
+            S[entry, k] = share
+    return S

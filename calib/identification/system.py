@@ -16,7 +16,7 @@ from calib.foundations.arrays import Array
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, Layout, Machine, machine
 from calib.identification.observations import Linearised, pose, position
-from calib.identification.parameters import Parameter, scales
+from calib.identification.parameters import Parameter, directions, scales
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
 
@@ -112,31 +112,32 @@ def _observe(data: Measurements, rows: slice, tools: Array) -> Linearised:
 
 def _blocks(problem: Problem, data: Measurements, at: Machine) -> Iterator[tuple[slice, Linearised, Array]]:
     """Yield rows, residuals and scaled Jacobians (n, d, p) of one set, block by block."""
-    model, parameters = problem.model, problem.parameters
-    layout = Layout(model.robot)
-    s = scales(parameters)
-    of = {kind: [k for k, p in enumerate(parameters) if p.kind == kind] for kind in ("base", "tool")}
-    of_robot = [k for k, p in enumerate(parameters) if p.of_robot]
-    slots = np.array([p.slot for p in parameters], dtype=np.intp)
-    base_twists = model.robot.base_column(at.deviations) @ at.base_twists
-    to_tool = rigid.adjoint(rigid.inverse(at.frames.tools))
+    robot, tools = problem.model.robot, at.frames.tools
+    layout = Layout(robot)
+    S = directions(problem.parameters, layout.tools + 6 * len(tools)) * scales(problem.parameters)
+    of_robot, of_base, of_tools = (
+        S[: layout.base],
+        S[layout.base : layout.tools],
+        S[layout.tools :].reshape(-1, 6, S.shape[1]),
+    )
+    base = robot.base_column(at.deviations) @ at.base_twists @ of_base
+    to_tool = rigid.adjoint(rigid.inverse(tools))
     for start in range(0, len(data), BLOCK):
         rows = slice(start, start + BLOCK)
         tool = data.tool[rows]
-        motion = model.robot.motion(data.readings[rows], at.deviations)
-        tips = rigid.placement(motion.rotation, motion.position)
-        observed = _observe(data, rows, at.frames.base @ tips @ at.frames.tools[tool])
+        motion = robot.motion(data.readings[rows], at.deviations)
+        observed = _observe(
+            data, rows, at.frames.base @ rigid.placement(motion.rotation, motion.position) @ tools[tool]
+        )
         n, d, _ = observed.twist.shape
         # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = observed.twist @ (to_tool[0] if len(to_tool) == 1 else to_tool[tool])
+        by_tip = observed.twist @ (to_tool[0] if len(tools) == 1 else to_tool[tool])
         by_joint = (by_tip @ motion.regressor).reshape(n * d, -1)
-        joints = np.zeros((motion.joints.shape[0], len(parameters)))
-        tail = np.zeros((6, len(parameters)))
-        joints[:, of_robot], tail[:, of_robot] = motion.joints[:, slots[of_robot]], motion.tail[:, slots[of_robot]]
-        joints[:6, of["base"]] = base_twists[:, slots[of["base"]] - layout.base]
-        J = by_joint @ (joints * s) + by_tip.reshape(n * d, 6) @ (tail * s)
+        joints = motion.joints @ of_robot
+        joints[:6] += base
+        J = by_joint @ joints + by_tip.reshape(n * d, 6) @ (motion.tail @ of_robot)
         J = J.reshape(n, d, -1)
-        for k in of["tool"]:
-            t, component = divmod(int(slots[k]) - layout.tools, 6)
-            J[:, :, k] = (observed.twist @ (at.tool_twists[t][:, component] * s[k])) * (tool == t)[:, None]
+        for t, own in enumerate(of_tools):
+            if own.any():
+                J[tool == t] += observed.twist[tool == t] @ (at.tool_twists[t] @ own)
         yield rows, observed, J

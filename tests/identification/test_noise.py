@@ -1,5 +1,68 @@
+"""The noise that the residuals show beside the instrument's."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.identification.noise import model_variance, noise_of
 from tests.identification import machines
+from tests.identification.machines import Machine
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 
 
-def test_x():
-    assert machines.arm
+def test_the_model_variance_solves_its_equation() -> None:
+    rng = np.random.default_rng(0)
+    instrument = rng.uniform(1e-6, 3e-4, 500)
+    residuals = rng.normal(scale=np.hypot(instrument, 2e-4))
+    v = model_variance(residuals, instrument, 450.0)
+    assert np.sum(residuals**2 / (instrument**2 + v)) == pytest.approx(450.0, rel=1e-9)
+    assert np.sqrt(v) == pytest.approx(2e-4, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("residuals", "instrument", "freedom", "variance"),
+    [
+        ([1.0, -1.0, 1.0], [1.0, 1.0, 1.0], 3.0, 0.0),  # the instrument suffices
+        ([1.0, -2.0, 1.0], [0.0, 0.0, 0.0], 2.0, 3.0),  # the instrument is not known
+        ([1.0, -2.0, 1.0], [1.0, 1.0, 1.0], 2.0, 2.0),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 2.0, 0.0),
+        ([0.0, 2.0], [0.0, 0.0], 0.0, 0.0),  # nothing left to judge by
+    ],
+)
+def test_the_model_variance_of_small_cases(
+    residuals: list[float], instrument: list[float], freedom: float, variance: float
+) -> None:
+    assert model_variance(np.array(residuals), np.array(instrument), freedom) == pytest.approx(variance, abs=1e-12)
+
+
+def test_chi_square_is_known_where_the_instrument_is() -> None:
+    known = noise_of(0, "position", np.array([1.0, 2.0, -2.0]), np.ones(3), 2.0, 3.0)
+    assert (known.chi_square, known.instrument, known.model) == (3.0, 1.0, pytest.approx(np.sqrt(2.0)))
+    assert known.total == pytest.approx(np.sqrt(3.0))
+    unknown = noise_of(0, "position", np.array([1.0, 2.0, -2.0]), np.array([1.0, 1.0, 0.0]), 2.0, 3.0)
+    assert np.isnan(unknown.chi_square)
+
+
+@pytest.mark.parametrize(
+    "stated", [(0.05e-3, 0.2e-3), (0.0025e-3, 0.01e-3), (0.0, 0.0)], ids=["true", "20x", "unknown"]
+)
+def test_an_instrument_that_promises_too_much_is_corrected_in_position_and_orientation(
+    stated: tuple[float, float],
+) -> None:
+    rng = np.random.default_rng(5)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 400), "pose", rng=rng, sigma=0.05e-3, sigma_angle=0.2e-3, stated=stated)
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose")
+    fit = calib.identify(model, data)
+    assert [noise.quantity for noise in fit.noise] == ["position", "orientation"]
+    for noise, sigma, promised in zip(fit.noise, (0.05e-3, 0.2e-3), stated, strict=True):
+        assert noise.instrument == pytest.approx(promised)
+        assert noise.total == pytest.approx(sigma, rel=0.05)
+        if promised > 0.0:
+            assert noise.chi_square == pytest.approx((sigma / promised) ** 2, rel=0.1)
+        else:
+            assert np.isnan(noise.chi_square)
+    # The rows that the parameters have used up: 30 directions, shared by both components.
+    assert sum(noise.degrees_of_freedom for noise in fit.noise) == pytest.approx(6 * 400 - 30)

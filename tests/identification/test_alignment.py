@@ -1,0 +1,96 @@
+"""Base and tools without a guess: exact on exact data, globally best on imperfect data."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calib.identification.alignment import Known, Rows, align
+from tests.identification.machines import Array, anywhere, pose
+
+NOTHING = Known(None, None, None)
+
+
+class Scene:
+    """Random tips, a base anywhere and tools up to 0.3 m away, of which every row saw one."""
+
+    def __init__(self, seed: int, n: int = 30, tools: int = 2, noise: float = 0.0) -> None:
+        rng = np.random.default_rng(seed)
+        self.base = anywhere(rng)
+        self.tools = np.stack([anywhere(rng, 0.2) for _ in range(tools)])
+        self.tips = np.stack([anywhere(rng, 1.0) for _ in range(n)])
+        self.tool = np.arange(n) % tools
+        self.seen = self.base @ self.tips @ self.tools[self.tool]
+        self.seen[:, :3, 3] += rng.normal(scale=noise, size=(n, 3))
+        self.guess = np.tile(np.eye(4), (tools, 1, 1))
+
+    def rows(self, turned: bool | Array) -> Rows:
+        orientation = np.where(np.reshape(turned, (-1, 1, 1)), self.seen[:, :3, :3], np.nan)
+        return Rows(self.tips, self.seen[:, :3, 3], orientation, self.tool)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("knows", ["nothing", "base", "points", "base and points"])
+def test_positions_place_base_and_points(seed: int, knows: str) -> None:
+    scene = Scene(seed)
+    known = Known(
+        scene.base if "base" in knows else None,
+        scene.tools[:, :3, 3] if "points" in knows else None,
+        scene.guess[:, :3, :3],
+    )
+    base, tools = align(scene.rows(turned=False), known, scene.guess)
+    np.testing.assert_allclose(base, scene.base, atol=1e-12)
+    np.testing.assert_allclose(tools[:, :3, 3], scene.tools[:, :3, 3], atol=1e-12)
+    np.testing.assert_array_equal(tools[:, :3, :3], scene.guess[:, :3, :3])
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("knows", ["nothing", "base", "points", "rotations", "base and rotations"])
+def test_poses_place_base_and_tools(seed: int, knows: str) -> None:
+    scene = Scene(seed)
+    known = Known(
+        scene.base if "base" in knows else None,
+        scene.tools[:, :3, 3] if "points" in knows else None,
+        scene.tools[:, :3, :3] if "rotations" in knows else None,
+    )
+    base, tools = align(scene.rows(turned=True), known, scene.guess)
+    np.testing.assert_allclose(base, scene.base, atol=1e-12)
+    np.testing.assert_allclose(tools, scene.tools, atol=1e-12)
+
+
+def test_a_tool_that_only_positions_saw_keeps_the_rotation_of_the_guess() -> None:
+    scene = Scene(0)
+    base, tools = align(scene.rows(turned=scene.tool == 0), NOTHING, scene.guess)
+    np.testing.assert_allclose(base, scene.base, atol=1e-12)
+    np.testing.assert_allclose(tools[0], scene.tools[0], atol=1e-12)
+    np.testing.assert_allclose(tools[1], pose(scene.tools[1, :3, 3]), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_positions_of_a_bad_machine_are_explained_as_well_as_from_the_truth(seed: int) -> None:
+    """Errors of 50 mm, few rows: a local search that starts at the truth finds nothing better."""
+    scene = Scene(seed, n=8, tools=1, noise=0.05)
+
+    def residual(x: Array) -> Array:
+        seen = pose(x[:3], x[3:6]) @ scene.tips @ pose(x[6:])
+        return (seen[:, :3, 3] - scene.seen[:, :3, 3]).ravel()
+
+    def x_of(base: Array, tools: Array) -> Array:
+        return np.concatenate([base[:3, 3], Rotation.from_matrix(base[:3, :3]).as_rotvec(), tools[0, :3, 3]])
+
+    best = least_squares(residual, x_of(scene.base, scene.tools), xtol=1e-12, ftol=1e-12)
+    found = residual(x_of(*align(scene.rows(turned=False), NOTHING, scene.guess)))
+    assert found @ found <= 2 * best.cost * (1 + 1e-9)
+
+
+def test_what_the_rows_do_not_determine_stays_as_guessed() -> None:
+    """All tips turn about one axis, so the point's place along it cannot be told from the base's."""
+    scene = Scene(0, tools=1)
+    angles = np.linspace(0.0, 5.0, len(scene.tips))
+    scene.tips = pose(rotvec=np.outer(angles, [0.0, 0.0, 1.0]))
+    scene.seen = scene.base @ scene.tips @ scene.tools
+    guess = pose([[0.0, 0.0, 0.7]])
+    base, tools = align(scene.rows(turned=False), NOTHING, guess)
+    assert tools[0, 2, 3] == pytest.approx(0.7, abs=1e-9)
+    assert np.hypot(*tools[0, :2, 3]) == pytest.approx(np.hypot(*scene.tools[0, :2, 3]), abs=1e-9)
+    np.testing.assert_allclose((base @ scene.tips @ tools)[:, :3, 3], scene.seen[:, :3, 3], atol=1e-12)

@@ -1,0 +1,108 @@
+"""The error model: which parameters are free, under which names, and how a wrong wish is refused."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.foundations.errors import JobError
+from tests.identification import machines
+from tests.identification.machines import urdf
+
+GANTRY = machines.load(machines.INLINE["gantry"], "tip")
+T, R = ("tx", "ty", "tz"), ("rx", "ry", "rz")
+
+
+def names(**options: object) -> list[str]:
+    options = {"base": "fixed", "tool": "fixed"} | options
+    return [parameter.name for parameter in calib.error_model(GANTRY, **options).parameters()]
+
+
+def test_all_placements_are_those_of_moving_joints_without_what_is_their_offset() -> None:
+    assert names(placements="all") == [
+        *(f"{joint}.{c}" for joint in ("bridge", "carriage", "ram") for c in ("tx", "ty", *R)),
+        *(f"{joint}.{c}" for joint in ("c", "a", "b") for c in (*T, "rx", "ry")),
+    ]
+    assert names(offsets="all") == [f"{joint}.offset" for joint in ("bridge", "carriage", "ram", "c", "a", "b")]
+    assert names() == []
+
+
+@pytest.mark.parametrize(
+    ("wish", "found"),
+    [
+        (["probe"], [f"probe.{c}" for c in (*T, *R)]),
+        (["ram"], ["ram.tx", "ram.ty", "ram.rx", "ram.ry", "ram.rz"]),
+        (["b.rx", "a.tz"], ["a.tz", "b.rx"]),
+        (["?"], [f"{joint}.{c}" for joint in "cab" for c in (*T, "rx", "ry")]),
+        (["*.rz"], ["column.rz", "bridge.rz", "carriage.rz", "ram.rz", "probe.rz"]),
+        (["c*.tx", "c.tx"], ["column.tx", "carriage.tx", "c.tx"]),
+    ],
+)
+def test_placements_are_chosen_by_joint_component_and_glob(wish: list[str], found: list[str]) -> None:
+    assert names(placements=wish) == found
+
+
+def test_offsets_are_chosen_by_name_and_glob() -> None:
+    assert names(offsets=["c*"]) == ["carriage.offset", "c.offset"]
+
+
+@pytest.mark.parametrize(
+    ("tool", "components"), [("fixed", ()), ("position", ("x", "y", "z")), ("pose", ("x", "y", "z", "rx", "ry", "rz"))]
+)
+def test_base_and_tools_are_named_after_their_points(tool: str, components: tuple[str, ...]) -> None:
+    model = calib.error_model(GANTRY, tool=tool)
+    base = [f"base.{c}" for c in ("x", "y", "z", *R)]
+    assert [p.name for p in model.parameters()] == [*base, *(f"tool.{c}" for c in components)]
+    several = model.parameters(("left", "right"))
+    assert [p.name for p in several] == [*base, *(f"tool.{side}.{c}" for side in ("left", "right") for c in components)]
+
+
+def test_every_parameter_has_its_own_slot_its_unit_and_the_prior_of_its_dimension() -> None:
+    model = calib.error_model(GANTRY, offsets="all", placements=["*"], tool="pose", prior_length=2e-3, prior_angle=3e-3)
+    parameters = model.parameters(("a", "b"))
+    assert len({p.slot for p in parameters}) == len({p.name for p in parameters}) == len(parameters)
+    prismatic = ("bridge.offset", "carriage.offset", "ram.offset")
+    for p in parameters:
+        length = p.name.rpartition(".")[2] in (*T, "x", "y", "z") or p.name in prismatic
+        assert p.unit == ("m" if length else "rad")
+        assert p.prior == ((2e-3 if length else 3e-3) if p.of_robot else None)
+        assert p.scale == (p.prior or 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"offsets": "some"}, 'offsets: \'some\' is not "all", "none" or a list of names.'),
+        ({"placements": "some"}, 'placements: \'some\' is not "all", "none" or a list of joint names.'),
+        ({"offsets": ["brigde"]}, "offsets: 'brigde' matches no joint of the arm; did you mean 'bridge'?"),
+        ({"offsets": ["probe"]}, "offsets: 'probe' matches no joint of the arm; "),
+        ({"placements": ["bridge.tz"]}, "placements: 'bridge.tz' matches no joint of the arm; did you mean 'bridge.t"),
+        ({"placements": ["q*"]}, "placements: 'q*' matches no joint of the arm; there are column.tx, column.ty, "),
+        ({"base": "position"}, "base: 'position' is not one of pose, fixed."),
+        ({"tool": "free"}, "tool: 'free' is not one of pose, position, fixed."),
+        ({"prior_length": 0.0}, "prior length: 0.0 is not a positive number; leave it out for no prior."),
+        ({"prior_angle": np.nan}, "prior angle: nan is not a positive number; leave it out for no prior."),
+        ({"base_pose": np.ones((4, 4))}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"base_pose": [np.nan, 0, 0]}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"tool_poses": {"tool": [1.0]}}, "tool 'tool': needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"base_pose": np.diag([1, 1, -1, 1])}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
+        (
+            {"base_pose": 2 * np.eye(4) - np.diag([1, 1, 1, 0])},
+            "base_pose: needs a point (3,) in m or a rigid placement",
+        ),
+    ],
+)
+def test_a_wrong_wish_is_refused_in_a_sentence(options: dict[str, object], sentence: str) -> None:
+    with pytest.raises(JobError) as caught:
+        calib.error_model(GANTRY, **options)
+    assert str(caught.value).startswith(sentence)
+
+
+def test_a_joint_may_not_be_called_like_a_frame() -> None:
+    robot = machines.load(
+        urdf(("base", "revolute", "0 0 0", "0 0 0", "0 0 1"), ("tool", "fixed", "1 0 0", "0 0 0", "0 0 0")), "tip"
+    )
+    model = calib.error_model(robot, placements=["base"])
+    with pytest.raises(
+        JobError, match=r"^the parameter name 'base\.rx' means two things: a joint may not be called base"
+    ):
+        model.parameters()
