@@ -14,18 +14,18 @@ from scipy.optimize import least_squares
 from calib.foundations import linear
 from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError
-from calib.identification import identifiability
+from calib.identification import identifiability, weights
 from calib.identification.identifiability import Directions
-from calib.identification.noise import model_variance
 from calib.identification.parameters import scales
-from calib.identification.system import Evaluation, Problem, evaluate, residuals
+from calib.identification.system import Evaluation, Problem, evaluate
 
 _MOST_STEPS = 40
-_STEPS_TO_DECIDE_RANK = 1
+# The rank is decided at the second step, where the noise is known; to decide it at every step would make them jump.
+_STEP_OF_DECISION = 1
 # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it, so 1e-6
 # ordinary deviations (1e-9 m) leave less than 1e-12 m.
 _NEGLIGIBLE_STEP = 1e-6
-_NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
+# Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
 _ROUNDING = 1e-10
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
 _ROUGH = 1e-4
@@ -62,9 +62,9 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    v = _keep(fixed, _mean_squares(problem, x0))
+    v = _keep(fixed, weights.mean_squares(problem, x0))
     evaluator = _Evaluator(problem, s)
-    sigmas = first_sigmas = _sigmas(problem, v)
+    sigmas = first_sigmas = weights.sigmas_of(problem, v)
     first = evaluator(z0, sigmas)
     G = _first_gauge(problem, first, _prior_rows(problem, z0), estimated=None in fixed)
     z = _levenberg_marquardt(problem, evaluator, sigmas, z0, G)
@@ -73,17 +73,15 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     for k in range(_MOST_STEPS):
         evaluation = evaluator(z, sigmas)
         state = _State.of(problem, evaluation, z, sigmas, v, fixed, rank)
-        # From then on the rank stays: to decide it anew at every step would make the steps jump.
-        rank = state.rank if k >= _STEPS_TO_DECIDE_RANK else None
+        rank = state.rank if k >= _STEP_OF_DECISION else None
         delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - z0)])
         z, step = z + delta, float(np.max(np.abs(delta)))
         v, sigmas, settled = state.variances, state.sigmas, state.settled
         if step < _NEGLIGIBLE_STEP and settled:
             break
-    # What is smaller than the steps can tell from zero is zero: joints that nothing moves keep their exact origins.
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
     A = state.spread[:, : len(state.data) + len(state.priors)]
-    factors, _ = _factors(problem, first_sigmas, sigmas)
+    factors, _ = weights.factors_of(problem, first_sigmas, sigmas)
     return Solution(
         z * s,
         (A @ A.T) * s[:, None] * s,
@@ -144,14 +142,14 @@ class _State(NamedTuple):
             gauge = _gauge(problem, directions, seen)
             # Full rank by construction: what neither data nor priors see, the inner constraints do.
             spread = np.linalg.pinv(np.concatenate([rows, gauge]), rcond=1e-14)
-            redundancies = _redundancies(problem, triangles, spread)
+            redundancies = weights.redundancies_of(problem, triangles, spread)
             if None not in fixed:
                 break
-            v = _keep(fixed, _estimate(problem, evaluation, redundancies))
-            sigmas = _sigmas(problem, v)
-            new, settled = _factors(problem, weighted_by, sigmas)
+            v = _keep(fixed, weights.model_variances(problem, evaluation.residuals, redundancies))
+            sigmas = weights.sigmas_of(problem, v)
+            new, settled = weights.factors_of(problem, weighted_by, sigmas)
             change, factors = float(np.max(np.abs(np.log(new / factors)))), new
-            if change < _NEGLIGIBLE_CHANGE_OF_SIGMA:
+            if change < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
                 break
         return cls(data, priors, gauge, seen, spread, v, sigmas, redundancies, settled)
 
@@ -228,49 +226,5 @@ def _prior_rows(problem: Problem, z: Array) -> Array:
     return np.column_stack([np.eye(len(z))[with_prior], z[with_prior]])
 
 
-def _sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
-    """Return the standard deviations (N, d) of every set: instrument and model part together."""
-    added = [np.zeros_like(data.sigma) for data in problem.measurements]
-    for component, v in zip(problem.components, variances, strict=True):
-        added[component.measurements][:, component.columns] = v
-    sigmas = tuple(np.sqrt(data.sigma**2 + a) for data, a in zip(problem.measurements, added, strict=True))
-    # A perfect fit of noise-free data has no scatter at all; any positive number then weighs the rows alike.
-    return tuple(np.maximum(sigma, 1e-15) for sigma in sigmas)
-
-
-def _mean_squares(problem: Problem, x: Array) -> tuple[float, ...]:
-    r = residuals(problem.model.robot, problem.measurements, problem.machine(x))
-    return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
-
-
 def _keep(fixed: Sequence[float | None], estimated: Sequence[float]) -> tuple[float, ...]:
     return tuple(e if f is None else f for f, e in zip(fixed, estimated, strict=True))
-
-
-def _estimate(problem: Problem, evaluation: Evaluation, redundancies: Sequence[float]) -> tuple[float, ...]:
-    return tuple(
-        model_variance(
-            evaluation.residuals[c.measurements][:, c.columns].ravel(),
-            problem.measurements[c.measurements].sigma[:, c.columns].ravel(),
-            redundancy,
-        )
-        for c, redundancy in zip(problem.components, redundancies, strict=True)
-    )
-
-
-def _redundancies(problem: Problem, triangles: Sequence[Array], spread: Array) -> tuple[float, ...]:
-    """Return the degrees of freedom of every component: its rows less those the parameters have used up."""
-    found, start = [], 0
-    for component, triangle in zip(problem.components, triangles, strict=True):
-        used = float(np.sum(spread[:, start : start + len(triangle)] * triangle[:, :-1].T))
-        start += len(triangle)
-        found.append(problem.measurements[component.measurements].sigma[:, component.columns].size - used)
-    return tuple(found)
-
-
-def _factors(problem: Problem, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:
-    """Return the mean factor new / old of every component's sigmas, and whether it is one and the same for its rows."""
-    logs = [np.log(new[c.measurements][:, c.columns] / old[c.measurements][:, c.columns]) for c in problem.components]
-    middle = np.array([log.mean() for log in logs])
-    spread = max(float(np.max(np.abs(log - m))) for log, m in zip(logs, middle, strict=True))
-    return np.exp(middle), spread < _NEGLIGIBLE_CHANGE_OF_SIGMA
