@@ -28,7 +28,8 @@ from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.presentation.tables import table
-from calib.robot.robot import Deviations, Robot, load_robot
+from calib.robot.load import load_robot
+from calib.robot.robot import Deviations, Robot
 
 __version__ = "0.1.0.dev0"
 

@@ -14,7 +14,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import CalibError, OutputError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
-from calib.robot.robot import Deviations, Robot, load_robot
+from calib.robot.load import load_robot
+from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"

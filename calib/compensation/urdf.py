@@ -11,7 +11,8 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
-from calib.robot.robot import Deviations, Robot, load_robot
+from calib.robot.load import load_robot
+from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
 from calib.robot.urdf_writer import splice_origins
 

@@ -13,6 +13,15 @@ class RobotError(CalibError, ValueError):
     """The robot description cannot be used."""
 
 
+class PoseError(RobotError):
+    """The arm cannot take a pose. ``row``: which of the readings, from 0; ``reason``: why, without the row."""
+
+    def __init__(self, row: int, reason: str) -> None:
+        super().__init__(f"row {row}: {reason}.")
+        self.row = row
+        self.reason = reason
+
+
 class MeasurementError(CalibError, ValueError):
     """The measurements cannot be used."""
 

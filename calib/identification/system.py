@@ -18,9 +18,10 @@ from calib.identification.machine import Frames, Layout, Machine, machine
 from calib.identification.observations import Linearised, pose, position
 from calib.identification.parameters import Parameter, directions, scales
 from calib.measurement.measurements import Measurements
-from calib.robot.robot import Robot
+from calib.robot.robot import Robot, TipModel
 
-BLOCK = 2048
+# Small enough that the temporaries of a block stay in the processor's cache.
+BLOCK = 256
 
 
 class Component(NamedTuple):
@@ -115,29 +116,23 @@ def _blocks(problem: Problem, data: Measurements, at: Machine) -> Iterator[tuple
     robot, tools = problem.model.robot, at.frames.tools
     layout = Layout(robot)
     S = directions(problem.parameters, layout.tools + 6 * len(tools)) * scales(problem.parameters)
-    of_robot, of_base, of_tools = (
-        S[: layout.base],
-        S[layout.base : layout.tools],
-        S[layout.tools :].reshape(-1, 6, S.shape[1]),
-    )
-    base = robot.base_column(at.deviations) @ at.base_twists @ of_base
+    of_robot, of_tools = S[: layout.base], S[layout.tools :].reshape(len(tools), 6, -1)
+    tip = TipModel(robot, at.deviations)
+    joints = tip.joints @ of_robot
+    joints[:6] += tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
+    # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
     to_tool = rigid.adjoint(rigid.inverse(tools))
+    by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
     for start in range(0, len(data), BLOCK):
         rows = slice(start, start + BLOCK)
-        tool = data.tool[rows]
-        motion = robot.motion(data.readings[rows], at.deviations)
-        observed = _observe(
-            data, rows, at.frames.base @ rigid.placement(motion.rotation, motion.position) @ tools[tool]
-        )
+        tool = data.tool[rows] if len(tools) > 1 else 0
+        motion = tip.motion(data.readings[rows])
+        observed = _observe(data, rows, at.frames.base @ motion.placement @ tools[tool])
         n, d, _ = observed.twist.shape
         # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = observed.twist @ (to_tool[0] if len(tools) == 1 else to_tool[tool])
-        by_joint = (by_tip @ motion.regressor).reshape(n * d, -1)
-        joints = motion.joints @ of_robot
-        joints[:6] += base
-        J = by_joint @ joints + by_tip.reshape(n * d, 6) @ (motion.tail @ of_robot)
-        J = J.reshape(n, d, -1)
-        for t, own in enumerate(of_tools):
-            if own.any():
-                J[tool == t] += observed.twist[tool == t] @ (at.tool_twists[t] @ own)
+        by_tip = observed.twist @ to_tool[tool]
+        J = ((by_tip @ motion.regressor).reshape(n * d, -1) @ joints).reshape(n, d, -1)
+        J += observed.twist @ by_tool[tool]
+        if robot.loops:
+            J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
         yield rows, observed, J

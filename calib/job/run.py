@@ -23,7 +23,8 @@ from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
-from calib.robot.robot import Robot, load_robot
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
 from calib.robot.sources import examples_folder, resolve
 
 Progress = Callable[[str], None]

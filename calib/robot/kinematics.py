@@ -1,4 +1,4 @@
-"""Forward kinematics and kinematic regressor of a serial chain of joints, by Pinocchio.
+"""Forward kinematics and kinematic regressors of a tree of joints, by Pinocchio.
 
 The only module that imports Pinocchio, which has no type stubs: what leaves it is plain arrays.
 """
@@ -14,53 +14,82 @@ from calib.foundations.arrays import Array
 MovingType = Literal["revolute", "prismatic"]
 
 
+class Tree(NamedTuple):
+    """Moving joints, parents before children.
+
+    ``types`` (nj): each joint turns about, or slides along, the z axis of its own frame. ``parents`` (nj): number of
+    the joint that carries it, -1 for the root. ``placements`` (nj, 4, 4): in the frame of that joint.
+    """
+
+    types: tuple[MovingType, ...]
+    parents: tuple[int, ...]
+    placements: Array
+
+
+class Frame(NamedTuple):
+    """A frame at ``placement`` (4, 4) in the frame of a joint; joint -1 is the root."""
+
+    joint: int
+    placement: Array
+
+
 class Regressor(NamedTuple):
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
-    ``rotation`` (N, 3, 3) and ``position`` (N, 3) in m: the frame in the chain's root. ``matrix`` (N, 6, 6 nj): the
-    local twist of the frame for local twists of the joint placements (each perturbed on the right, before the joint's
-    own motion).
+    ``placement`` (N, 4, 4): the frame in the tree's root. ``matrix`` (N, 6, 6 nj): the local twist of the frame for
+    local twists of the joint placements (each perturbed on the right, before the joint's own motion).
     """
 
-    rotation: Array
-    position: Array
+    placement: Array
     matrix: Array
 
+    def by_joint(self, types: Sequence[MovingType], joints: Sequence[int]) -> Array:
+        """Return the local twists (N, 6, k) of the frame for the positions of some joints.
 
-def regressor(types: Sequence[MovingType], placements: Array, tip: Array, q: Array) -> Regressor:
-    """Evaluate a chain at N configurations.
-
-    ``types`` (nj): each joint turns about, or slides along, the z axis of its own frame. ``placements`` (nj, 4, 4): of
-    each joint in the one before it. ``tip`` (4, 4): the frame in the last joint. ``q`` (N, nj) in rad or m.
-    """
-    model, data, frame = _build(types, placements, tip)
-    rotation, position, matrix = np.empty((len(q), 3, 3)), np.empty((len(q), 3)), np.empty((len(q), 6, 6 * len(types)))
-    # Bound names: this loop is the whole cost of large problems, and attribute look-ups are a fifth of it.
-    forward, update, compute = pin.forwardKinematics, pin.updateFramePlacement, pin.computeFrameKinematicRegressor
-    local = pin.ReferenceFrame.LOCAL
-    for n, q_n in enumerate(np.ascontiguousarray(q)):
-        forward(model, data, q_n)
-        T = update(model, data, frame)
-        rotation[n], position[n] = T.rotation, T.translation
-        matrix[n] = compute(model, data, frame, local)
-    return Regressor(rotation, position, matrix)
+        A joint's own motion commutes with a change of its position, so these are columns of the regressor.
+        """
+        return self.matrix[:, :, [6 * j + (5 if types[j] == "revolute" else 2) for j in joints]]
 
 
-def forward(types: Sequence[MovingType], placements: Array, tip: Array, q: Array) -> Array:
-    """Return the placements (N, 4, 4) of the tip; arguments as for :func:`regressor`."""
-    model, data, frame = _build(types, placements, tip)
-    out = np.empty((len(q), 4, 4))
-    for n, q_n in enumerate(np.ascontiguousarray(q)):
-        pin.forwardKinematics(model, data, q_n)
-        out[n] = pin.updateFramePlacement(model, data, frame).homogeneous
-    return out
+class Kinematics:
+    """Frames of a tree, evaluated at many configurations. Not to be shared by threads: it holds scratch memory."""
 
+    def __init__(self, tree: Tree, frames: Sequence[Frame]) -> None:
+        model = pin.Model()
+        for i, (kind, parent, T) in enumerate(zip(tree.types, tree.parents, tree.placements, strict=True)):
+            joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
+            model.addJoint(parent + 1, joint, pin.SE3(T), f"joint_{i}")
+        self._frames = tuple(
+            model.addFrame(pin.Frame(f"frame_{k}", frame.joint + 1, pin.SE3(frame.placement), pin.FrameType.OP_FRAME))
+            for k, frame in enumerate(frames)
+        )
+        self._model, self._data = model, model.createData()
 
-def _build(types: Sequence[MovingType], placements: Array, tip: Array) -> tuple[pin.Model, pin.Data, int]:
-    """Return a model of its own for every call: Pinocchio's data is a scratchpad that threads must not share."""
-    model, joint = pin.Model(), 0
-    for i, (kind, T) in enumerate(zip(types, placements, strict=True)):
-        joint_model = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
-        joint = model.addJoint(joint, joint_model, pin.SE3(T), f"joint_{i}")
-    frame = model.addFrame(pin.Frame("tip", joint, pin.SE3(tip), pin.FrameType.OP_FRAME))
-    return model, model.createData(), frame
+    def regressors(self, q: Array) -> tuple[Regressor, ...]:
+        """Return the regressor of every frame at N configurations q (N, nj) in rad or m."""
+        # Bound names, and one conversion at the end: this loop is the whole cost of large problems.
+        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
+        forward, update, compute = pin.forwardKinematics, pin.updateFramePlacement, pin.computeFrameKinematicRegressor
+        placements: tuple[list[Array], ...] = tuple([] for _ in self._frames)
+        matrices: tuple[list[Array], ...] = tuple([] for _ in self._frames)
+        targets = tuple(zip(self._frames, placements, matrices, strict=True))
+        for q_n in np.ascontiguousarray(q):
+            forward(model, data, q_n)
+            for frame, to_placements, to_matrices in targets:
+                to_placements.append(update(model, data, frame).homogeneous)
+                to_matrices.append(compute(model, data, frame, local))
+        size = 6 * (model.njoints - 1)
+        return tuple(
+            Regressor(np.array(T).reshape(-1, 4, 4), np.array(M).reshape(-1, 6, size))
+            for T, M in zip(placements, matrices, strict=True)
+        )
+
+    def placements(self, q: Array) -> tuple[Array, ...]:
+        """Return the placements (N, 4, 4) of every frame at N configurations q (N, nj)."""
+        model, data = self._model, self._data
+        found: tuple[list[Array], ...] = tuple([] for _ in self._frames)
+        for q_n in np.ascontiguousarray(q):
+            pin.forwardKinematics(model, data, q_n)
+            for frame, to in zip(self._frames, found, strict=True):
+                to.append(pin.updateFramePlacement(model, data, frame).homogeneous)
+        return tuple(np.array(T).reshape(-1, 4, 4) for T in found)

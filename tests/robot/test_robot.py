@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse
-from calib.robot.robot import Deviations, Robot, load_robot
+from calib.robot.load import load_robot
+from calib.robot.robot import Deviations, Robot
 from calib.robot.sources import examples
 from calib.robot.urdf import parse_urdf, read_urdf
 from tests.identification import machines

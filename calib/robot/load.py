@@ -1,0 +1,218 @@
+"""Loading an arm: which joints lie between base and tip, what they read, how they are coupled and closed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import RobotError
+from calib.robot import deviation
+from calib.robot.loops import Loop
+from calib.robot.robot import ChainJoint, Reading, Robot
+from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several drivers."""
+
+    joint: str
+    drivers: Mapping[str, float]
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """Two links whose origins coincide, in the directions ``closes`` ("x", "y", "z") of the first one's frame.
+
+    ``passive``: the joints that follow, as many as directions; no encoder reads them.
+    """
+
+    name: str
+    frames: tuple[str, str]
+    closes: tuple[str, ...]
+    passive: tuple[str, ...]
+
+
+def load_robot(
+    urdf: str | Path | Urdf,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    couplings: Sequence[Coupling] = (),
+    loops: Sequence[ClosedLoop] = (),
+) -> Robot:
+    """Load the arm from link ``base`` (default: the root link) to link ``tip`` (default: the only leaf link).
+
+    ``urdf`` is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data.
+    ``couplings`` replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is
+    a tree, leaves open; the passive joints start their search where they would be by mimicry.
+    Raises RobotError with one sentence when the file or the arm cannot be used.
+    """
+    document = urdf if isinstance(urdf, Urdf) else read_urdf(urdf)
+    tip = _only_leaf(document) if tip is None else _known_link(document, tip, "tip")
+    base = document.root if base is None else _known_link(document, base, "base")
+    path = list(_path(document, base, tip, "tip"))
+    if all(joint.type == "fixed" for joint in path):
+        raise RobotError(f"{document.where}: no joint moves between {base!r} and {tip!r}; choose another tip.")
+    joints = path + [
+        joint
+        for loop in loops
+        for link in loop.frames
+        for joint in _path(document, base, _known_link(document, link, f"loop {loop.name!r}"), f"loop {loop.name!r}")
+    ]
+    joints = list(dict.fromkeys(joints))
+    chain = _chain(joints)
+    moving = [joint for joint in joints if joint.type != "fixed"]
+    closed = tuple(_loop(document, loop, joints, moving) for loop in loops)
+    passive = [moving[j].name for loop in closed for j in loop.passive]
+    readings, coupling, coupling_offset = _couple(document, moving, passive, {c.joint: c for c in couplings})
+    # A joint that is read itself moves, by its offset, all that are coupled to it; a coupled one moves itself.
+    names = [reading.name for reading in readings]
+    offset_coupling = np.eye(len(moving))
+    for i, joint in enumerate(moving):
+        if joint.name in names:
+            offset_coupling[:, i] = coupling[:, names.index(joint.name)]
+    return Robot(
+        document,
+        base,
+        tip,
+        chain,
+        len(path) - 1,
+        readings,
+        read_only(coupling),
+        read_only(coupling_offset),
+        read_only(offset_coupling),
+        closed,
+    )
+
+
+def _known_link(document: Urdf, name: str, role: str) -> str:
+    if name not in document.links:
+        raise RobotError(
+            f"{document.where}: {role} {name!r} is not a link of the URDF; its links are {_list(document.links)}."
+        )
+    return name
+
+
+def _only_leaf(document: Urdf) -> str:
+    parents = {joint.parent for joint in document.joints}
+    leaves = [link for link in document.links if link not in parents]
+    if len(leaves) != 1:
+        raise RobotError(f"{document.where}: which link is the tip? Choose one of {_list(leaves)}.")
+    return leaves[0]
+
+
+def _list(names: Sequence[str], most: int = 12) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _path(document: Urdf, base: str, tip: str, role: str) -> tuple[UrdfJoint, ...]:
+    path: list[UrdfJoint] = []
+    link = tip
+    while link != base:
+        joint = document.parent_joint(link)
+        if joint is None:
+            raise RobotError(
+                f"{document.where}: base {base!r} does not carry {role} {tip!r}: the links are on other branches."
+            )
+        if joint.type in ("floating", "planar"):
+            raise RobotError(
+                f"{document.where}:{joint.line}: joint {joint.name!r} between {base!r} and {tip!r} is {joint.type}; "
+                "an arm needs revolute, continuous, prismatic or fixed joints, so choose a base behind it."
+            )
+        path.append(joint)
+        link = joint.parent
+    return tuple(reversed(path))
+
+
+def _chain(joints: Sequence[UrdfJoint]) -> tuple[ChainJoint, ...]:
+    index = {joint.child: i for i, joint in enumerate(joints)}
+    frames = [np.eye(4) if joint.type == "fixed" else deviation.axis_frame(joint.axis) for joint in joints]
+    chain: list[ChainJoint] = []
+    for joint, frame in zip(joints, frames, strict=True):
+        parent = index.get(joint.parent, -1)
+        before = np.eye(4) if parent < 0 else frames[parent]
+        # A continuous joint is a revolute one without limits; Pinocchio would give it two coordinates.
+        kind = cast(Literal["revolute", "prismatic", "fixed"], "revolute" if joint.type == "continuous" else joint.type)
+        placement = read_only(rigid.inverse(before) @ joint.origin @ frame)
+        chain.append(ChainJoint(joint.name, kind, parent, placement, read_only(frame)))
+    return tuple(chain)
+
+
+def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving: Sequence[UrdfJoint]) -> Loop:
+    where = f"{document.where}: loop {loop.name!r}"
+    index = {joint.child: i for i, joint in enumerate(joints)}
+    for axis in loop.closes:
+        if axis not in ("x", "y", "z"):
+            raise RobotError(f"{where}: closes {axis!r}, which is not one of x, y, z.")
+    if len(loop.closes) != len(loop.passive):
+        raise RobotError(
+            f"{where}: {len(loop.closes)} directions close and {len(loop.passive)} joints are passive; there must be as "
+            "many of one as of the other."
+        )
+    numbers = {joint.name: j for j, joint in enumerate(moving)}
+    for name in loop.passive:
+        if name not in numbers:
+            raise RobotError(f"{where}: passive joint {name!r} is not one of the moving joints {_list(list(numbers))}.")
+    a, b = (index.get(link, -1) for link in loop.frames)
+    passive = tuple(numbers[name] for name in loop.passive)
+    return Loop(loop.name, (a, b), tuple("xyz".index(axis) for axis in loop.closes), passive)
+
+
+def _couple(
+    document: Urdf, moving: Sequence[UrdfJoint], passive: Sequence[str], couplings: Mapping[str, Coupling]
+) -> tuple[tuple[Reading, ...], Array, Array]:
+    """Return the readings in the order of the joints, and joint positions = coupling @ readings + offset."""
+    for name in couplings:
+        if name not in (joint.name for joint in moving):
+            raise RobotError(f"{document.where}: coupling of {name!r}, which is not a moving joint of the arm.")
+    rows = [_drivers(document, joint, couplings) for joint in moving]
+    readings: list[Reading] = []
+    for joint, (multiples, _) in zip(moving, rows, strict=True):
+        if joint.name in passive and set(multiples) == {joint.name}:
+            # Nobody reads it, and nothing says where it would be: the search for it starts at zero.
+            multiples.clear()
+        for name in multiples:
+            driver = document.joint(name)
+            if driver.type not in ("revolute", "continuous", "prismatic"):
+                raise RobotError(
+                    f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which is {driver.type} "
+                    "and has no reading."
+                )
+            if name not in (reading.name for reading in readings):
+                dimension: Literal["angle", "length"] = "length" if driver.type == "prismatic" else "angle"
+                readings.append(Reading(name, dimension, driver.lower, driver.upper))
+    names = [reading.name for reading in readings]
+    coupling = np.zeros((len(moving), len(names)))
+    for i, (multiples, _) in enumerate(rows):
+        for name, multiple in multiples.items():
+            coupling[i, names.index(name)] = multiple
+    return tuple(readings), coupling, np.array([offset for _, offset in rows])
+
+
+def _drivers(
+    document: Urdf, joint: UrdfJoint, couplings: Mapping[str, Coupling], depth: int = 0
+) -> tuple[dict[str, float], float]:
+    """Return the multiples of readings, and the constant, that a joint's position is."""
+    if joint.name in couplings:
+        coupling = couplings[joint.name]
+        drivers, offset = dict(coupling.drivers), coupling.offset
+    elif joint.mimic is not None:
+        drivers, offset = {joint.mimic.joint: joint.mimic.multiplier}, joint.mimic.offset
+    else:
+        return {joint.name: 1.0}, 0.0
+    if depth > len(document.joints):
+        raise RobotError(f"{document.where}: the couplings of joint {joint.name!r} run in a circle.")
+    found: dict[str, float] = {}
+    for name, multiple in drivers.items():
+        multiples, constant = _drivers(document, document.joint(name), couplings, depth + 1)
+        offset += multiple * constant
+        for reading, share in multiples.items():
+            found[reading] = found.get(reading, 0.0) + multiple * share
+    return found, offset
