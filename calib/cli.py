@@ -10,15 +10,16 @@ import typer
 import calib
 from calib.foundations.errors import CalibError
 from calib.identification.observability import observability
-from calib.job.results import refuse_folder, result, write_results
+from calib.job.results import refuse_folder, result_json, write_results
 from calib.job.run import load, run
-from calib.presentation.console import progress, show, show_error, warning
+from calib.presentation.console import progress, sentence, show, show_error, warning, write
 from calib.presentation.tables import blind_lines, error_table, verdict
 
 app = typer.Typer(
     help="Calibrate any robot arm described by a URDF.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -26,61 +27,71 @@ app = typer.Typer(
 BAD_INPUT = 1
 NOT_TRUSTED = 3
 
-JobFile = Annotated[Path, typer.Argument(help="The job file (TOML).", show_default=False)]
-OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder of results; older results there are replaced.")]
+JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="The job file (TOML).", show_default=False)]
+OutFolder = Annotated[
+    Path,
+    typer.Option("--out", "-o", metavar="FOLDER", help="Folder of results; older results there are replaced."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
 @app.command()
 def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Identify what deviates and write the calibrated URDF, the figures and a 3D scene."""
+    """Identify what deviates and write a folder of results.
+
+    The folder holds the calibrated URDF, the model, the figures, the residuals and a 3D scene. Exit codes: 0 good,
+    1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
+    """
     with progress(shown=not (quiet or as_json)) as say:
         inputs = load(job, say)
         refuse_folder(out, inputs)
         outcome = run(inputs, say)
         write_results(outcome, out, say)
     if as_json:
-        typer.echo(json.dumps(result(outcome), indent=2, allow_nan=False))
+        write(result_json(outcome))
     elif not quiet:
         show(
             *(warning(finding.sentence) for finding in inputs.findings),
             error_table(outcome.metrics),
             *verdict(outcome.fit, outcome.doubts),
-            (f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
+            sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
         )
     if outcome.doubts:
         raise typer.Exit(NOT_TRUSTED)
 
 
 @app.command()
-def check(job: JobFile, as_json: Json = False) -> None:
-    """Look at a job's units, names, limits, duplicates and what its poses can see, without solving."""
-    with progress(shown=not as_json) as say:
+def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Check a job and what its poses can see, without solving.
+
+    Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
+    """
+    with progress(shown=not (quiet or as_json)) as say:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
     if as_json:
         contents = {
+            "schema": 1,
             "findings": [finding.sentence for finding in inputs.findings],
             "parameters": [parameter.name for parameter in seen.parameters],
             "measured_numbers": seen.numbers,
             "rank": seen.rank,
-            "condition": seen.condition,
+            "condition": seen.condition if seen.rank else None,
             "blind_directions": [str(direction) for direction in seen.blind_directions],
         }
-        typer.echo(json.dumps(contents, indent=2))
-        return
-    show(
-        *(warning(finding.sentence) for finding in inputs.findings),
-        *([] if inputs.findings else ["Units, names, limits and rows: nothing to remark."]),
-        (
-            f"{seen.numbers} measured numbers see {seen.rank} of {len(seen.parameters)} parameters "
-            f"(condition {seen.condition:.3g})."
-        ),
-        *([f"{len(seen.blind_directions)} directions are blind:"] if seen.blind_directions else []),
-        *blind_lines(seen.blind_directions),
-    )
+        write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    elif not quiet:
+        show(
+            *(warning(finding.sentence) for finding in inputs.findings),
+            *([] if inputs.findings else [sentence("Units, names, limits and rows: nothing to remark.")]),
+            sentence(
+                f"{seen.numbers} measured numbers see {seen.rank} of {len(seen.parameters)} parameters "
+                f"(condition {seen.condition:.3g})."
+            ),
+            *blind_lines(seen.blind_directions),
+        )
 
 
 @app.callback(invoke_without_command=True)

@@ -1,17 +1,18 @@
 """``model.json``: the calibrated machine, whole, for programs that want more than a URDF can hold."""
 
+import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
 from calib.robot.load import load_robot
@@ -19,18 +20,29 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
-NOMINAL_FILE = "nominal.urdf"
+NOMINAL_FILE: Final = "nominal.urdf"
+
+
+# Quaternions are written to the last digit; anything farther off was edited by hand.
+_NORM_TOLERANCE = 1e-6
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = float(np.linalg.norm(quaternion))
+    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+        raise ValueError(f"has the norm {norm:.6g}, and must have 1")
+    return quaternion
 
 
 class PoseEntry(_Strict):
     """A pose: position in m, quaternion in the order w, x, y, z."""
 
     position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
+    quaternion: Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
 
     @classmethod
     def of(cls, T: Array) -> "PoseEntry":
@@ -51,7 +63,13 @@ class JointEntry(_Strict):
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
     deviation: tuple[float, float, float, float, float, float]
-    offset: float | None = None
+    offset: float | None
+
+    @model_validator(mode="after")
+    def _has_an_offset_if_it_moves(self) -> "JointEntry":
+        if (self.offset is None) != (self.type == "fixed"):
+            raise ValueError("a joint has an offset if, and only if, it moves")
+        return self
 
 
 class CouplingEntry(_Strict):
@@ -66,8 +84,8 @@ class CouplingEntry(_Strict):
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
-    schema_: Literal[1] = Field(1, alias="schema")
-    urdf: str
+    schema_: Literal[1] = Field(alias="schema")
+    urdf: Literal["nominal.urdf"]
     base_link: str
     tip: str
     joints: tuple[JointEntry, ...]
@@ -100,21 +118,15 @@ class CalibratedModel:
 def model_file(fit: Fit) -> ModelFile:
     """Return the contents of ``model.json`` for a fit."""
     robot, machine = fit.model.robot, fit.machine
-    names = [robot.chain[i].name for i in robot.moving]
-    offsets = dict(zip(names, map(float, machine.deviations.offsets), strict=True))
+    offsets = iter(map(float, machine.deviations.offsets))
     joints = tuple(
-        JointEntry(name=joint.name, type=joint.type, deviation=_six(d), offset=offsets.get(joint.name))
-        for joint, d in zip(robot.chain, machine.deviations.placements, strict=True)
-    )
-    readings = [reading.name for reading in robot.readings]
-    transmission = tuple(
-        CouplingEntry(
-            joint=name,
-            readings=_nonzero(readings, robot.coupling[j]),
-            constant=float(robot.coupling_offset[j]),
-            offsets=_nonzero(names, robot.offset_coupling[j]),
+        JointEntry(
+            name=joint.name,
+            type=joint.type,
+            deviation=_six(d),
+            offset=None if joint.type == "fixed" else next(offsets),
         )
-        for j, name in enumerate(names)
+        for joint, d in zip(robot.chain, machine.deviations.placements, strict=True)
     )
     tools = dict(zip(fit.measurements[0].tools, map(PoseEntry.of, machine.frames.tools), strict=True))
     return ModelFile(
@@ -123,9 +135,23 @@ def model_file(fit: Fit) -> ModelFile:
         base_link=robot.base,
         tip=robot.tip,
         joints=joints,
-        transmission=transmission,
+        transmission=_transmission(robot),
         base=PoseEntry.of(machine.frames.base),
         tools=tools,
+    )
+
+
+def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:
+    names = [robot.chain[i].name for i in robot.moving]
+    readings = [reading.name for reading in robot.readings]
+    return tuple(
+        CouplingEntry(
+            joint=name,
+            readings=_nonzero(readings, robot.coupling[j]),
+            constant=float(robot.coupling_offset[j]),
+            offsets=_nonzero(names, robot.offset_coupling[j]),
+        )
+        for j, name in enumerate(names)
     )
 
 
@@ -135,31 +161,43 @@ def load_model(folder: str | Path) -> CalibratedModel:
     Raises OutputError when the folder holds no readable model.
     """
     folder = Path(folder)
-    recover_folder(folder)
-    source = read_bytes(folder / MODEL_FILE, OutputError)
+    with contextlib.suppress(OSError, ValueError):  # what cannot be recovered cannot be read either, and that is said
+        if not folder.exists():
+            recover_folder(folder.resolve())
+    path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
-        model = ModelFile.model_validate(json.loads(source))
-    except (ValidationError, ValueError, RecursionError) as e:
-        first = e.errors()[0]["msg"] if isinstance(e, ValidationError) else str(e)
-        raise OutputError(f"{folder / MODEL_FILE}: is not a model of this toolkit ({first}).") from e
-    path = folder / Path(model.urdf).name
+        source = read_bytes(path, JobError)
+    except JobError as e:
+        raise OutputError(str(e)) from e
+    model = _parsed(source, path)
     try:
-        robot = load_robot(parse_urdf(read_bytes(path, OutputError), str(path)), model.tip, model.base_link)
+        robot = load_robot(parse_urdf(read_bytes(urdf, RobotError), str(urdf)), model.tip, model.base_link)
     except CalibError as e:
-        raise OutputError(f"{folder}: the model's URDF cannot be used: {e}") from e
-    by_name = {joint.name: joint for joint in model.joints}
-    if [joint.name for joint in robot.chain] != list(by_name):
-        raise OutputError(f"{folder / MODEL_FILE}: its joints are not those of {model.urdf}.")
-    deviations = Deviations(
-        read_only([by_name[joint.name].deviation for joint in robot.chain]),
-        read_only([by_name[robot.chain[i].name].offset or 0.0 for i in robot.moving]),
-    )
+        raise OutputError(f"{path}: its robot cannot be used: {e}") from e
+    if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in model.joints]:
+        raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
+    if _transmission(robot) != model.transmission:
+        raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
+    offsets = [joint.offset for joint in model.joints if joint.offset is not None]
     return CalibratedModel(
         robot,
-        deviations,
+        Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets)),
         read_only(model.base.placement),
         {name: read_only(tool.placement) for name, tool in model.tools.items()},
     )
+
+
+def _parsed(source: bytes, path: Path) -> ModelFile:
+    """Return the contents of a model file, or raise OutputError with the place of the first thing that is wrong."""
+    try:
+        return ModelFile.model_validate_json(source)
+    except ValidationError as e:
+        first = e.errors(include_url=False)[0]
+        if first["type"] == "json_invalid":
+            raise OutputError(f"{path}: is not JSON, or is truncated.") from e
+        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
+        reason = {"missing": "is missing", "extra_forbidden": "is not known"}.get(first["type"], "has a wrong value")
+        raise OutputError(f"{path}: is not a model of this toolkit: {place[1:101]} {reason}.") from e
 
 
 def _six(d: Array) -> tuple[float, float, float, float, float, float]:
@@ -174,4 +212,4 @@ def _nonzero(names: list[str], row: Array) -> dict[str, float]:
 def model_json(fit: Fit) -> str:
     """Return ``model.json`` of a fit as text."""
     contents: dict[str, Any] = model_file(fit).model_dump(by_alias=True)
-    return json.dumps(contents, indent=2) + "\n"
+    return json.dumps(contents, indent=2, allow_nan=False) + "\n"

@@ -38,7 +38,8 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
         motion = _motion(joint, shift)
         if joint.name in on_chain:
             link, d = on_chain[joint.name]
-            motion = link.frame @ deviation.motion(d) @ rigid.inverse(link.frame) @ motion
+            if np.any(d):  # without a deviation a skew frame would leave rounding
+                motion = link.frame @ deviation.motion(d) @ rigid.inverse(link.frame) @ motion
         if not np.array_equal(motion, np.eye(4)):
             origins[joint.name] = joint.origin @ motion
     return origins
@@ -66,7 +67,11 @@ def write_urdf(fit: Fit, path: str | Path) -> None:
     """
     path = Path(path)
     robot = fit.model.robot
-    if path.exists() and path.read_bytes() == robot.urdf.source:
+    try:
+        there = path.read_bytes()
+    except OSError:  # nothing there; any other reason shows when it is written
+        there = b""
+    if there == robot.urdf.source:
         raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
     write_atomically(path, calibrated_urdf(robot, fit.machine.deviations))
 

@@ -25,6 +25,8 @@ def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT
             raise error(f"{path}: is larger than {largest} bytes.")
         return path.read_bytes()
     except OSError as e:
+        if isinstance(e, CalibError):
+            raise
         raise error(f"{path}: cannot be read ({e.strerror}).") from e
 
 
@@ -62,7 +64,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
 def replace_folder(path: Path) -> Iterator[Path]:
     """Give a new empty folder beside ``path`` that takes the place of ``path`` when the block ends well.
 
-    The old folder is moved aside to ``<name>.previous`` for the moment of the exchange and then removed, so that at
+    The old folder is moved aside to ``.<name>.previous`` for the moment of the exchange and then removed, so that at
     every instant one whole folder exists; :func:`recover_folder` puts it back. When the block raises, ``path`` is
     untouched.
     """
@@ -80,7 +82,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
                 _sync_file(file)
         _sync_folder(new)
         new.chmod(0o755)
-        previous = _previous(path)
+        previous = previous_folder(path)
         if path.exists():
             path.rename(previous)
         new.rename(path)
@@ -97,8 +99,9 @@ def replace_folder(path: Path) -> Iterator[Path]:
 
 
 def recover_folder(path: Path) -> None:
-    """Finish what a killed run left: where only ``<name>.previous`` is there, it becomes ``path`` again."""
-    previous = _previous(path)
+    """Finish what a killed run left: where only ``.<name>.previous`` is there, it becomes ``path`` again."""
+    path = path.resolve()
+    previous = previous_folder(path)
     if previous.is_dir():
         if path.exists():
             shutil.rmtree(previous, ignore_errors=True)
@@ -106,8 +109,9 @@ def recover_folder(path: Path) -> None:
             previous.rename(path)
 
 
-def _previous(path: Path) -> Path:
-    return path.with_name(path.name + ".previous")
+def previous_folder(path: Path) -> Path:
+    """Return where a folder stands aside while its successor takes its place."""
+    return path.with_name(f".{path.name}.previous")
 
 
 def _sync_file(path: Path) -> None:

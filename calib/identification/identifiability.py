@@ -96,7 +96,7 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
     """
     basis = np.zeros((triangle.shape[0], 0))
     taken: list[int] = []
-    for share in (3e-2, 1e-3, 1e-5, 1e-7, 0.0):
+    for share in (3e-2, 1e-3, 1e-5, 1e-7, RANK_TOLERANCE):
         for k in order:
             if len(taken) == rank:
                 return tuple(sorted(taken))

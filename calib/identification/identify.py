@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
@@ -36,6 +37,17 @@ def identify(
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
     """
+    # The matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _identify(model, measurements, blind, model_sigmas)
+
+
+def _identify(
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    blind: BlindPolicy,
+    model_sigmas: Sequence[float | None] | None,
+) -> Fit:
     if blind not in ("nearest", "minimal", "refuse"):
         raise JobError(f"blind: {blind!r} is not one of nearest, minimal, refuse.")
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
@@ -54,12 +66,13 @@ def identify(
     problem = Problem(model, parameters, nominal.frames, sets)
     found = solve(problem, values_at(model.robot, parameters, nominal.frames), variances)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    usable = min(found.directions.usable, found.directions.rank)
-    kept = identifiability.minimal_set(found.start, usable, identifiability.preference(parameters))
-    hidden = identifiability.directions(found.start).hidden(usable)
-    directions = identifiability.blind_directions(hidden, parameters, kept)
+    at_start = identifiability.directions(found.start)
+    told = min(found.directions.usable, at_start.rank)
+    kept = identifiability.minimal_set(found.start, told, identifiability.preference(parameters))
+    directions = identifiability.blind_directions(at_start.hidden(told), parameters, kept)
     if blind == "refuse" and directions:
-        raise IdentificationError(f"the data are blind in {len(directions)} directions; the first: {directions[0]}")
+        many = "1 direction" if len(directions) == 1 else f"{len(directions)} directions"
+        raise IdentificationError(f"the data are blind in {many}; the first: {directions[0]}")
     rank = found.directions.rank
     held: tuple[Parameter, ...] = ()
     if blind == "minimal" and directions:
@@ -75,7 +88,7 @@ def identify(
         values=read_only(found.x),
         covariance=read_only(found.covariance),
         rank=rank,
-        usable_rank=usable,
+        usable_rank=found.directions.usable,
         singular_values=read_only(found.directions.singular_values),
         blind_directions=directions,
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),

@@ -3,9 +3,11 @@
 import csv
 import io
 import json
+import math
+import os
 import platform
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
-from calib.foundations.files import recover_folder, replace_folder
+from calib.foundations.files import previous_folder, replace_folder
 from calib.identification.fit import Fit
 from calib.job.run import Inputs, Outcome, Progress, resolved
 from calib.measurement.measurements import Measurements
@@ -25,18 +27,58 @@ from calib.presentation.scene import Scene, render_scene
 
 RESULT_FILE = "result.json"
 CALIBRATED_FILE = "calibrated.urdf"
+JOB_FILE = "job.json"
+RESIDUAL_FILE = "residuals.csv"
+SCENE_FILE = "scene.html"
+_RESULTS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
+# What a file manager leaves behind when somebody looks at a folder.
+_LEFT_BEHIND = (".DS_Store",)
 _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
-    """Raise OutputError when results may not be written to a folder: it holds an input, or things that are not ours."""
-    out = out.resolve()
-    for file in inputs.files:
-        if out in file.resolve().parents:
-            raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
-    recover_folder(out)
-    if out.is_dir() and any(out.iterdir()) and not (out / RESULT_FILE).is_file():
-        raise OutputError(f"{out}: is not empty and holds no results of this tool; choose another folder.")
+    """Raise OutputError when results cannot or may not be written to a folder, before any work is done for them."""
+    try:
+        out = out.resolve()
+        for file in inputs.files:
+            if out in (file.resolve(), *file.resolve().parents):
+                raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
+        if out in (Path.cwd(), *Path.cwd().parents):
+            raise OutputError(f"{out}: is the current folder or holds it, and is replaced as a whole; choose another.")
+        if out.exists() and not out.is_dir():
+            raise OutputError(f"{out}: is a file, and the results need a folder.")
+        # What an earlier run was about to remove when it was killed is removed with the old results.
+        for folder in (out, previous_folder(out)):
+            _refuse_foreign(folder)
+        _refuse_unwritable(out)
+    except (OSError, RuntimeError) as e:
+        if isinstance(e, OutputError):
+            raise
+        reason = e.strerror if isinstance(e, OSError) else "a symbolic link leads in a circle"
+        raise OutputError(f"{out}: cannot hold the results ({reason}).") from e
+
+
+def _refuse_foreign(folder: Path) -> None:
+    entries = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+    foreign = [name for name in entries if name not in (*_RESULTS, *_LEFT_BEHIND)]
+    if foreign:
+        raise OutputError(
+            f"{folder}: holds {foreign[0]!r}, which is no result of this tool, and results replace the whole folder; "
+            "choose another."
+        )
+    if entries and not {RESULT_FILE, MODEL_FILE} <= set(entries):
+        raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
+
+
+def _refuse_unwritable(out: Path) -> None:
+    """Refuse a folder that cannot be made or exchanged; what only the attempt shows is told by the attempt."""
+    parent = next(folder for folder in out.parents if folder.exists())
+    if not parent.is_dir():
+        raise OutputError(f"{out}: cannot be made, as {parent} is a file.")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{out}: cannot be written, as {parent} is read-only.")
+    if out.is_mount():
+        raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
 
 
 def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:
@@ -50,11 +92,11 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     files: dict[str, bytes | str] = {
         CALIBRATED_FILE: calibrated,
         NOMINAL_FILE: robot.urdf.source,
-        "job.json": resolved(outcome.inputs),
+        JOB_FILE: resolved(outcome.inputs),
         MODEL_FILE: model_json(fit),
-        RESULT_FILE: json.dumps(result(outcome), indent=2, allow_nan=False) + "\n",
-        "residuals.csv": residual_table(outcome),
-        "scene.html": scene,
+        RESULT_FILE: result_json(outcome),
+        RESIDUAL_FILE: residual_table(outcome),
+        SCENE_FILE: scene,
     }
     progress("writing the results")
     with replace_folder(out) as folder:
@@ -62,10 +104,16 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
             (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
 
 
+def result_json(outcome: Outcome) -> str:
+    """Return ``result.json`` as text: strict JSON, which knows neither nan nor infinity."""
+    return json.dumps(result(outcome), indent=2, allow_nan=False) + "\n"
+
+
 def result(outcome: Outcome) -> dict[str, Any]:
-    """Return ``result.json``, schema 1: plain data, lengths in m and angles in rad."""
+    """Return ``result.json``, schema 1: plain data, lengths in m and angles in rad, None for what is not known."""
     fit = outcome.fit
-    return {
+    files = outcome.inputs.tables("identify")
+    contents: dict[str, Any] = {
         "schema": 1,
         "trusted": not outcome.doubts,
         "doubts": list(outcome.doubts),
@@ -95,12 +143,12 @@ def result(outcome: Outcome) -> dict[str, Any]:
         "singular_values": fit.singular_values.tolist(),
         "noise": [
             {
-                "measurements": fit.measurements[noise.measurements].where,
+                "measurements": files[noise.measurements],
                 "quantity": noise.quantity,
                 "instrument": noise.instrument,
                 "model": noise.model,
                 "degrees_of_freedom": noise.degrees_of_freedom,
-                "chi_square": None if np.isnan(noise.chi_square) else noise.chi_square,
+                "chi_square": noise.chi_square,
             }
             for noise in fit.noise
         ],
@@ -113,21 +161,38 @@ def result(outcome: Outcome) -> dict[str, Any]:
         "versions": {
             "calib": calib.__version__,
             "python": platform.python_version(),
-            **{name: version(name) for name in _LIBRARIES},
+            **{name: _version(name) for name in _LIBRARIES},
         },
         "inputs": dict(outcome.inputs.hashes),
     }
+    plain: dict[str, Any] = _strict(contents)
+    return plain
+
+
+def _strict(value: Any) -> Any:
+    """Return plain data with None in the place of nan and infinity."""
+    if isinstance(value, dict):
+        return {key: _strict(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return list(map(_strict, value))
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:  # conda and system packages know it by another name
+        return None
 
 
 def residual_table(outcome: Outcome) -> str:
     """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm and degrees."""
-    fit = outcome.fit
+    fit, inputs = outcome.fit, outcome.inputs
+    identified = zip(inputs.tables("identify"), fit.measurements, fit.nominal_residuals, fit.residuals, strict=True)
+    held_out = zip(inputs.tables("validate"), inputs.validate, outcome.validation_residuals, strict=True)
     sets = [
-        *(("identification", *row) for row in zip(fit.measurements, fit.nominal_residuals, fit.residuals, strict=True)),
-        *(
-            ("validation", data, *pair)
-            for data, pair in zip(outcome.inputs.validate, outcome.validation_residuals, strict=True)
-        ),
+        *(("identification", *row) for row in identified),
+        *(("validation", file, data, *pair) for file, data, pair in held_out),
     ]
     whens = ("before", "after")
     columns = [f"{when}_{axis} [mm]" for when in whens for axis in "xyz"]
@@ -135,16 +200,16 @@ def residual_table(outcome: Outcome) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["use", "file", "line", "point", *columns])
-    for use, data, before, after in sets:
-        writer.writerows(_residual_rows(use, data, before, after))
+    for use, file, data, before, after in sets:
+        writer.writerows([use, file, *row] for row in _residual_rows(data, before, after))
     return text.getvalue()
 
 
-def _residual_rows(use: str, data: Measurements, before: Array, after: Array) -> Iterator[list[str]]:
+def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[list[str]]:
     for n, line in enumerate(data.lines):
         lengths = [f"{value * 1e3:.6f}" for r in (before, after) for value in r[n, :3]]
         angles = [f"{np.degrees(value):.7f}" for r in (before, after) for value in r[n, 3:]] or [""] * 6
-        yield [use, Path(data.where).name, str(line), data.tools[data.tool[n]], *lengths, *angles]
+        yield [str(line), data.tools[data.tool[n]], *lengths, *angles]
 
 
 def _scene(outcome: Outcome, calibrated: bytes) -> Scene:

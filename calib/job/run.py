@@ -1,9 +1,10 @@
 """From a job file to a fit: everything is read and checked before anything is solved."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.files import read_bytes, sha256
-from calib.foundations.units import parse_quantity
+from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of
@@ -25,7 +26,7 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
-from calib.robot.sources import examples_folder, resolve
+from calib.robot.sources import EXAMPLE, examples_folder, resolve
 
 Progress = Callable[[str], None]
 
@@ -45,6 +46,10 @@ class Inputs:
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
+
+    def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
+        """Return the names, as the job has them, of the tables of one use."""
+        return tuple(section.file for section in self.job.measurements if section.use == use)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,42 +75,53 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     progress("reading the job")
     job = read_job(path)
     folder = path.parent
-    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith("example:") else folder / job.robot.urdf
+    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
     robot = load_robot(urdf, job.robot.tip, job.robot.base)
-    model = _model(job, robot)
+    model = _model(job, robot, path)
     progress("reading the measurements")
-    sets = [_measurements(section, job, robot, folder) for section in job.measurements]
+    sections = job.measurements
+    sets = [_measurements(section, job, robot, folder) for section in sections]
+    chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
+    held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
+    _refuse_unknown_points(job, chosen, held_out, path)
+    _refuse_no_noise(job, sets, path)
     findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     _refuse(findings)
-    chosen = [data for data, section in zip(sets, job.measurements, strict=True) if section.use == "identify"]
     progress("looking for typical mistakes")
     findings += signatures(model, chosen)
     _refuse(findings)
-    files = (path, urdf, *(folder / section.file for section in job.measurements))
-    names = (path.name, job.robot.urdf, *(section.file for section in job.measurements))
+    hashes = {
+        name: sha256(read_bytes(file, JobError))
+        for name, file in (
+            (path.name, path),
+            (job.robot.urdf, urdf),
+            *((section.file, folder / section.file) for section in sections),
+        )
+    }
+    findings += _not_held_out(job, hashes, path)
     return Inputs(
-        job,
-        path,
-        robot,
-        model,
-        tuple(chosen),
-        tuple(data for data, section in zip(sets, job.measurements, strict=True) if section.use == "validate"),
-        tuple(sigma for section in job.measurements if section.use == "identify" for sigma in _model_sigmas(section)),
-        (
-            urdf.parent,
-            *(folder / root for root in job.robot.mesh_roots),
-            *((examples_folder().parents[1],) if job.robot.urdf.startswith("example:") else ()),
-        ),
-        tuple(findings),
-        {name: sha256(read_bytes(file, JobError)) for name, file in zip(names, files, strict=True)},
-        files,
+        job=job,
+        path=path,
+        robot=robot,
+        model=model,
+        identify=chosen,
+        validate=held_out,
+        model_sigmas=tuple(sigma for section in sections if section.use == "identify" for sigma in _sigmas(section)),
+        mesh_roots=_mesh_roots(job, urdf, path),
+        findings=tuple(findings),
+        hashes=hashes,
+        files=(path, urdf, *(folder / section.file for section in sections)),
     )
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     """Identify, and judge by the data held out."""
     progress("identifying")
-    fit = identify(inputs.model, inputs.identify, blind=inputs.job.error_model.blind, model_sigmas=inputs.model_sigmas)
+    policy = inputs.job.error_model.blind
+    try:
+        fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=inputs.model_sigmas)
+    except IdentificationError as e:
+        raise IdentificationError(f"{inputs.path}: {e}") from e
     progress("validating")
     before = residuals_of(fit, inputs.validate, fit.nominal)
     after = residuals_of(fit, inputs.validate, fit.machine)
@@ -124,51 +140,113 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
 
 def resolved(inputs: Inputs) -> str:
     """Return the job with every default written out, as JSON."""
-    return json.dumps(inputs.job.model_dump(by_alias=True), indent=2) + "\n"
+    return json.dumps(inputs.job.model_dump(by_alias=True), indent=2, allow_nan=False) + "\n"
 
 
-def _refuse(findings: list[Finding]) -> None:
+def _refuse(findings: Sequence[Finding]) -> None:
     for finding in findings:
         if finding.severity == "error":
             raise MeasurementError(finding.sentence)
 
 
-def _model(job: Job, robot: Robot) -> ErrorModel:
+def _refuse_unknown_points(
+    job: Job, chosen: Sequence[Measurements], held_out: Sequence[Measurements], path: Path
+) -> None:
+    """Refuse tools and held-out points that nothing was identified with: they would be passed over or be guessed."""
+    points = tuple(dict.fromkeys(point for data in chosen for point in data.tools))
+    known = ", ".join(map(repr, points))
+    for name in job.tools:
+        if name not in points:
+            raise JobError(f"{path}: tools: {name!r} is not a point of the measurements; they have {known}.")
+    for point in points:
+        if job.tools and point not in job.tools:
+            raise JobError(f"{path}: tools: the point {point!r} of the measurements is missing.")
+    for data in held_out:
+        for point in data.tools:
+            if point not in points:
+                raise MeasurementError(
+                    f"{data.where}: the point {point!r} is in no set to identify from; these have {known}."
+                )
+
+
+def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
+    for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
+        keys = ("model_sigma", "model_sigma_angle")[: data.sigma.shape[1] // 3]
+        for k, (key, sigma) in enumerate(zip(keys, _sigmas(section), strict=True)):
+            if sigma == 0.0 and not np.all(data.sigma[:, 3 * k : 3 * k + 3] > 0.0):
+                raise JobError(
+                    f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
+                    "give one of them."
+                )
+
+
+def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
+    """Find tables that the model is both fitted to and judged by."""
+    fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
+    return [
+        Finding(
+            "warning",
+            "not-held-out",
+            f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
+            "the parameters are identified; as a validation it proves nothing.",
+        )
+        for i, section in enumerate(job.measurements)
+        if section.use == "validate" and hashes[section.file] in fitted
+    ]
+
+
+def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
+    """Return the folders where the scene may look for meshes."""
+    named = [path.parent / root for root in job.robot.mesh_roots]
+    for i, (root, text) in enumerate(zip(named, job.robot.mesh_roots, strict=True)):
+        if not _is_folder(root):
+            raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
+    examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
+    return (urdf.parent, *named, *examples)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # such as a name longer than the file system takes
+        return False
+
+
+def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
     section = job.error_model
-    if job.base is not None and section.base != "fixed":
-        raise JobError('base: a pose is given, and the error model leaves the base free; write base = "fixed" there.')
-    if job.tools and section.tool != "fixed":
-        raise JobError('tools: poses are given, and the error model leaves the tool free; write tool = "fixed" there.')
-    prior = section.prior
-    return error_model(
-        robot,
-        offsets=section.offsets,
-        placements=section.placements,
-        base=section.base,
-        tool=section.tool,
-        prior_length=None if prior.length is None else parse_quantity(prior.length, "length", "prior.length"),
-        prior_angle=None if prior.angle is None else parse_quantity(prior.angle, "angle", "prior.angle"),
-        base_pose=None if job.base is None else _placement(job.base),
-        tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
-    )
+    try:
+        model = error_model(
+            robot,
+            offsets=section.offsets,
+            placements=section.placements,
+            base=section.base,
+            tool=section.tool,
+            prior_length=_si(section.prior.length, "length"),
+            prior_angle=_si(section.prior.angle, "angle"),
+            base_pose=None if job.base is None else _placement(job.base),
+            tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
+        )
+        free = model.parameters()
+    except JobError as e:
+        raise JobError(f"{path}: error_model.{e}") from e
+    if not free:
+        raise JobError(f"{path}: error_model: no parameter is free; free offsets, placements, the base or the tool.")
+    return model
 
 
 def _placement(frame: FrameSection) -> Array:
     position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
-    quaternion = np.array(frame.quaternion)
-    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-3:
-        raise JobError(f"quaternion: {frame.quaternion} has norm {np.linalg.norm(quaternion):.6g}, and must have 1.")
-    return rigid.placement(rigid.rotation_of_quaternion(quaternion), position)
+    return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
 
 
 def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: Path) -> Measurements:
-    where = f"measurements {section.file!r}"
     return read_measurements(
         folder / section.file,
         robot,
         section.observes,
-        sigma=None if section.sigma is None else parse_quantity(section.sigma, "length", where),
-        sigma_angle=None if section.sigma_angle is None else parse_quantity(section.sigma_angle, "angle", where),
+        sigma=_si(section.sigma, "length"),
+        sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
         columns=section.columns,
     )
@@ -183,9 +261,12 @@ def _instrument(section: InstrumentSection) -> LaserTracker:
     )
 
 
-def _model_sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
-    position = None if section.model_sigma is None else parse_quantity(section.model_sigma, "length", "model_sigma")
-    if section.observes == "position":
-        return (position,)
-    angle = section.model_sigma_angle
-    return position, None if angle is None else parse_quantity(angle, "angle", "model_sigma_angle")
+def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
+    """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
+    position = _si(section.model_sigma, "length")
+    return (position,) if section.observes == "position" else (position, _si(section.model_sigma_angle, "angle"))
+
+
+def _si(text: str | None, dimension: Dimension) -> float | None:
+    """Return the SI value of a quantity that the schema has accepted."""
+    return None if text is None else parse_quantity(text, dimension, "job")

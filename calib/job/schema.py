@@ -1,32 +1,102 @@
 """The job file, schema 1: what a user may write, and one clear sentence for anything else."""
 
 import difflib
+import json
+import re
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
-from calib.foundations.units import parse_quantity
+from calib.foundations.units import Dimension, parse_quantity
 
 _LARGEST_JOB = 1_000_000
+# Six digits of each component are enough; half a quaternion or another order of magnitude is not.
+_NORM_TOLERANCE = 1e-3
+_LONGEST_SHOWN = 60
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
+
+# What stands in a field. Each says itself what is wrong: pydantic's own words are for programmers. ----------------
 
 
-def _length(text: str) -> str:
-    parse_quantity(text, "length", "")
+def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any") -> Callable[[object], object]:
+    """Return a validator of text like ``"0.02 mm"``; ``least`` says which sign it may have."""
+
+    def checked(text: object) -> object:
+        if not isinstance(text, str):
+            example = {"length": "0.02 mm"}.get(dimension, "0.01 deg")
+            raise ValueError(f"{_shown(text)} is not a text with a number and a unit, like {example!r}.")
+        try:
+            value = parse_quantity(text, dimension, "")
+        except JobError as e:
+            raise ValueError(str(e).removeprefix(": ")) from e
+        if value < 0.0 and least == "zero":
+            raise ValueError(f"{text!r} is negative; allowed is 0 or more.")
+        if value <= 0.0 and least == "more":
+            raise ValueError(f"{text!r} is not above 0; leave the key out where it is not known.")
+        return text
+
+    return checked
+
+
+def _list_of(count: int, what: str) -> Callable[[object], object]:
+    def checked(value: object) -> object:
+        if not isinstance(value, tuple) or len(value) != count:
+            raise ValueError(f"{_shown(value)} is not a list of {what}.")
+        return value
+
+    return checked
+
+
+def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = float(np.linalg.norm(value))
+    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+        raise ValueError(f"{_shown(value)} has the norm {norm:.6g}, and must have 1; the order is w, x, y, z.")
+    return value
+
+
+def _selection(value: object) -> object:
+    names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+    if not names and value not in ("all", "none"):
+        raise ValueError(f"""{_shown(value)} is not "all", "none" or a list of names.""")
+    return value
+
+
+def _not_empty(text: str) -> str:
+    if not text:
+        raise ValueError("is empty.")
     return text
 
 
-def _angle(text: str) -> str:
-    parse_quantity(text, "angle", "")
-    return text
+def _this_schema(value: object) -> object:
+    # As Python has it, 1 == 1.0 == True.
+    if type(value) is not int or value != 1:
+        raise ValueError(f"{_shown(value)} is not a schema that this version reads; it must be 1.")
+    return value
 
 
-Length = Annotated[str, AfterValidator(_length)]
-Angle = Annotated[str, AfterValidator(_angle)]
-Selection = Literal["all", "none"] | tuple[str, ...]
+Name = Annotated[str, AfterValidator(_not_empty)]
+Length = Annotated[str, BeforeValidator(_quantity("length"))]
+LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
+AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
+PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
+PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
+Position = Annotated[tuple[Length, Length, Length], BeforeValidator(_list_of(3, "three lengths x, y, z"))]
+Quaternion = Annotated[
+    tuple[float, float, float, float],
+    BeforeValidator(_list_of(4, "four numbers w, x, y, z")),
+    AfterValidator(_unit_quaternion),
+]
+Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
+
+
+# The sections. -----------------------------------------------------------------------------------------------------
 
 
 class _Section(BaseModel):
@@ -36,17 +106,17 @@ class _Section(BaseModel):
 class RobotSection(_Section):
     """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes."""
 
-    urdf: str
+    urdf: Name
     tip: str | None = None
     base: str | None = None
-    mesh_roots: tuple[str, ...] = ()
+    mesh_roots: tuple[Name, ...] = ()
 
 
 class PriorSection(_Section):
     """``prior``: standard deviations that the robot's parameters are expected to have."""
 
-    length: Length | None = None
-    angle: Angle | None = None
+    length: PositiveLength | None = None
+    angle: PositiveAngle | None = None
 
 
 class ErrorModelSection(_Section):
@@ -63,43 +133,57 @@ class ErrorModelSection(_Section):
 class FrameSection(_Section):
     """``[base]`` or ``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
-    position: tuple[Length, Length, Length]
-    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    position: Position
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 class InstrumentSection(_Section):
     """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate."""
 
     kind: Literal["laser_tracker"]
-    sigma: Length
-    sigma_per_metre: Length = "0 um"
-    station: tuple[Length, Length, Length] = ("0 m", "0 m", "0 m")
+    sigma: LengthFromZero
+    sigma_per_metre: LengthFromZero = "0 um"
+    station: Position = ("0 m", "0 m", "0 m")
 
 
 class MeasurementsSection(_Section):
     """``[[measurements]]``: one table."""
 
-    file: str
+    file: Name
     observes: Literal["position", "pose"] = "position"
-    sigma: Length | None = None
-    sigma_angle: Angle | None = None
+    sigma: PositiveLength | None = None
+    sigma_angle: PositiveAngle | None = None
     instrument: str | None = None
     use: Literal["identify", "validate"] = "identify"
-    model_sigma: Length | None = None
-    model_sigma_angle: Angle | None = None
+    model_sigma: LengthFromZero | None = None
+    model_sigma_angle: AngleFromZero | None = None
     columns: dict[str, str] = Field(default_factory=dict)
 
 
 class Job(_Section):
     """A whole job."""
 
-    schema_: Literal[1] = Field(alias="schema")
+    schema_: Annotated[Literal[1], BeforeValidator(_this_schema)] = Field(alias="schema")
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
     base: FrameSection | None = None
     tools: dict[str, FrameSection] = Field(default_factory=dict)
     instruments: dict[str, InstrumentSection] = Field(default_factory=dict)
     measurements: tuple[MeasurementsSection, ...] = Field(min_length=1)
+
+
+_HEADERS: dict[type[BaseModel], str] = {
+    Job: "",
+    RobotSection: "[robot]",
+    ErrorModelSection: "[error_model]",
+    PriorSection: "prior of [error_model]",
+    FrameSection: "[base] or [tools.NAME]",
+    InstrumentSection: "[instruments.NAME]",
+    MeasurementsSection: "[[measurements]]",
+}
+
+
+# From a file to a job. ---------------------------------------------------------------------------------------------
 
 
 def read_job(path: Path) -> Job:
@@ -109,8 +193,11 @@ def read_job(path: Path) -> Job:
         contents = tomllib.loads(source.decode("utf-8-sig"))
     except UnicodeDecodeError as e:
         raise JobError(f"{path}: is not UTF-8 text.") from e
-    except (tomllib.TOMLDecodeError, RecursionError) as e:
-        raise JobError(f"{path}: is not TOML: {e}.") from e
+    except RecursionError as e:
+        raise JobError(f"{path}: is nested too deep.") from e
+    except ValueError as e:  # beside TOMLDecodeError also that of a number with thousands of digits
+        reason = str(e) if isinstance(e, tomllib.TOMLDecodeError) else "a number has too many digits"
+        raise JobError(f"{path}: is not TOML: {reason}.") from e
     return parse_job(contents, str(path))
 
 
@@ -119,16 +206,12 @@ def parse_job(contents: dict[str, Any], where: str) -> Job:
     try:
         # TOML knows arrays; tuples are how a frozen job keeps them.
         job = Job.model_validate(_tuples(contents))
+    except RecursionError as e:
+        raise JobError(f"{where}: is nested too deep.") from e
     except ValidationError as e:
-        raise JobError(f"{where}: {_sentence(e, contents)}") from e
-    for i, section in enumerate(job.measurements):
-        if section.instrument is not None and section.instrument not in job.instruments:
-            known = ", ".join(map(repr, job.instruments)) or "none"
-            raise JobError(
-                f"{where}: measurements[{i}].instrument: {section.instrument!r} is not declared; there are {known}."
-            )
-    if not any(section.use == "identify" for section in job.measurements):
-        raise JobError(f'{where}: measurements: none has use = "identify"; there is nothing to identify from.')
+        raise JobError(f"{where}: {_sentence(e)}") from e
+    for sentence in _contradictions(job):
+        raise JobError(f"{where}: {sentence}")
     return job
 
 
@@ -138,49 +221,121 @@ def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
-def _sentence(error: ValidationError, contents: dict[str, Any]) -> str:
-    # Unknown keys first: they are the cause of most missing ones.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    # Pydantic names the branch of a union in the path; only the document's own keys mean something to its author.
-    about_key = first["type"] in ("extra_forbidden", "missing")
-    location = tuple(part for part in first["loc"] if about_key or _is_key(part, contents))
-    name = _dotted(location)
-    if first["type"] == "extra_forbidden":
-        known = _fields(location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"allowed are {', '.join(known)}."
-        return f"{name}: is not a known key; {hint}"
-    if first["type"] == "missing":
-        return f"{name}: is missing."
-    expected = first.get("ctx", {}).get("expected")
-    if expected is not None:
-        return f"{name}: {first['input']!r} is not allowed; it must be {expected}."
-    message = first["msg"].removeprefix("Value error, ").removeprefix(": ").rstrip(".")
-    return f"{name}: {message[:1].lower()}{message[1:]}."
+def _contradictions(job: Job) -> Iterator[str]:
+    """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
+    for i, section in enumerate(job.measurements):
+        at = f"measurements[{i}]"
+        if section.instrument is not None and section.instrument not in job.instruments:
+            known = ", ".join(map(repr, job.instruments)) or "none"
+            yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
+        if section.instrument is not None and section.sigma is not None:
+            yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
+        if section.observes == "position":
+            for key in ("sigma_angle", "model_sigma_angle"):
+                if getattr(section, key) is not None:
+                    yield f'{at}.{key}: positions have no angles; leave it out or write observes = "pose".'
+        if section.use == "validate":
+            for key in ("model_sigma", "model_sigma_angle"):
+                if getattr(section, key) is not None:
+                    yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+    if not any(section.use == "identify" for section in job.measurements):
+        yield 'measurements: none has use = "identify"; there is nothing to identify from.'
+    if job.base is not None and job.error_model.base != "fixed":
+        yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
+    if job.tools and job.error_model.tool != "fixed":
+        yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
 
 
-def _is_key(part: int | str, value: Any) -> bool:
-    """Return whether ``part`` is an index or, somewhere in a document, a key."""
-    if isinstance(part, int):
-        return True
-    children = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return (isinstance(value, dict) and part in value) or any(_is_key(part, child) for child in children)
+# One sentence for what is wrong. -----------------------------------------------------------------------------------
+
+
+def _sentence(error: ValidationError) -> str:
+    """Return the first thing to mend: another schema explains all else, and unknown keys most missing ones."""
+
+    def order(e: ErrorDetails) -> int:
+        return 0 if e["loc"] == ("schema",) and e["type"] == "value_error" else 1 + (e["type"] != "extra_forbidden")
+
+    first = min(error.errors(include_url=False), key=order)
+    key, kind, value = _dotted(first["loc"]), first["type"], first["input"]
+    if kind == "extra_forbidden":
+        *section, name = first["loc"]
+        return f"{key}: is not a known key; {_hint(str(name), _section(section))}"
+    if kind == "missing":
+        return f"{key}: is missing."
+    if kind == "value_error":
+        return f"{key}: {first['ctx']['error']}"
+    if kind == "literal_error":
+        return f"{key}: {_shown(value)} is not allowed; it must be {first['ctx']['expected']}."
+    if kind == "too_short":
+        return f"{key}: is empty."
+    if kind == "tuple_type" and isinstance(value, dict):
+        return f"{key}: is one section; write [[{key}]] with two brackets, once for each."
+    if kind in ("model_type", "dict_type") and isinstance(value, tuple) and any(isinstance(v, dict) for v in value):
+        return f"{key}: is a list of sections; write [{key}] with single brackets, once."
+    expected = {
+        "string_type": "a text",
+        "float_type": "a number",
+        "finite_number": "a finite number",
+        "tuple_type": "a list",
+        "model_type": "a section with keys",
+        "dict_type": "a section with keys",
+    }
+    return f"{key}: {_shown(value)} is not {expected.get(kind, 'allowed')}."
+
+
+def _hint(name: str, section: type[BaseModel]) -> str:
+    """Return the end of the sentence about an unknown key: where it belongs, or which key is near."""
+    homes = [header for other, header in _HEADERS.items() if name in _keys(other)]
+    if homes:
+        return f"it belongs in {' or '.join(homes)}." if homes != [""] else "it belongs at the top of the file."
+    known = _keys(section)
+    if near := difflib.get_close_matches(name[:_LONGEST_SHOWN], known, 1):
+        return f"did you mean {near[0]!r}?"
+    for other, header in _HEADERS.items():
+        if near := difflib.get_close_matches(name[:_LONGEST_SHOWN], _keys(other), 1, 0.8):
+            return f"did you mean {near[0]!r} in {header}?" if header else f"did you mean {near[0]!r}?"
+    return f"allowed are {', '.join(known)}."
+
+
+def _section(location: list[int | str]) -> type[BaseModel]:
+    """Return the section at a location; indices and the user's own names stand between a field and its section."""
+    section: type[BaseModel] = Job
+    for part in location:
+        field = section.model_fields.get(str(part))
+        if field is not None:
+            section = next(filter(_is_section, (field.annotation, *get_args(field.annotation))), section)
+    return section
+
+
+def _is_section(annotation: object) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _keys(section: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in section.model_fields.items()]
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
+    """Return a location as a user writes it: ``measurements[0].sigma``, ``tools."left ball".position``."""
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if len(part) <= _LONGEST_SHOWN else f"{part[:_LONGEST_SHOWN]}..."
+            name = name if _BARE_KEY.fullmatch(part) else json.dumps(name)
+            text += f".{name}" if text else name
     return text
 
 
-def _fields(location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed in the section at a location."""
-    section: type[BaseModel] = Job
-    for part in location:
-        if isinstance(part, int) or part not in section.model_fields:
-            continue
-        annotation = section.model_fields[part].annotation
-        found = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type) and issubclass(a, BaseModel)]
-        section = found[0] if found else section
-    return [field.alias or name for name, field in section.model_fields.items()]
+def _shown(value: object) -> str:
+    """Return a value as TOML has it, short enough for a sentence."""
+    if isinstance(value, dict):
+        return "a section with keys"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_shown, value[:5]))}{', ...' if len(value) > 5 else ''}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = str(value)
+    text = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+    return repr(text) if isinstance(value, str) else text

@@ -7,26 +7,38 @@ from collections.abc import Callable, Iterator
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from calib.presentation.tables import plain
+from calib.presentation.tables import WIDTH, plain
 
 
 def show(*renderables: RenderableType) -> None:
     """Print to standard output, in colours on a terminal and as plain text elsewhere."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     if console.is_terminal:
-        console.print(Group(*renderables))
+        console.print(Group(*renderables), width=min(WIDTH, console.width))
     else:
-        sys.stdout.write(plain(Group(*renderables)))
+        write(plain(Group(*renderables)))
 
 
-def warning(sentence: str) -> Text:
+def write(text: str) -> None:
+    """Write text to standard output as it is; what its encoding lacks is written as an escape."""
+    encoding = sys.stdout.encoding or "utf-8"
+    sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def sentence(text: str) -> Text:
+    """Return a sentence to be shown; names in it can neither break the line nor command the terminal."""
+    return Text(_printable(text))
+
+
+def warning(text: str) -> Text:
     """Return a warning to be shown."""
-    return Text(f"Warning: {sentence}", style="yellow")
+    return Text(_printable(f"Warning: {text}"), style="yellow")
 
 
-def show_error(sentence: str) -> None:
+def show_error(text: str) -> None:
     """Print an error to standard error, on one line."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(Text(f"Error: {sentence}", style="red"))
+    console = Console(stderr=True, highlight=False, markup=False)
+    console.print(Text(_printable(f"Error: {text}"), style="red"), soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -38,6 +50,11 @@ def progress(*, shown: bool) -> Iterator[Callable[[str], None]]:
         return
     with console.status("starting") as status:
         yield status.update
+
+
+def _printable(text: str) -> str:
+    """Return text with an escape in the place of every character that does not print: line ends, controls, halves."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _silent(_: str) -> None:

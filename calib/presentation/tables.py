@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from rich import box
@@ -25,10 +26,15 @@ def table(fit: Fit) -> str:
 
 
 def plain(renderable: RenderableType) -> str:
-    """Return a renderable as text without colours, at most 80 columns wide."""
+    """Return a renderable as text that any file and encoding takes: no colours, no lines of another alphabet.
+
+    At most 80 columns wide, no blanks at the ends of lines.
+    """
     text = io.StringIO()
-    Console(file=text, width=WIDTH, no_color=True, force_terminal=False).print(renderable)
-    return text.getvalue()
+    Console(file=text, width=WIDTH, no_color=True, force_terminal=False, highlight=False, markup=False).print(
+        renderable
+    )
+    return "".join(f"{line.rstrip()}\n" for line in text.getvalue().replace("─", "-").splitlines())
 
 
 def error_table(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> Table:
@@ -74,11 +80,11 @@ def _table(title: str, caption: str | None = None) -> Table:
 def verdict(fit: Fit, doubts: Sequence[str] = ()) -> list[Text]:
     """Return what a person must know beside the figures: noise, rank, what was done about it, doubts."""
     lines = [Text(noise) for noise in _noise(fit)]
-    blind = len(fit.blind_directions)
+    blind, held = len(fit.blind_directions), len(fit.held)
     if blind:
         done = {
             "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
-            "minimal": f"{len(fit.held)} parameters were held at their nominal values",
+            "minimal": f"{_count(held, 'parameter was', 'parameters were')} held at the nominal value",
         }[fit.policy]
         priors = any(parameter.prior is not None for parameter in fit.parameters)
         done = "where priors do not decide, " + done if priors else done
@@ -86,8 +92,9 @@ def verdict(fit: Fit, doubts: Sequence[str] = ()) -> list[Text]:
         too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
         lines.append(
             Text(
-                f"The data see {fit.rank} of {len(fit.parameters) + len(fit.held)} parameters{too_weak}. "
-                f"{blind} directions are blind; {done}. No prediction at poses like these depends on it."
+                f"The data see {fit.rank} of {len(fit.parameters) + held} parameters{too_weak}. "
+                f"{_count(blind, 'direction is', 'directions are')} blind; {done}. "
+                f"No prediction at poses like these depends on it."
             )
         )
     else:
@@ -99,11 +106,22 @@ def verdict(fit: Fit, doubts: Sequence[str] = ()) -> list[Text]:
     return lines
 
 
-def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[Text]:
-    """Return the blind directions, one line each."""
-    shown = blind if most is None else blind[:most]
-    lines = [Text(f"  {direction}") for direction in shown]
-    return lines if len(shown) == len(blind) else [*lines, Text(f"  ... and {len(blind) - len(shown)} more")]
+def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:
+    """Return the blind directions under their number; nothing where there are none."""
+    if not blind:
+        return []
+    lines = Table.grid(padding=(0, 1))
+    lines.add_column()
+    lines.add_column(overflow="fold")
+    for direction in blind[:most]:
+        lines.add_row(" -", Text(str(direction)))
+    if most is not None and len(blind) > most:
+        lines.add_row(" -", Text(f"and {len(blind) - most} more"))
+    return [Text(f"{_count(len(blind), 'direction is', 'directions are')} blind:"), lines]
+
+
+def _count(n: int, one: str, several: str) -> str:
+    return f"{n} {one if n == 1 else several}"
 
 
 def _noise(fit: Fit) -> list[str]:
@@ -114,7 +132,8 @@ def _noise(fit: Fit) -> list[str]:
             f"{noise.instrument * factor:.4f} {unit} instrument" if noise.instrument else "instrument not stated"
         )
         chi = "" if np.isnan(noise.chi_square) else f", chi-square per degree of freedom {noise.chi_square:.3g}"
+        of = f" of {Path(fit.measurements[noise.measurements].where).name}" if len(fit.measurements) > 1 else ""
         said.append(
-            f"Noise of one {noise.quantity} coordinate: {instrument}, {noise.model * factor:.4f} {unit} model{chi}."
+            f"Noise of one {noise.quantity} coordinate{of}: {instrument}, {noise.model * factor:.4f} {unit} model{chi}."
         )
     return said

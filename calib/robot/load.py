@@ -18,7 +18,7 @@ from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several drivers."""
+    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several."""
 
     joint: str
     drivers: Mapping[str, float]
@@ -153,8 +153,8 @@ def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving:
             raise RobotError(f"{where}: closes {axis!r}, which is not one of x, y, z.")
     if len(loop.closes) != len(loop.passive):
         raise RobotError(
-            f"{where}: {len(loop.closes)} directions close and {len(loop.passive)} joints are passive; there must be as "
-            "many of one as of the other."
+            f"{where}: {len(loop.closes)} directions close and {len(loop.passive)} joints are passive; there must be "
+            "as many of one as of the other."
         )
     numbers = {joint.name: j for j, joint in enumerate(moving)}
     for name in loop.passive:

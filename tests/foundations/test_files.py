@@ -124,7 +124,7 @@ def test_replace_folder_says_why_it_cannot(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_exchange_left_is_put_right(tmp_path: Path) -> None:
-    out, previous = tmp_path / "out", tmp_path / "out.previous"
+    out, previous = tmp_path / "out", tmp_path / ".out.previous"
     previous.mkdir()
     (previous / "a").write_text("old")
     recover_folder(out)  # killed between the two renames

@@ -19,16 +19,18 @@ ARMS = {"ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0")} | {
 TOOLS = ("near", "far")
 
 
-def problem(urdf: str, tip: str, observes: str, tool: str, rows: int = 6) -> tuple[Problem, machines.Array]:
+def problem(
+    urdf: str, tip: str, observes: str, tool: str, rows: int = 6, base: str | None = None
+) -> tuple[Problem, machines.Array]:
     """Everything free, fixed joints too, at a point far from zero; residual turns up to 2 rad."""
     rng = np.random.default_rng(7)
-    robot, arm = machines.load(urdf, tip), machines.arm(urdf, tip)
+    robot, arm = machines.load(urdf, tip, base), machines.arm(urdf, tip, base)
     model = calib.error_model(robot, offsets="all", placements=["*"], tool=tool)
     parameters = model.parameters(TOOLS)
     reference = Frames(machines.anywhere(rng), np.stack([machines.anywhere(rng, 0.3) for _ in TOOLS]))
     x = rng.uniform(-0.3, 0.3, len(parameters))
-    base = [k for k, parameter in enumerate(parameters) if parameter.kind == "base"]
-    x[base] = rng.uniform(-2.0, 2.0, 6)
+    of_base = [k for k, parameter in enumerate(parameters) if parameter.kind == "base"]
+    x[of_base] = rng.uniform(-2.0, 2.0, 6)
     true = machines.Machine(arm, machines.anywhere(rng), dict.fromkeys(TOOLS, np.eye(4)))
     data = true.measure(
         robot, arm.draw(rng, rows), observes, points=(TOOLS * rows)[:rows], sigma=1e-3, sigma_angle=2e-3

@@ -11,13 +11,13 @@ from tests.identification.machines import Machine
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 
 
-def test_the_model_variance_solves_its_equation() -> None:
+@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-6, 1e-9])
+def test_the_model_variance_solves_its_equation_at_any_scale(size: float) -> None:
     rng = np.random.default_rng(0)
-    instrument = rng.uniform(1e-6, 3e-4, 500)
-    residuals = rng.normal(scale=np.hypot(instrument, 2e-4))
+    instrument = size * rng.uniform(0.01, 1.5, 500)
+    residuals = rng.normal(scale=np.hypot(instrument, size))
     v = model_variance(residuals, instrument, 450.0)
-    assert np.sum(residuals**2 / (instrument**2 + v)) == pytest.approx(450.0, rel=1e-9)
-    assert np.sqrt(v) == pytest.approx(2e-4, rel=0.15)
+    assert np.sum(residuals**2 / (instrument**2 + v)) == pytest.approx(450.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

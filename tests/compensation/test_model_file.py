@@ -1,0 +1,200 @@
+"""``model.json``: the fit's machine to the last digit, and one sentence for a file that is not one."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib
+from calib.compensation.model_file import model_json
+from calib.foundations.errors import OutputError
+from tests.identification import machines
+
+TOOLS = {"left": machines.pose((0.05, 0.02, 0.15)), "right": machines.pose((-0.05, 0.01, 0.1))}
+
+
+@pytest.fixture(scope="module")
+def fit() -> calib.Fit:
+    """An arm with a mimic joint, and two points on its flange."""
+    text = machines.INLINE["mimic"]
+    rng = np.random.default_rng(7)
+    true = machines.arm(text, "tip").moved(rng)
+    machine = machines.Machine(true, machines.anywhere(rng), TOOLS)
+    readings = true.draw(rng, 80)
+    points = list(TOOLS) * 40
+    robot = machines.load(text, "tip")
+    columns = machines.table(true, readings, machine.see(readings, points), "position") | {"point": points}
+    data = calib.read_measurements(columns, robot, sigma=1e-6)
+    return calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
+
+
+@pytest.fixture(scope="module")
+def written(fit: calib.Fit, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    (folder / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (folder / "nominal.urdf").write_bytes(fit.model.robot.urdf.source)
+    return folder
+
+
+@pytest.fixture
+def folder(written: Path, tmp_path: Path) -> Path:
+    for path in written.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_round_trip_is_the_fits_machine(fit: calib.Fit, written: Path) -> None:
+    model = calib.load_model(written)
+    readings = np.random.default_rng(8).uniform(-3.0, 3.0, (200, 6))
+    for t, name in enumerate(fit.measurements[0].tools):
+        assert np.abs(model.predict(readings, name) - machines.predicted(fit, readings, t)).max() < 1e-13
+    assert list(model.tools) == ["left", "right"]
+    assert model.deviations.offsets.tolist() == fit.machine.deviations.offsets.tolist()
+    assert model.deviations.placements.tolist() == fit.machine.deviations.placements.tolist()
+
+
+def test_prediction_is_the_measured_point(fit: calib.Fit, written: Path) -> None:
+    data, model = fit.measurements[0], calib.load_model(written)
+    for t, name in enumerate(data.tools):
+        rows = data.tool == t
+        assert np.abs(model.predict(data.readings[rows], name)[:, :3, 3] - data.position[rows]).max() < 1e-7
+
+
+def test_unknown_tool(written: Path) -> None:
+    with pytest.raises(KeyError):
+        calib.load_model(written).predict(np.zeros((1, 6)), "middle")
+
+
+def test_transmission_says_what_the_mimic_joint_does(written: Path) -> None:
+    entries = {entry["joint"]: entry for entry in json.loads((written / "model.json").read_text())["transmission"]}
+    assert entries["level"] == {
+        "joint": "level",
+        "readings": {"lift": -1.0},
+        "constant": 0.1,
+        "offsets": {"lift": -1.0, "level": 1.0},
+    }
+
+
+def test_current_folder_and_text_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert calib.load_model(".").robot.tip == "tip"
+    assert calib.load_model(str(folder)).robot.tip == "tip"
+
+
+def test_reading_removes_nothing(folder: Path) -> None:
+    previous = folder.with_name(f".{folder.name}.previous")
+    previous.mkdir()
+    (previous / "mine.txt").write_text("mine")
+    calib.load_model(folder)
+    assert (previous / "mine.txt").read_text() == "mine"
+
+
+def test_results_of_a_killed_run_are_found(folder: Path) -> None:
+    place = folder.with_name("moved")
+    folder.rename(folder.with_name(".moved.previous"))
+    assert calib.load_model(place).robot.tip == "tip"
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(OutputError) as caught:
+        calib.load_model(folder)
+    said = str(caught.value)
+    assert "\n" not in said
+    assert said.endswith(".")
+    assert "pydantic" not in said
+    return said.replace(str(folder), "out")
+
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def put(value: Any, *path: str | int) -> Change:
+    def apply(contents: Any) -> None:
+        for key in path[:-1]:
+            contents = contents[key]
+        contents[path[-1]] = value
+
+    return apply
+
+
+HOSTILE: dict[str, tuple[Change, str]] = {
+    "schema of the future": (put(2, "schema"), "schema has a wrong value"),
+    "no schema": (lambda c: c.pop("schema"), "schema is missing"),
+    "unknown key": (put(1, "code"), "code is not known"),
+    "another file": (put("../../etc/passwd", "urdf"), "urdf has a wrong value"),
+    "text for a number": (put("0", "joints", 0, "deviation", 0), "joints[0].deviation[0] has a wrong value"),
+    "truth for a number": (put(True, "joints", 0, "offset"), "joints[0].offset has a wrong value"),
+    "NaN": (put(float("nan"), "base", "position", 1), "base.position[1] has a wrong value"),
+    "infinity": (put(float("inf"), "joints", 1, "offset"), "joints[1].offset has a wrong value"),
+    "five of six": (put([0.0] * 5, "joints", 0, "deviation"), "joints[0].deviation[5] is missing"),
+    "no offset": (put(None, "joints", 0, "offset"), "joints[0] has a wrong value"),
+    "zero quaternion": (put([0.0] * 4, "base", "quaternion"), "base.quaternion has a wrong value"),
+    "long quaternion": (put([1.0, 1, 0, 0], "tools", "left", "quaternion"), "tools.left.quaternion has a wrong value"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_contents(folder: Path, name: str) -> None:
+    change, why = HOSTILE[name]
+    contents = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    change(contents)
+    (folder / "model.json").write_text(json.dumps(contents), encoding="utf-8")
+    said = refused(folder)
+    if name in ("NaN", "infinity"):
+        assert said.startswith("out/model.json: is not ")
+    else:
+        assert said == f"out/model.json: is not a model of this toolkit: {why}."
+
+
+MISMATCHES: dict[str, tuple[Change, str]] = {
+    "another joint": (put("swung", "joints", 0, "name"), "its joints are not those of nominal.urdf."),
+    "another type": (put("prismatic", "joints", 0, "type"), "its joints are not those of nominal.urdf."),
+    "a joint less": (lambda c: c["joints"].pop(), "its joints are not those of nominal.urdf."),
+    "another coupling": (
+        put(2.0, "transmission", 2, "readings", "lift"),
+        "its transmission is not that of nominal.urdf.",
+    ),
+    "no such tip": (put("flange", "tip"), "its robot cannot be used: out/nominal.urdf: tip 'flange' is not a link"),
+}
+
+
+@pytest.mark.parametrize("name", MISMATCHES)
+def test_model_of_another_robot(folder: Path, name: str) -> None:
+    change, why = MISMATCHES[name]
+    contents = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    change(contents)
+    (folder / "model.json").write_text(json.dumps(contents), encoding="utf-8")
+    assert refused(folder).startswith(f"out/model.json: {why}")
+
+
+@pytest.mark.parametrize(
+    "contents", [b"", b"[]", b"null", b"\xff\xfe", b"[" * 100_000, b'{"schema": 1', b"9" * 10_000], ids=range(7)
+)
+def test_not_a_model(folder: Path, contents: bytes) -> None:
+    (folder / "model.json").write_bytes(contents)
+    assert refused(folder).startswith("out/model.json: is not ")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+def test_truncated(folder: Path, share: float) -> None:
+    whole = (folder / "model.json").read_bytes()
+    (folder / "model.json").write_bytes(whole[: int(share * len(whole))])
+    assert refused(folder) == "out/model.json: is not JSON, or is truncated."
+
+
+def test_no_model(tmp_path: Path) -> None:
+    assert refused(tmp_path) == "out/model.json: there is no such file."
+    assert refused(tmp_path / "nowhere") == "out/model.json: there is no such file."
+
+
+def test_nominal_urdf_is_missing_or_cut_off(folder: Path) -> None:
+    urdf = folder / "nominal.urdf"
+    urdf.write_bytes(urdf.read_bytes()[:300])
+    assert refused(folder).startswith(
+        "out/model.json: its robot cannot be used: out/nominal.urdf:1: is not well-formed"
+    )
+    urdf.unlink()
+    assert refused(folder).endswith("out/nominal.urdf: there is no such file.")

@@ -1,0 +1,103 @@
+"""The calibrated URDF: what other programs read from it is the calibrated machine."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.compensation import urdf as compensation
+from calib.compensation.urdf import calibrated_origins, calibrated_urdf, write_urdf
+from calib.foundations.errors import OutputError
+from tests.identification import machines
+
+ARMS = {
+    **{name: (text, "tip") for name, text in machines.INLINE.items()},
+    "panda": ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp"),
+    "kinova": ("example:kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "talos left": ("example:talos_data/robots/talos_reduced.urdf", "gripper_left_base_link"),
+}
+
+
+def deviations(robot: calib.Robot, seed: int = 0) -> calib.Deviations:
+    rng = np.random.default_rng(seed)
+    return calib.Deviations(
+        rng.normal(scale=5e-3, size=(len(robot.chain), 6)), rng.normal(scale=0.02, size=len(robot.moving))
+    )
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_another_reader_sees_the_machine(name: str) -> None:
+    source, tip = ARMS[name]
+    robot = machines.load(source, tip)
+    d = deviations(robot)
+    document = calibrated_urdf(robot, d)
+    text = document.decode()
+    arm = machines.arm(text[text.index("<robot") :], robot.tip, robot.base)
+    readings = np.random.default_rng(1).uniform(-2.0, 2.0, (50, len(robot.readings)))
+    order = [list(arm.ranges).index(reading.name) for reading in robot.readings]
+    shuffled = np.empty_like(readings)
+    shuffled[:, order] = readings
+    assert np.abs(arm.tips(shuffled) - robot.tips(readings, d)).max() < 1e-9
+
+
+def test_no_deviation_is_the_document_itself() -> None:
+    robot = machines.load(machines.INLINE["skew"], "tip")
+    assert calibrated_urdf(robot, robot.no_deviations()) == robot.urdf.source
+
+
+def test_joints_beside_the_arm_that_mimic_it_take_over_its_offsets() -> None:
+    finger = (
+        '<link name="finger"/><joint name="finger" type="revolute"><parent link="base"/><child link="finger"/>'
+        '<origin xyz="0 0 1"/><axis xyz="0 0 2"/><mimic joint="level" multiplier="3"/></joint></robot>'
+    )
+    text = machines.INLINE["mimic"].replace("</robot>", finger)
+    robot = machines.load(text, "tip")
+    zeros = np.zeros(len(robot.moving))
+    zeros[1] = 0.01  # lift, which level follows by -1 and finger by 3 times level
+    origins = calibrated_origins(robot, calib.Deviations(np.zeros((len(robot.chain), 6)), zeros))
+    assert sorted(origins) == ["finger", "level", "lift"]
+    assert np.arctan2(origins["finger"][1, 0], origins["finger"][0, 0]) == pytest.approx(-0.03, abs=1e-15)
+    assert origins["finger"][:3, 3].tolist() == [0, 0, 1]
+
+
+def test_difference_from_the_machine_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = machines.load(machines.INLINE["skew"], "tip")
+    monkeypatch.setattr(compensation, "splice_origins", lambda source, *_: source)
+    with pytest.raises(OutputError, match="read back differs from the calibrated machine by"):
+        calibrated_urdf(robot, deviations(robot))
+
+
+@pytest.fixture(scope="module")
+def fit() -> calib.Fit:
+    text = machines.INLINE["negative"]
+    rng = np.random.default_rng(2)
+    true = machines.arm(text, "tip").moved(rng)
+    machine = machines.Machine(true, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    robot = machines.load(text, "tip")
+    data = machine.measure(robot, true.draw(rng, 40), rng=rng, sigma=1e-5)
+    return calib.identify(calib.error_model(robot, offsets="all"), data)
+
+
+def test_written_urdf_is_the_calibrated_one(fit: calib.Fit, tmp_path: Path) -> None:
+    write_urdf(fit, tmp_path / "calibrated.urdf")
+    robot = calib.load_robot(tmp_path / "calibrated.urdf", "tip")
+    readings = np.random.default_rng(3).uniform(-2.0, 2.0, (50, 6))
+    expected = fit.model.robot.tips(readings, fit.machine.deviations)
+    assert np.abs(robot.tips(readings) - expected).max() < 1e-9
+    write_urdf(fit, str(tmp_path / "calibrated.urdf"))
+
+
+def test_nominal_urdf_is_never_overwritten(fit: calib.Fit, tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(fit.model.robot.urdf.source)
+    with pytest.raises(OutputError, match=r"arm\.urdf: holds the nominal URDF, which is never overwritten"):
+        write_urdf(fit, path)
+    assert path.read_bytes() == fit.model.robot.urdf.source
+
+
+def test_no_place_to_write(fit: calib.Fit, tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "no" / "such.urdf", tmp_path / ("x" * 300)):
+        with pytest.raises(OutputError, match="cannot be"):
+            write_urdf(fit, path)
+    assert list(tmp_path.iterdir()) == []

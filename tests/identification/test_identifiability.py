@@ -1,0 +1,222 @@
+"""Rank, blind directions, and the three policies for them."""
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+import calib
+from calib.foundations.errors import IdentificationError
+from calib.identification.identifiability import blind_directions, directions, gauge, minimal_set, preference
+from calib.identification.parameters import Parameter, scales
+from calib.identification.system import Problem, jacobian
+from tests.identification import machines
+from tests.identification.machines import Array, Machine, anywhere, miss, pose, predicted
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SIGMA = 0.05e-3
+
+
+@pytest.fixture(scope="module")
+def robot() -> calib.Robot:
+    return machines.load(*UR10)
+
+
+def fitted(
+    robot: calib.Robot,
+    observes: str = "position",
+    points: tuple[tuple[float, ...], ...] = ((0.05, 0.02, 0.15),),
+    sigma: float = SIGMA,
+    blind: str = "nearest",
+    errors: float = 1.0,
+    at: Array | None = None,
+    **options: object,
+) -> tuple[calib.Fit, Machine, Array]:
+    """A fit of 200 rows, its machine, and readings it has not seen."""
+    rng = np.random.default_rng(2)
+    arm = machines.arm(*UR10)
+    names = [f"p{k}" for k in range(len(points))]
+    moved = arm.moved(rng, length=errors * 0.5e-3, angle=errors * 1e-3, zero=errors * 5e-3)
+    true = Machine(moved, anywhere(rng) if at is None else at, dict(zip(names, map(pose, points), strict=True)))
+    data = true.measure(
+        robot, arm.draw(rng, 200), observes, points=(names * 200)[:200], rng=rng, sigma=sigma, sigma_angle=2 * sigma
+    )
+    model = calib.error_model(robot, **({"offsets": "all", "placements": "all"} | options))
+    return calib.identify(model, data, blind=blind), true, arm.draw(rng, 200)
+
+
+def scaled_jacobian(fit: calib.Fit) -> Array:
+    (J,) = jacobian(Problem(fit.model, fit.parameters, fit.nominal.frames, fit.measurements), fit.values)
+    return J.reshape(-1, len(fit.values)) * scales(fit.parameters)
+
+
+# ---- what can be seen
+
+
+@pytest.mark.parametrize(
+    ("observes", "points", "options", "rank"),
+    [
+        ("pose", ((0.05, 0.02, 0.15),), {"tool": "pose"}, 30),
+        ("position", ((0.05, 0.02, 0.15),), {}, 27),
+        ("position", ((0.05, 0.02, 0.15), (-0.1, 0, 0.1), (0, 0.1, 0.05)), {}, 33),
+        ("position", ((0.05, 0.02, 0.15),), {"placements": ["*"]}, 27),
+        ("position", ((0.05, 0.02, 0.15),), {"offsets": "none", "placements": "none"}, 9),
+    ],
+)
+def test_the_rank_of_a_6r_arm(
+    robot: calib.Robot, observes: str, points: tuple[tuple[float, ...], ...], options: dict[str, object], rank: int
+) -> None:
+    fit, *_ = fitted(robot, observes, points, **options)
+    assert (fit.rank, fit.usable_rank) == (rank, rank)
+    assert len(fit.blind_directions) == len(fit.parameters) - rank
+    s = fit.singular_values
+    assert s[rank - 1] > 1e6 * np.append(s, 0.0)[rank]
+
+
+def test_a_point_on_the_last_axis_hides_two_more_directions(robot: calib.Robot) -> None:
+    """Noise lifts the point off the axis, so that 27 are seen by the letter and 25 to any use."""
+    fit, *_ = fitted(robot, points=((0, 0, 0.15),), errors=0.0)
+    assert (fit.rank, fit.usable_rank) == (27, 25)
+    assert len(fit.blind_directions) == len(fit.parameters) - 25
+
+
+def test_a_blind_direction_changes_no_residual_and_says_so(robot: calib.Robot) -> None:
+    fit, *_ = fitted(robot, sigma=0.0, offsets=["wrist_2_joint", "wrist_3_joint"], placements=["wrist_3_joint.ty"])
+    (direction,) = (d for d in fit.blind_directions if d.parameter == "wrist_3_joint.offset")
+    # A turn of the last joint moves a point like a shift of the point across its arm.
+    own, *others = direction.shares.items()
+    assert own == ("wrist_3_joint.offset", pytest.approx(1e-3))
+    assert {name for name, _ in others} <= {"tool.p0.x", "tool.p0.y", "tool.p0.z"}
+    assert str(direction).startswith("+1 mrad of wrist_3_joint.offset cannot be told from ")
+    change = np.array(
+        [direction.shares.get(p.name, 0.0) * (1 if p.name == direction.parameter else -1) for p in fit.parameters]
+    )
+    moved = scaled_jacobian(fit) @ (change / scales(fit.parameters))
+    seen = scaled_jacobian(fit) @ (np.abs(change) / scales(fit.parameters))
+    assert np.abs(moved).max() < 0.02 * np.abs(seen).max()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_directions_that_only_errors_reveal_are_told_in_ordinary_numbers(seed: int) -> None:
+    """Without noise the fit sees, by second order, what the nominal parallelogram hides: rank 31 instead of 29."""
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(machines.INLINE["mimic"], "tip"), machines.arm(machines.INLINE["mimic"], "tip")
+    true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15))})
+    fit = calib.identify(
+        calib.error_model(robot, offsets="all", placements="all"), true.measure(robot, arm.draw(rng, 150))
+    )
+    assert miss(fit, true, arm.draw(rng, 100)) < 1e-12
+    # One mm or mrad is never imitated by metres.
+    assert max(abs(share) for direction in fit.blind_directions for share in direction.shares.values()) < 1.0
+
+
+# ---- what is done about it
+
+
+def test_nearest_is_the_equal_fit_with_the_smallest_robot(robot: calib.Robot) -> None:
+    fit, *_ = fitted(robot)
+    of_robot = np.array([p.of_robot for p in fit.parameters])
+    z = (fit.values / scales(fit.parameters)) * of_robot
+    blind = null_space(scaled_jacobian(fit), rcond=1e-9)
+    assert blind.shape[1] == 18
+    # No step along a blind direction makes the robot's part smaller.
+    assert np.abs(blind.T @ z).max() < 1e-6 * np.linalg.norm(z)
+
+
+def test_all_policies_predict_the_same_and_nearest_deviates_least(robot: calib.Robot) -> None:
+    (nearest, _, unseen), (minimal, *_) = fitted(robot), fitted(robot, blind="minimal")
+    np.testing.assert_allclose(predicted(minimal, unseen), predicted(nearest, unseen), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(minimal.residuals[0], nearest.residuals[0], rtol=0, atol=1e-9)
+
+    def size(fit: calib.Fit) -> float:
+        return float(
+            np.linalg.norm([v / p.scale for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot])
+        )
+
+    assert size(nearest) < 0.9 * size(minimal)
+    assert len(minimal.parameters) == minimal.rank == 27
+    assert len(minimal.held) == 18
+    assert {p.name for p in minimal.held} | {p.name for p in minimal.parameters} == {p.name for p in nearest.parameters}
+    assert {"base", "tool"} <= {p.kind for p in minimal.parameters} - {p.kind for p in minimal.held}
+    assert not minimal.blind.any()
+
+
+def test_refuse_names_the_first_direction(robot: calib.Robot) -> None:
+    with pytest.raises(IdentificationError) as caught:
+        fitted(
+            robot,
+            offsets=["shoulder_pan_joint", "wrist_3_joint"],
+            placements="none",
+            errors=0.0,
+            at=pose(),
+            blind="refuse",
+        )
+    assert str(caught.value) == (
+        "the data are blind in 2 directions; the first: "
+        "+1 mrad of shoulder_pan_joint.offset cannot be told from +1 mrad of base.rz."
+    )
+
+
+def test_refuse_accepts_what_is_all_seen(robot: calib.Robot) -> None:
+    fit, *_ = fitted(robot, offsets=["elbow_joint"], placements=["wrist_1_joint.tx"], blind="refuse")
+    assert fit.blind_directions == ()
+    assert np.all(np.isfinite(fit.sigmas))
+
+
+# ---- the pieces
+
+
+def test_directions_of_a_small_matrix() -> None:
+    found = directions(np.array([[3.0, 0.0, 0.0], [0.0, 0.05, 0.0]]))
+    assert (found.rank, found.usable) == (2, 1)
+    np.testing.assert_allclose(found.singular_values, [3.0, 0.05, 0.0])
+    np.testing.assert_allclose(np.abs(found.hidden(2)), [[0], [0], [1]], atol=1e-15)
+    np.testing.assert_allclose(found.vectors @ found.vectors.T, np.eye(3), atol=1e-15)
+
+
+def parameters(robot: calib.Robot) -> tuple[Parameter, ...]:
+    return calib.error_model(robot, offsets=["elbow_joint"], placements=["elbow_joint.tx"]).parameters()
+
+
+def test_a_minimal_set_takes_base_tool_and_offsets_before_placements(robot: calib.Robot) -> None:
+    found = parameters(robot)
+    assert [found[k].kind for k in preference(found)] == ["base"] * 6 + ["tool"] * 3 + ["offset", "placement"]
+
+
+@pytest.mark.parametrize(
+    ("matrix", "rank", "order", "kept"),
+    [
+        ([[1, 1, 0], [0, 0, 1]], 2, (0, 1, 2), (0, 2)),
+        ([[1, 1, 0], [0, 0, 1]], 2, (1, 2, 0), (1, 2)),
+        ([[1, 1, 0], [0, 1e-4, 1]], 2, (0, 1, 2), (0, 2)),  # nearly the same is not taken while others are left
+        ([[1, 1, 0], [0, 1e-4, 1]], 1, (2, 1, 0), (2,)),
+        ([[0, 1]], 1, (0, 1), (1,)),
+        ([[0, 0]], 0, (0, 1), ()),
+    ],
+)
+def test_a_minimal_set_follows_the_order(
+    matrix: list[list[float]], rank: int, order: tuple[int, ...], kept: tuple[int, ...]
+) -> None:
+    assert minimal_set(np.array(matrix, dtype=float), rank, order) == kept
+
+
+def test_a_gauge_weighs_the_robot_and_keeps_frames_only_where_nothing_else_moves(robot: calib.Robot) -> None:
+    found = parameters(robot)
+    number = {p.name: k for k, p in enumerate(found)}
+    blind = np.zeros((len(found), 2))
+    blind[[number["elbow_joint.offset"], number["base.z"]], 0] = 0.6, 0.8
+    blind[number["tool.z"], 1] = 1.0
+    G = gauge(blind, found)
+    expected = np.zeros((2, len(found)))
+    expected[0, number["elbow_joint.offset"]] = expected[1, number["tool.z"]] = 1.0
+    np.testing.assert_allclose(np.abs(G), expected, atol=1e-15)
+
+
+def test_a_blind_direction_is_told_with_the_sign_of_the_imitation(robot: calib.Robot) -> None:
+    found = parameters(robot)
+    number = {p.name: k for k, p in enumerate(found)}
+    blind = np.zeros((len(found), 1))
+    blind[[number["elbow_joint.tx"], number["base.x"], number["base.rz"], number["base.y"]], 0] = 1, -2, 0.5, 1e-3
+    kept = [k for k in range(len(found)) if k != number["elbow_joint.tx"]]
+    (told,) = blind_directions(blind / np.linalg.norm(blind), found, kept)
+    assert str(told) == "+1 mm of elbow_joint.tx cannot be told from +2 mm of base.x, -0.5 mrad of base.rz."
+    assert told.shares == pytest.approx({"elbow_joint.tx": 1e-3, "base.x": 2e-3, "base.rz": -0.5e-3})

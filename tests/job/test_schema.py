@@ -1,0 +1,118 @@
+"""The job file's schema: no wrong value is taken, and none is answered in the words of a validation library."""
+
+import datetime
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calib.foundations.errors import JobError
+from calib.job.schema import parse_job, read_job
+from tests.job.cases import CASE, JOB
+
+FRAME: dict[str, Any] = {"position": ["1 mm", "2 cm", "-3 m"], "quaternion": [0.0, 1, 0, 0]}
+EVERYTHING: dict[str, Any] = {
+    "schema": 1,
+    "robot": {"urdf": "arm.urdf", "tip": "tcp", "base": "base", "mesh_roots": ["meshes"]},
+    "error_model": {
+        "offsets": ["joint_1", "wrist_*"],
+        "placements": "all",
+        "base": "fixed",
+        "tool": "fixed",
+        "prior": {"length": "1 mm", "angle": "0.3 deg"},
+        "blind": "minimal",
+    },
+    "base": FRAME,
+    "tools": {"left ball": FRAME},
+    "instruments": {
+        "leica": {
+            "kind": "laser_tracker",
+            "sigma": "15 um",
+            "sigma_per_metre": "6 um",
+            "station": ["0 m", "1 m", "2 m"],
+        }
+    },
+    "measurements": [
+        {
+            "file": "a.csv",
+            "observes": "pose",
+            "sigma": "0.02 mm",
+            "sigma_angle": "0.01 deg",
+            "use": "identify",
+            "model_sigma": "0 mm",
+            "model_sigma_angle": "0 mrad",
+            "columns": {"x [mm]": "X"},
+        },
+        {"file": "b.csv", "instrument": "leica", "use": "validate"},
+    ],
+}
+WRONG = (True, 3, -0.5, float("nan"), float("inf"), "", "wrong", [], [[]], [1, "a"], [{}], {}, {"a": 1},
+         datetime.date(2026, 1, 1))  # fmt: skip
+# Words that a validation library says and a user of a job file does not understand.
+FOREIGN = re.compile(
+    r"[Ii]nput|\bvalid\b|validat(ion|or)|field|[Dd]ictionary|instance|tuple|NoneType|Error|type=|__|\("
+)
+
+
+def places(value: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+    """Return the path of every value in a document."""
+    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path, *(p for key, child in children for p in places(child, (*path, key)))]
+
+
+def replaced(path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    document: Any = json.loads(json.dumps(EVERYTHING))
+    target = document
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+    return dict(document)
+
+
+def test_every_key_is_read() -> None:
+    job = parse_job(EVERYTHING, "job")
+    assert json.loads(json.dumps(job.model_dump(by_alias=True, exclude_unset=True))) == EVERYTHING
+
+
+@pytest.mark.parametrize("path", places(EVERYTHING)[1:], ids=lambda path: ".".join(map(str, path)))
+def test_wrong_values_are_refused_in_our_words(path: tuple[str | int, ...]) -> None:
+    refused = 0
+    for value in WRONG:
+        try:
+            parse_job(replaced(path, value), "job.toml")
+        except JobError as e:
+            refused += 1
+            said = str(e)
+            assert said.startswith("job.toml: ")
+            assert said.endswith((".", "?"))
+            assert "\n" not in said
+            assert FOREIGN.search(said.replace("validate", "")) is None, said
+    # A few of the values are right in some places; at a text, every text is.
+    assert refused >= len(WRONG) - 4
+
+
+@pytest.mark.parametrize("path", [path for path in places(EVERYTHING)[1:] if isinstance(path[-1], str)], ids=str)
+def test_misspelt_keys_are_named_with_the_nearest(path: tuple[str | int, ...]) -> None:
+    if (path[0] in ("tools", "instruments") and len(path) == 2) or "columns" in path[:-1]:
+        return  # names that the user chooses
+    parent: Any = EVERYTHING
+    for key in path[:-1]:
+        parent = parent[key]
+    misspelt = f"{path[-1]}x"
+    value = {(misspelt if key == path[-1] else key): child for key, child in parent.items()}
+    with pytest.raises(JobError, match=f"{misspelt}: is not a known key; did you mean '{path[-1]}'"):
+        parse_job(replaced(path[:-1], value) if path[:-1] else value, "job")
+
+
+def test_defaults_are_those_of_the_simple_case() -> None:
+    job = parse_job({"schema": 1, "robot": {"urdf": "a.urdf"}, "measurements": [{"file": "a.csv"}]}, "job")
+    assert (job.error_model.offsets, job.error_model.base, job.error_model.tool) == ("none", "pose", "position")
+    assert (job.measurements[0].observes, job.measurements[0].use) == ("position", "identify")
+
+
+def test_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
+    plain = read_job(CASE / JOB)
+    (tmp_path / JOB).write_bytes(b"\xef\xbb\xbf" + (CASE / JOB).read_bytes().replace(b"\n", b"\r\n"))
+    assert read_job(tmp_path / JOB) == plain

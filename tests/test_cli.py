@@ -1,0 +1,222 @@
+"""The command line as a person and as a program meet it."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.job.run import load
+from calib.job.run import run as identify
+from tests.identification import machines
+from tests.job.cases import CASE, JOB, TABLE, copy_case, edit, job, run, tree, write
+
+MAIN = "from calib.cli import main; main()"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    copy_case(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def process(*arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run the command in a process of its own, in the current folder."""
+    plain = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "GITHUB_ACTIONS", "TTY_COMPATIBLE")}
+    command = [sys.executable, "-W", "error", "-c", MAIN, *arguments]
+    return subprocess.run(command, env={**plain, **environment}, capture_output=True, check=False)
+
+
+def assert_plain(text: str) -> None:
+    assert "\x1b" not in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert all(line == line.rstrip() for line in text.splitlines())
+
+
+def test_calibrate_in_a_process_of_its_own(folder: Path) -> None:
+    done = process("calibrate", JOB, "-o", "out")
+    assert (done.returncode, done.stderr) == (0, b"")
+    text = done.stdout.decode("ascii")
+    assert_plain(text)
+    assert re.search(r"validation +before +30 +29\.5289 +31\.0533 +45\.5182 +51\.2962 +mm", text)
+    assert "The data see 27 of 45 parameters. 18 directions are blind;" in text
+    assert text.endswith("Results are in out: calibrated.urdf, result.json, residuals.csv, scene.html.\n")
+
+
+def test_error_in_a_process_of_its_own(folder: Path) -> None:
+    done = process("calibrate", "no.toml", "-o", "out")
+    assert (done.returncode, done.stdout, done.stderr) == (1, b"", b"Error: no.toml: there is no such file.\n")
+    assert not (folder / "out").exists()
+
+
+def test_names_of_any_kind_on_an_ascii_terminal(folder: Path) -> None:
+    done = process("calibrate", JOB, "-o", "Gelenk-ä-[red]关节", PYTHONIOENCODING="ascii", COLUMNS="40")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"Results are in Gelenk-\\xe4-[red]\\u5173\\u8282: calibrated.urdf" in done.stdout.replace(b"\n", b" ")
+    assert (folder / "Gelenk-ä-[red]关节" / "result.json").is_file()
+
+
+def test_json_is_the_result_file_and_nothing_else(folder: Path) -> None:
+    said = run("calibrate", JOB, "-o", "out", "--json")
+    assert (said.code, said.err) == (0, "")
+    assert said.out == (folder / "out" / "result.json").read_text(encoding="utf-8")
+    assert json.loads(said.out)["metrics"]["validation"]["after"]["position"]["n"] == 30
+
+
+def test_quiet(folder: Path) -> None:
+    assert run("calibrate", JOB, "-o", "out", "--quiet") == (0, "", "")
+    assert (folder / "out" / "result.json").is_file()
+    assert run("check", JOB, "-q") == (0, "", "")
+
+
+def test_version() -> None:
+    assert run("--version") == (0, f"{calib.__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("-h",), ("calibrate", "--help"), ("check", "-h")], ids=" ".join)
+def test_help(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    said = run(*arguments)
+    assert (said.code, said.err) == (0, "")
+    assert_plain(said.out)
+    assert "..." not in said.out.replace("[ARGS]...", "")
+
+
+WRONG_USE = [
+    (),
+    ("calibrate",),
+    ("calibrate", JOB),
+    ("calibrat", JOB),
+    ("check", JOB, "--fast"),
+    ("check", JOB, "more"),
+]
+
+
+@pytest.mark.parametrize("arguments", WRONG_USE, ids=lambda a: " ".join(a) or "nothing")
+def test_wrong_usage(folder: Path, arguments: tuple[str, ...]) -> None:
+    before = tree(folder)
+    said = run(*arguments)
+    assert said.code == 2
+    assert (said.out + said.err).startswith("Usage: calib")
+    assert tree(folder) == before
+
+
+# Check. -----------------------------------------------------------------------------------------------------------
+
+
+def test_check_writes_nothing_and_solves_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calib.identification.identify.solve", None)
+    before = tree(folder)
+    said = run("check", JOB)
+    assert (said.code, said.err) == (0, "")
+    assert_plain(said.out)
+    first, second, third, *blind = said.out.splitlines()
+    assert first == "Units, names, limits and rows: nothing to remark."
+    assert second.startswith("180 measured numbers see 27 of 45 parameters (condition ")
+    assert third == "18 directions are blind:"
+    assert sum(line.startswith(" - ") for line in blind) == 18
+    assert tree(folder) == before
+
+
+def test_check_as_json(folder: Path) -> None:
+    said = run("check", JOB, "--json")
+    contents = json.loads(said.out)
+    assert (said.code, said.err) == (0, "")
+    assert (contents["rank"], contents["measured_numbers"], contents["findings"]) == (27, 180, [])
+    assert len(contents["blind_directions"]) == len(contents["parameters"]) - contents["rank"] == 18
+
+
+def test_everything_seen_has_no_list_of_blind_directions(folder: Path) -> None:
+    job(('placements = "all"', ""), ('offsets = "all"', 'offsets = ["joint_2", "joint_3"]'))(folder)
+    said = run("check", JOB)
+    assert said.code == 0
+    assert "see 11 of 11 parameters" in said.out
+    assert "blind" not in said.out
+
+
+# Warnings. --------------------------------------------------------------------------------------------------------
+
+
+def doubled(folder: Path) -> None:
+    path = folder / TABLE
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + text.splitlines()[-1] + "\n", encoding="utf-8")
+
+
+DOUBLED = f"{TABLE}: 1 of 61 rows repeat an earlier one to the last digit, at line 66."
+
+
+def test_duplicate_rows_warn(folder: Path) -> None:
+    doubled(folder)
+    said = run("calibrate", JOB, "-o", "out")
+    assert (said.code, said.err) == (0, "")
+    assert said.out.replace("\n", " ").startswith(f"Warning: {DOUBLED}")
+    assert_plain(said.out)
+    assert json.loads((folder / "out/result.json").read_text(encoding="utf-8"))["findings"] == [DOUBLED]
+    assert json.loads(run("check", JOB, "--json").out)["findings"] == [DOUBLED]
+    assert "nothing to remark" not in run("check", JOB).out
+
+
+def test_validation_by_the_same_rows_warns(folder: Path) -> None:
+    (folder / "copy.csv").write_bytes((folder / TABLE).read_bytes())
+    job(("validation.csv", "copy.csv"))(folder)
+    said = run("check", JOB)
+    assert said.code == 0
+    assert said.out.replace("\n", " ").startswith(
+        f"Warning: {JOB}: measurements[1].file: 'copy.csv' is '{TABLE}' again, from which the parameters are "
+        "identified; as a validation it proves nothing."
+    )
+
+
+# Finished, and not to be trusted. ---------------------------------------------------------------------------------
+
+
+def by_another_machine(folder: Path) -> None:
+    """Write a validation table by a machine that is just as its URDF says: calibration makes that one worse."""
+    fit = identify(load(folder / JOB)).fit
+    arm = machines.arm(str(folder / "arm_cmm.urdf"), "probe")
+    machine = machines.Machine(arm, fit.nominal.frames.base, {"tool": fit.nominal.frames.tools[0]})
+    readings = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 6))
+    columns = machines.table(arm, readings, machine.see(readings), "position")
+    rows = np.column_stack([np.asarray(column) for column in columns.values()])
+    lines = [", ".join(columns), *(", ".join(map(repr, map(float, row))) for row in rows)]
+    write("validation.csv", "\n".join(lines) + "\n")(folder)
+
+
+def test_validation_by_another_machine_is_not_trusted(folder: Path) -> None:
+    by_another_machine(folder)
+    doubt = "On data that the fit never saw the position error is no smaller than before calibration."
+    said = run("calibrate", JOB, "-o", "out")
+    assert (said.code, said.err) == (3, "")
+    assert doubt in said.out.replace("\n", " ")
+    result = json.loads((folder / "out/result.json").read_text(encoding="utf-8"))
+    assert (result["trusted"], result["doubts"]) == (False, [doubt])
+    again = run("calibrate", JOB, "-o", "out", "--json")
+    assert (again.code, json.loads(again.out)["doubts"]) == (3, [doubt])
+    assert run("calibrate", JOB, "-o", "out", "--quiet") == (3, "", "")
+
+
+def test_long_names_stay_within_the_page(folder: Path) -> None:
+    long = "the_first_joint_of_the_articulated_arm_as_somebody_in_a_hurry_has_named_it_once"
+    for name in ("arm_cmm.urdf", TABLE, "validation.csv"):
+        edit(name, ("joint_1", long), everywhere=True)(folder)
+    for arguments in (("check", JOB), ("calibrate", JOB, "-o", "out")):
+        said = run(*arguments)
+        assert said.code == 0
+        assert_plain(said.out)
+        assert said.out.isascii()
+    robot = calib.load_robot("arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(TABLE, robot, sigma=0.02e-3)
+    text = calib.table(calib.identify(calib.error_model(robot, offsets="all", placements="all"), data))
+    assert_plain(text)
+    assert long[:20] in text
+
+
+def test_case_in_the_repository_is_what_was_copied(folder: Path) -> None:
+    assert (folder / JOB).read_bytes() == (CASE / JOB).read_bytes()
