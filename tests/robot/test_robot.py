@@ -95,7 +95,9 @@ def test_a_mimic_joint_has_no_reading_and_follows_its_driver_even_from_outside_t
 
 def test_the_offset_of_a_driver_moves_what_follows_it_and_that_of_a_follower_only_itself() -> None:
     arm = load(machines.INLINE["mimic"])
-    q = arm.joint_positions(np.zeros((1, 6)), np.array([0.0, 0.2, 0.03, 0, 0, 0, 0]))
+    q = arm.joint_positions(
+        np.zeros((1, 6)), Deviations(np.zeros((len(arm.chain), 6)), np.array([0.0, 0.2, 0.03, 0, 0, 0, 0]))
+    )
     np.testing.assert_allclose(q, [[0.0, 0.2, -0.2 + 0.1 + 0.03, 0, 0, 0, 0]], atol=1e-16)
 
 
@@ -128,8 +130,8 @@ def test_a_deviation_is_a_motion_in_the_frame_whose_z_is_the_axis(name: str) -> 
     expected = replace(true, joints=tuple(joints)).tips(readings)
     np.testing.assert_allclose(arm.tips(readings, d), expected, atol=1e-13)
     motion = arm.motion(readings, d)
-    np.testing.assert_allclose(motion.rotation, expected[:, :3, :3], atol=1e-13)
-    np.testing.assert_allclose(motion.position, expected[:, :3, 3], atol=1e-13)
+    np.testing.assert_allclose(motion.placement[:, :3, :3], expected[:, :3, :3], atol=1e-13)
+    np.testing.assert_allclose(motion.placement[:, :3, 3], expected[:, :3, 3], atol=1e-13)
 
 
 # ---- what is refused
