@@ -10,6 +10,8 @@ import numpy as np
 from calib.foundations.arrays import Array
 
 _SMALL_ANGLE = 1e-4
+_TINY = 1e-150
+_NEAR_HALF_TURN = -0.5
 
 
 def skew(v: Array) -> Array:
@@ -66,12 +68,20 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    q = quaternion_of(R)
-    w, v = q[..., :1], q[..., 1:]
+    v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     s = np.linalg.norm(v, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(s, w)
-    scale = np.divide(angle, s, out=np.full_like(s, 2.0), where=s > 1e-12)
-    return np.asarray(scale * v)
+    c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)[..., None]
+    w = v * np.divide(np.arctan2(s, c), s, out=np.ones_like(s), where=s > _TINY)
+    # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
+    far = c[..., 0] < _NEAR_HALF_TURN
+    if np.any(far):
+        w[far] = _log_of_quaternion(quaternion_of(R[far]))
+    return np.asarray(w)
+
+
+def _log_of_quaternion(q: Array) -> Array:
+    s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    return np.asarray(q[..., 1:] * (2.0 * np.arctan2(s, q[..., :1]) / s))
 
 
 def left_jacobian_inverse(w: Array) -> Array:

@@ -76,7 +76,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     at = problem.machine(x)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
-        for rows, observed, J in _blocks(problem, data, at):
+        for rows, observed, J in _blocks(problem, data, at, scales(problem.parameters)):
             parts.append(observed.residual)
             whitened = np.concatenate([J, observed.residual[:, :, None]], axis=2) / sigma[rows, :, None]
             for c, component in enumerate(problem.components):
@@ -89,8 +89,13 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     """Return the unwhitened Jacobians (N, d, p) of the residuals, in m and rad per SI unit of each parameter."""
-    at, s = problem.machine(x), scales(problem.parameters)
-    return tuple(np.concatenate([J / s for _, _, J in _blocks(problem, data, at)]) for data in problem.measurements)
+    at, found = problem.machine(x), []
+    for data in problem.measurements:
+        J = np.empty((*data.sigma.shape, len(problem.parameters)))
+        for rows, _, block in _blocks(problem, data, at, np.ones(len(problem.parameters))):
+            J[rows] = block
+        found.append(J)
+    return tuple(found)
 
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
@@ -111,11 +116,13 @@ def _observe(data: Measurements, rows: slice, tools: Array) -> Linearised:
     return pose.residual(data.position[rows], data.orientation[rows], tools)
 
 
-def _blocks(problem: Problem, data: Measurements, at: Machine) -> Iterator[tuple[slice, Linearised, Array]]:
-    """Yield rows, residuals and scaled Jacobians (n, d, p) of one set, block by block."""
+def _blocks(
+    problem: Problem, data: Measurements, at: Machine, units: Array
+) -> Iterator[tuple[slice, Linearised, Array]]:
+    """Yield rows, residuals and Jacobians (n, d, p) of one set, block by block; ``units`` (p,) of the parameters."""
     robot, tools = problem.model.robot, at.frames.tools
     layout = Layout(robot)
-    S = directions(problem.parameters, layout.tools + 6 * len(tools)) * scales(problem.parameters)
+    S = directions(problem.parameters, layout.tools + 6 * len(tools)) * units
     of_robot, of_tools = S[: layout.base], S[layout.tools :].reshape(len(tools), 6, -1)
     tip = TipModel(robot, at.deviations)
     joints = tip.joints @ of_robot
