@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
@@ -37,8 +37,7 @@ def identify(
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
     """
-    # The matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         return _identify(model, measurements, blind, model_sigmas)
 
 
