@@ -133,6 +133,15 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
     return residuals(fit.model.robot, with_common_tools(fit.model, known_first)[1:], machine)
 
 
+def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
+    """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
+
+    What the data can see, and how well, stays as identified.
+    """
+    after = residuals(fit.model.robot, fit.measurements, machine)
+    return replace(fit, values=read_only(values), machine=machine, residuals=tuple(read_only(r) for r in after))
+
+
 def with_common_tools(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """Return the sets with one common list of tools; raises MeasurementError when they are not of this robot."""
     names = tuple(reading.name for reading in model.robot.readings)

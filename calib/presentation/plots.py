@@ -3,9 +3,12 @@
 matplotlib is imported inside the functions, and pyplot nowhere: a figure belongs to its caller, not to a global state.
 """
 
+import io
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.assessment.sensitivity import Sensitivity
+from calib.foundations.errors import OutputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -13,8 +16,19 @@ if TYPE_CHECKING:
 _COLOURS = {"m": "#0d6b78", "rad": "#c4571a"}
 _LABELS = {"m": "lengths, per mm", "rad": "angles, per mrad"}
 _GRID = "#d9d9d9"
+_FORMATS = ("svg", "png", "pdf")
 _ROW = 0.19  # inches for one bar and its name
 _ROOM = 1.3  # inches for title and axis
+
+
+def figure_bytes(figure: "Figure", path: Path) -> bytes:
+    """Return a figure in the format that the ending of a path names. Raises OutputError for any other ending."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _FORMATS:
+        raise OutputError(f"{path}: a plot ends in {', '.join(f'.{name}' for name in _FORMATS)}.")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=150)
+    return buffer.getvalue()
 
 
 def sensitivity_figure(sensitivity: Sensitivity) -> "Figure":
