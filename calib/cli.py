@@ -1,18 +1,28 @@
-"""The command line: ``calib calibrate job.toml -o out/`` and ``calib check job.toml``."""
+"""The command line: one command for each thing a person does with an arm."""
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 import calib
+from calib.assessment.performance import before_and_after, read_touches
+from calib.assessment.sensitivity import group_study
+from calib.assessment.sensitivity import sensitivity as sensitivity_of
+from calib.compensation.model_file import load_model
 from calib.foundations.errors import CalibError
+from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
-from calib.job.results import refuse_folder, result_json, write_results
+from calib.job.results import refuse_folder, result_json, robot_errors, write_results
 from calib.job.run import load, run
-from calib.presentation.console import progress, sentence, show, show_error, warning, write
+from calib.presentation.console import literal, progress, sentence, show, show_error, warning, write
+from calib.presentation.performance_tables import performance_table
+from calib.presentation.plots import figure_bytes, sensitivity_figure
+from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import blind_lines, error_table, verdict
 
 app = typer.Typer(
@@ -31,6 +41,23 @@ JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="The job file (TOML
 OutFolder = Annotated[
     Path,
     typer.Option("--out", "-o", metavar="FOLDER", help="Folder of results; older results there are replaced."),
+]
+Errors = Annotated[
+    Path | None,
+    typer.Option("--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False),
+]
+PlotFile = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False)
+]
+ResultFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="A folder of results of calib calibrate.", show_default=False)
+]
+TouchFiles = Annotated[
+    list[Path], typer.Argument(metavar="TOUCHES...", help="Touched points (CSV).", show_default=False)
+]
+ProbeFile = Annotated[
+    Path | None,
+    typer.Option("--probe", metavar="FILE", help="A cone touched to find the probe point.", show_default=False),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -54,6 +81,7 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
         show(
             *(warning(finding.sentence) for finding in inputs.findings),
             error_table(outcome.metrics),
+            *([] if outcome.trace is None else [literal(str(outcome.trace))]),
             *verdict(outcome.fit, outcome.doubts),
             sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
         )
@@ -92,6 +120,52 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
             ),
             *blind_lines(seen.blind_directions),
         )
+
+
+@app.command()
+def sensitivity(
+    job: JobFile, errors: Errors = None, plot: PlotFile = None, as_json: Json = False, quiet: Quiet = False
+) -> None:
+    """Show how much every free parameter of a job moves the tip.
+
+    At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
+    the tip error when one kind of identified errors is ten times as large, and a tenth.
+    """
+    with progress(shown=not (quiet or as_json)) as say:
+        inputs = load(job, say)
+        say("differentiating")
+        readings = np.concatenate([data.readings for data in inputs.identify])
+        found = sensitivity_of(inputs.model, readings)
+        study = None if errors is None else group_study(inputs.model, readings, robot_errors(errors))
+    if plot is not None:
+        write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
+    if as_json:
+        contents = {"schema": 1, "parameters": found.records(), "groups": [] if study is None else study.records()}
+        write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    elif not quiet:
+        show(sensitivity_table(found), *sensitivity_verdict(found), *([] if study is None else [group_table(study)]))
+
+
+@app.command()
+def performance(
+    results: ResultFolder, touches: TouchFiles, probe: ProbeFile = None, as_json: Json = False, quiet: Quiet = False
+) -> None:
+    """Evaluate acceptance tests of an arm CMM, before and after its calibration.
+
+    Single-point articulation, lengths, and spheres, after the methods of ASME B89.4.22 and ISO 10360-12. Which test a
+    file is, its columns say.
+    """
+    with progress(shown=not (quiet or as_json)) as say:
+        say("reading the model and the touches")
+        model = load_model(results)
+        tests = [read_touches(path, model.robot) for path in touches]
+        before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
+    if as_json:
+        whens = {"before": before, "after": after}
+        figures = {when: [asdict(figure) for figure in found.figures] for when, found in whens.items()}
+        write(json.dumps({"schema": 1, **figures}, indent=2, allow_nan=False) + "\n")
+    elif not quiet:
+        show(performance_table(before, after))
 
 
 @app.callback(invoke_without_command=True)

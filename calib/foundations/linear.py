@@ -1,8 +1,10 @@
 """Linear algebra that more than one room needs."""
 
+from contextlib import AbstractContextManager
 from typing import Any, cast
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calib.foundations.arrays import Array
 
@@ -10,3 +12,11 @@ from calib.foundations.arrays import Array
 def triangle(M: Array) -> Array:
     """Return the triangle R (min(m, n), n) of ``M = Q R`` (m, n), which has the same ``M^T M``."""
     return cast(Array, cast(Any, np.linalg.qr)(M, mode="r"))
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Return a context in which linear algebra runs in one thread.
+
+    Our matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
+    """
+    return cast(AbstractContextManager[object], threadpool_limits(limits=1, user_api="blas"))

@@ -2,20 +2,22 @@
 
 import difflib
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import JobError
+from calib.foundations.errors import JobError, RobotError
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
 from calib.robot import deviation
-from calib.robot.robot import Robot
+from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
+from calib.robot.dh.table import NUMBERS, Convention, DhTable
+from calib.robot.robot import Deviations, Robot
 
 Selection = Literal["all", "none"] | Sequence[str]
 BaseFreedom = Literal["pose", "fixed"]
@@ -26,8 +28,10 @@ ToolFreedom = Literal["pose", "position", "fixed"]
 class ErrorModel:
     """What is unknown about a robot and its set-up. Made by :func:`error_model`.
 
-    ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs (chain joint, component)
-    that are free. ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    ``robot`` is in the frames in which its deviations are named: DH frames where DH parameters are free, and ``dh``
+    then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
+    (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
+    ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
     """
 
     robot: Robot
@@ -39,36 +43,53 @@ class ErrorModel:
     prior_angle: float | None = None
     base_pose: Array = field(default_factory=lambda: read_only(np.eye(4)))
     tool_poses: Mapping[str, Array] = field(default_factory=dict)
+    dh: DhFrames | None = None
+
+    @property
+    def urdf_robot(self) -> Robot:
+        """The robot in the frames of its URDF, as :func:`calib.load_robot` made it."""
+        return self.robot if self.dh is None else self.dh.source
+
+    def urdf_deviations(self, deviations: Deviations) -> Deviations:
+        """Return the deviations of ``urdf_robot`` that make the same machine as ``deviations`` make of ``robot``."""
+        return deviations if self.dh is None else self.dh.in_source(deviations)
 
     def parameters(self, tools: Sequence[str] = ("tool",)) -> tuple[Parameter, ...]:
         """Return the free parameters for measurements made with the named tools, in the order of the state."""
         layout = Layout(self.robot)
-        number = {joint.name: i for i, joint in enumerate(self.robot.chain)}
         found: list[Parameter] = []
 
-        def free(name: str, kind: ParameterKind, entry: int, *, length: bool) -> None:
+        def free(name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool) -> None:
             prior = (self.prior_length if length else self.prior_angle) if kind in ("offset", "placement") else None
-            found.append(Parameter(name, "m" if length else "rad", kind, ((entry, 1.0),), prior))
+            found.append(Parameter(name, "m" if length else "rad", kind, direction, prior))
 
-        for joint, component in self.placements:
-            entry = 6 * number[joint] + deviation.COMPONENTS.index(component)
-            free(f"{joint}.{component}", "placement", entry, length=component.startswith("t"))
+        for (joint, component), direction in zip(self.placements, self._directions(), strict=True):
+            free(f"{joint}.{component}", "placement", *direction, length=component in ("tx", "ty", "tz", "a", "d"))
         for j, i in enumerate(self.robot.moving):
             moving = self.robot.chain[i]
             if moving.name in self.offsets:
-                free(f"{moving.name}.offset", "offset", layout.offsets + j, length=moving.type == "prismatic")
+                free(f"{moving.name}.offset", "offset", (layout.offsets + j, 1.0), length=moving.type == "prismatic")
         if self.base == "pose":
             for k, component in enumerate(POSE):
-                free(f"base.{component}", "base", layout.base + k, length=k < 3)
+                free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)
         for t, tool in enumerate(tools):
             prefix = "tool" if tool == "tool" else f"tool.{tool}"
             for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
-                free(f"{prefix}.{component}", "tool", layout.tools + 6 * t + k, length=k < 3)
+                free(f"{prefix}.{component}", "tool", (layout.tools + 6 * t + k, 1.0), length=k < 3)
         names = [parameter.name for parameter in found]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise JobError(f"the parameter name {twice[0]!r} means two things: a joint may not be called base or tool.")
         return tuple(found)
+
+    def _directions(self) -> Iterator[Direction]:
+        """Yield the entries of the deviations that each of ``placements`` moves, with their shares."""
+        number = {joint.name: i for i, joint in enumerate(self.robot.chain)}
+        for joint, component in self.placements:
+            if component in deviation.COMPONENTS:
+                yield ((6 * number[joint] + deviation.COMPONENTS.index(component), 1.0),)
+            elif self.dh is not None:
+                yield self.dh.directions[joint, component]
 
     def given_frames(self, tools: Sequence[str]) -> Frames:
         """Return the frames as given: known where fixed, zero or the user's guess where free."""
@@ -80,6 +101,9 @@ def error_model(
     *,
     offsets: Selection = "none",
     placements: Selection = "none",
+    dh: Selection = "none",
+    dh_convention: Convention = "standard",
+    dh_parallel: float = PARALLEL,
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
     prior_length: float | None = None,
@@ -93,12 +117,17 @@ def error_model(
     ``placements``: "all" (every component of every moving joint), "none", or names and globs of joints, moving or
     fixed (``"wrist_*"``), or of single components (``"joint_3.rx"``, ``"*.tz"``). The motion along a joint's own axis
     is its offset and never also a placement.
+    ``dh``: "all" numbers of all rows of the robot's DH table, "none", or names and globs of rows (``"joint_3"``) or of
+    numbers (``"joint_3.a"``, ``"*.alpha"``). A row is named after its joint and has a, d, alpha, theta, and beta in
+    place of d where the next axis is parallel to within ``dh_parallel`` rad. What the joint itself moves (theta of a
+    revolute one) is freed, and called, ``joint_3.offset``. ``dh_convention``: "standard" or "modified".
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4).
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
     a point); the only tool is called "tool". No start value is needed for what is free.
     ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every parameter of the robot.
 
-    Raises JobError when a name or glob matches nothing, or a value is not of its kind.
+    Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
+    the same frame.
     """
     moving = [robot.chain[i] for i in robot.moving]
     chosen_offsets = _select(offsets, [joint.name for joint in moving], "offsets")
@@ -122,20 +151,84 @@ def error_model(
     for name, value in (("prior length", prior_length), ("prior angle", prior_angle)):
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
-    for name, value_, allowed in (("base", base, ("pose", "fixed")), ("tool", tool, ("pose", "position", "fixed"))):
+    for name, value_, allowed in (
+        ("base", base, ("pose", "fixed")),
+        ("tool", tool, ("pose", "position", "fixed")),
+        ("dh_convention", dh_convention, get_args(Convention)),
+    ):
         if value_ not in allowed:
             raise JobError(f"{name}: {value_!r} is not one of {', '.join(allowed)}.")
+    if not (np.isfinite(dh_parallel) and 0.0 <= dh_parallel <= 0.5):
+        raise JobError(f"dh_parallel: {dh_parallel!r} is not an angle between 0 and 0.5 rad.")
+    freed = [pair for pair, name in zip(every, names, strict=True) if name in set(chosen)]
+    frames = None if dh == "none" else dh_frames(robot, dh_convention, dh_parallel)
+    if frames is not None:
+        numbers, own = _select_dh(dh, frames)
+        _refuse_shared_frames(frames, freed, numbers)
+        freed += numbers
+        chosen_offsets = [joint.name for joint in moving if joint.name in {*chosen_offsets, *own}]
     return ErrorModel(
-        robot,
+        robot if frames is None else frames.robot,
         tuple(chosen_offsets),
-        tuple(pair for pair, name in zip(every, names, strict=True) if name in set(chosen)),
+        tuple(freed),
         base,
         tool,
         prior_length,
         prior_angle,
         read_only(np.eye(4)) if base_pose is None else _given_pose(base_pose, "base_pose"),
         {name: _given_pose(value, f"tool {name!r}") for name, value in (tool_poses or {}).items()},
+        frames,
     )
+
+
+def corrected_dh(model: ErrorModel, deviations: Deviations) -> DhTable:
+    """Return the DH table with the estimates filled in: its tips are those of the machine with ``deviations``.
+
+    The deviations are those of ``fit.machine``. Raises JobError when the model has no DH parameters, or the machine
+    deviates in ways that a DH table does not hold.
+    """
+    if model.dh is None:
+        raise JobError("dh: no DH parameter is free, so that there is no table; take that of the calibrated URDF.")
+    try:
+        return model.dh.table(deviations)
+    except RobotError as e:
+        raise JobError(f"dh: {e}") from e
+
+
+def _select_dh(dh: Selection, frames: DhFrames) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return the chosen numbers (row, number) of the DH table, and the joints of those that are offsets."""
+    own = {(row.joint, own_motion(row)): row.joint for row in frames.rows}
+    every = {
+        f"{row.joint}.{number}": (row.joint, number)
+        for row in frames.rows
+        for number in NUMBERS
+        if (row.joint, number) in own or (row.joint, number) in frames.directions
+    }
+    if not isinstance(dh, str):
+        dropped = {f"{joint}.{number}" for joint, number in frames.dropped}
+        if alone := next((name for name in dh if name in dropped), None):
+            raise JobError(
+                f"dh: {alone!r} slides along an axis that is parallel to the next, where beta takes its place; a "
+                "smaller dh_parallel brings it back, if the axes are not quite parallel."
+            )
+        joints = {row.joint for row in frames.rows}
+        dh = [p if fnmatch.filter(every, p) and p not in joints else f"{p}.*" for p in dh]
+    chosen = [every[name] for name in _select(dh, list(every), "dh")]
+    return [pair for pair in chosen if pair not in own], [own[pair] for pair in chosen if pair in own]
+
+
+def _refuse_shared_frames(
+    frames: DhFrames, placements: Sequence[tuple[str, str]], numbers: Sequence[tuple[str, str]]
+) -> None:
+    """Raise JobError when a joint's placement is free in its own components and as a DH number: two names for one."""
+    chain = frames.source.chain
+    moved = {chain[frames.owner[entry // 6]].name: pair for pair in numbers for entry, _ in frames.directions[pair]}
+    for joint, component in placements:
+        if joint in moved:
+            raise JobError(
+                f"placements: '{joint}.{component}' and the DH parameter {'.'.join(moved[joint])!r} move the same "
+                "frame; free one or the other."
+            )
 
 
 def _select(selection: Selection, names: Sequence[str], what: str) -> list[str]:
@@ -159,7 +252,12 @@ def _given_pose(value: npt.ArrayLike, where: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape == (3,) and np.all(np.isfinite(array)):
         return read_only(rigid.translation(array))
-    R = array[:3, :3] if array.shape == (4, 4) else None
-    if R is None or not np.all(np.isfinite(array)) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+    if array.shape != (4, 4) or not np.all(np.isfinite(array)) or not _rigid(array):
         raise JobError(f"{where}: needs a point (3,) in m or a rigid placement (4, 4).")
     return read_only(array)
+
+
+def _rigid(T: Array) -> bool:
+    R = T[:3, :3]
+    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    return bool(turns and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)))

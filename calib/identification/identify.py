@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
@@ -37,8 +37,7 @@ def identify(
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
     """
-    # The matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         return _identify(model, measurements, blind, model_sigmas)
 
 
@@ -132,6 +131,15 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
                 raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
     known_first = (fit.measurements[0], *measurements)
     return residuals(fit.model.robot, with_common_tools(fit.model, known_first)[1:], machine)
+
+
+def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
+    """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
+
+    What the data can see, and how well, stays as identified.
+    """
+    after = residuals(fit.model.robot, fit.measurements, machine)
+    return replace(fit, values=read_only(values), machine=machine, residuals=tuple(read_only(r) for r in after))
 
 
 def with_common_tools(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:

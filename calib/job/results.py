@@ -19,7 +19,7 @@ from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
-from calib.foundations.files import previous_folder, replace_folder
+from calib.foundations.files import previous_folder, read_bytes, replace_folder
 from calib.identification.fit import Fit
 from calib.job.run import Inputs, Outcome, Progress, resolved
 from calib.measurement.measurements import Measurements
@@ -104,6 +104,21 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
             (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
 
 
+def robot_errors(folder: Path) -> dict[str, float]:
+    """Return the identified parameters of a robot, in SI units, from a folder of results.
+
+    Raises OutputError when the folder holds no readable result.
+    """
+    path = folder / RESULT_FILE
+    source = read_bytes(path, OutputError)
+    try:
+        records = json.loads(source)["parameters"]
+        found = {str(record["name"]): float(record["value"]) for record in records}
+    except (ValueError, TypeError, KeyError, RecursionError) as e:
+        raise OutputError(f"{path}: is not a result of this tool.") from e
+    return {name: value for name, value in found.items() if name.partition(".")[0] not in ("base", "tool")}
+
+
 def result_json(outcome: Outcome) -> str:
     """Return ``result.json`` as text: strict JSON, which knows neither nan nor infinity."""
     return json.dumps(result(outcome), indent=2, allow_nan=False) + "\n"
@@ -158,6 +173,9 @@ def result(outcome: Outcome) -> dict[str, Any]:
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
         },
         "solver": {"converged": fit.converged, "evaluations": fit.evaluations, "last_step": fit.step},
+        "trace": None
+        if outcome.trace is None
+        else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
         "versions": {
             "calib": calib.__version__,
             "python": platform.python_version(),

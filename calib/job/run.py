@@ -17,8 +17,9 @@ from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, residuals_of
+from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.sanity import signatures
+from calib.identification.total_differential import Trace, total_differential
 from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import LaserTracker
@@ -65,6 +66,7 @@ class Outcome:
     validation_residuals: tuple[tuple[Array, Array], ...]
     metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
     doubts: tuple[str, ...]
+    trace: Trace | None = None
 
 
 def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
@@ -122,20 +124,46 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=inputs.model_sigmas)
     except IdentificationError as e:
         raise IdentificationError(f"{inputs.path}: {e}") from e
+    trace = None
+    if inputs.job.solver.kind == "total_differential":
+        progress("following the total differential")
+        trace = _follow(inputs)
+        fit = with_values(fit, trace.values, trace.machine)
     progress("validating")
     before = residuals_of(fit, inputs.validate, fit.nominal)
     after = residuals_of(fit, inputs.validate, fit.machine)
     figures = {"identification": {"before": metrics(fit.nominal_residuals), "after": metrics(fit.residuals)}}
     if inputs.validate:
         figures["validation"] = {"before": metrics(before), "after": metrics(after)}
+    stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     judged = figures["validation" if inputs.validate else "identification"]
     return Outcome(
         inputs,
         fit,
         tuple(zip(before, after, strict=True)),
         figures,
-        doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate)),
+        (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
+        trace,
     )
+
+
+def _follow(inputs: Inputs) -> Trace:
+    solver = inputs.job.solver
+    try:
+        return total_differential(
+            inputs.model,
+            inputs.identify,
+            stop=parse_quantity(solver.stop, "length", "solver.stop"),
+            rounding=_si(solver.rounding, "angle"),
+            most=solver.most,
+        )
+    except (IdentificationError, JobError) as e:
+        raise type(e)(f"{inputs.path}: solver: {e}") from e
+
+
+def _not_stopped(trace: Trace) -> str:
+    largest = trace.iterations[-1].largest * 1e3
+    return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."
 
 
 def resolved(inputs: Inputs) -> str:

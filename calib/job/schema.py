@@ -20,6 +20,7 @@ _LARGEST_JOB = 1_000_000
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
 _LONGEST_SHOWN = 60
+_MOST_ITERATIONS = 1000
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
 # What stands in a field. Each says itself what is wrong: pydantic's own words are for programmers. ----------------
@@ -72,6 +73,12 @@ def _not_empty(text: str) -> str:
     if not text:
         raise ValueError("is empty.")
     return text
+
+
+def _iterations(value: object) -> object:
+    if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
+        raise ValueError(f"{_shown(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+    return value
 
 
 def _this_schema(value: object) -> object:
@@ -146,6 +153,15 @@ class InstrumentSection(_Section):
     station: Position = ("0 m", "0 m", "0 m")
 
 
+class SolverSection(_Section):
+    """``[solver]``: how the parameters are found; the other keys belong to the total differential."""
+
+    kind: Literal["least_squares", "total_differential"] = "least_squares"
+    stop: PositiveLength = "0.3 mm"
+    rounding: PositiveAngle | None = None
+    most: Annotated[int, BeforeValidator(_iterations)] = 20
+
+
 class MeasurementsSection(_Section):
     """``[[measurements]]``: one table."""
 
@@ -166,6 +182,7 @@ class Job(_Section):
     schema_: Annotated[Literal[1], BeforeValidator(_this_schema)] = Field(alias="schema")
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
+    solver: SolverSection = SolverSection()
     base: FrameSection | None = None
     tools: dict[str, FrameSection] = Field(default_factory=dict)
     instruments: dict[str, InstrumentSection] = Field(default_factory=dict)

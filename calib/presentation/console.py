@@ -30,6 +30,11 @@ def sentence(text: str) -> Text:
     return Text(_printable(text))
 
 
+def literal(text: str) -> Text:
+    """Return text of several lines to be shown as it stands."""
+    return Text("\n".join(map(_printable, text.splitlines())), no_wrap=True)
+
+
 def warning(text: str) -> Text:
     """Return a warning to be shown."""
     return Text(_printable(f"Warning: {text}"), style="yellow")

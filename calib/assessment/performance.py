@@ -1,0 +1,417 @@
+"""Acceptance figures of articulated arm CMMs, after the methods of ASME B89.4.22 and ISO 10360-12.
+
+After the method of: the figures are those that the tests define, computed from touches whose number and places are the
+user's affair; they certify nothing. Where the wording of a standard was not at hand, a definition says what it assumes.
+Sources: ASME B89.4.22-2004, for its tests (effective diameter, single-point articulation, volumetric performance);
+ISO 10360-12:2016 as Kreon, a maker of arms, describes it; ISO 10360-5:2020, whose symbols it shares. All are named
+where they are used, and in docs/arm_cmm_performance.md.
+
+All points are centres of the probe ball in the arm's base: where the arm stands does not enter. Where the ball sits on
+the arm does. It is found as that of every such probe, from a cone touched in many articulations, and in the same way
+for the nominal and the calibrated arm: see :func:`probe_point`. SI throughout.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol, cast
+
+import numpy as np
+
+from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import Dimension, Unit, unit_of
+from calib.measurement.table import Table, nearest, read_table
+from calib.robot.robot import Reading, Robot
+
+Kind = Literal["cone", "length", "sphere", "articulations"]
+Tips = Callable[[Array], Array]  # readings (N, nr) in rad and m -> placements (N, 4, 4) of the tip link in the base
+
+# What a table needs beside the joints, words first, and what it may have; its kind follows from what is there.
+_WORDS: Mapping[Kind, tuple[str, ...]] = {
+    "cone": ("target",),
+    "length": ("target", "pair"),
+    "sphere": ("target",),
+    "articulations": ("target", "group"),
+}
+_SIZES: Mapping[Kind, tuple[str, ...]] = {
+    "cone": (),
+    "length": ("length",),
+    "sphere": ("diameter", "ball"),
+    "articulations": ("diameter", "ball"),
+}
+_PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
+# Directions of the probe point that articulations move by less than this share of the best one stay where they were.
+_UNSEEN = 1e-6
+
+
+# ---- touches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touches:
+    """N touches of one test. Made by :func:`touches` and :func:`read_touches`.
+
+    ``readings`` (N, nr) in rad and m; ``words``: the columns target, pair, group, each N words, as far as ``kind`` has
+    them; ``sizes``: the columns length, diameter, ball, each (N,) in m. ``lines`` (N): where a row stands in ``where``.
+    """
+
+    kind: Kind
+    readings: Array
+    words: Mapping[str, tuple[str, ...]]
+    sizes: Mapping[str, Array]
+    where: str
+    lines: IntArray
+
+
+def read_touches(path: str | Path, robot: Robot) -> Touches:
+    """Read the touches of one test from a CSV file. Raises MeasurementError as :func:`touches` does."""
+    return touches(read_table(path), robot.readings)
+
+
+def touches(table: Table, readings: Sequence[Reading]) -> Touches:
+    """Return what a table says of one test; which test it is, its columns say.
+
+    With ``length``: the two ends (``target``) of a known length in many places (``pair``). With ``diameter``: a sphere
+    in one or several places (``target``), touched with a probe whose ball has the diameter ``ball``; with ``group``,
+    in several articulations. With neither: cones (``target``), each touched in many articulations.
+
+    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension.
+    """
+    columns = table.columns
+    kind: Kind = "cone"
+    if "length" in columns:
+        kind = "length"
+    elif "diameter" in columns:
+        kind = "articulations" if "group" in columns else "sphere"
+    words, sizes = _WORDS[kind], _SIZES[kind]
+    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
+    dimensions |= dict.fromkeys(sizes, "length")
+    if missing := [name for name in (*dimensions, *words) if name not in columns]:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
+    known = {*dimensions, *words, "group", "direction"} | _PASSED_OVER
+    for name in columns:
+        if name not in known:
+            near = nearest(name, sorted(known - columns.keys()))
+            raise MeasurementError(f"{table.where}: column {name!r} is not one of a {kind} test{near}.")
+    numbers = {name: _numbers(table, name, dimension) for name, dimension in dimensions.items()}
+    for name in sizes:
+        if (numbers[name] <= 0.0).any():
+            row = int(np.argmin(numbers[name]))
+            raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
+    return Touches(
+        kind,
+        read_only(np.stack([numbers[reading.name] for reading in readings], axis=-1)),
+        {name: cast(tuple[str, ...], columns[name].values) for name in words},
+        {name: numbers[name] for name in sizes},
+        table.where,
+        table.lines,
+    )
+
+
+def _numbers(table: Table, name: str, dimension: Dimension) -> Array:
+    column = table.columns[name]
+    unit_of(cast(Unit, column.unit).symbol, dimension, f"{table.where}: column {name!r}", MeasurementError)
+    return cast(Array, column.values)
+
+
+# ---- the figures, from points
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One acceptance figure: ``value`` in m, from ``n`` touches, lengths or articulations."""
+
+    test: str
+    place: str
+    n: int
+    name: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Articulation:
+    """Single-point articulation performance at one cone, from ``n`` touches, in m."""
+
+    place: str
+    n: int
+    largest: float
+    two_s: float
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Both figures."""
+        return tuple(
+            Figure("single-point articulation", self.place, self.n, name, value)
+            for name, value in (("largest", self.largest), ("2s", self.two_s))
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Volumetric:
+    """Volumetric length performance over ``n`` lengths, in m."""
+
+    n: int
+    largest: float
+    range: float
+    two_s: float
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All three figures."""
+        return tuple(
+            Figure("volumetric length", "all", self.n, name, value)
+            for name, value in (("largest", self.largest), ("range", self.range), ("2s", self.two_s))
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Probing:
+    """Probing size and form error of one sphere, from ``n`` touches, in m."""
+
+    place: str
+    n: int
+    size: float
+    form: float
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Both figures, named by how many touches were made."""
+        return tuple(
+            Figure("probing", self.place, self.n, f"{name}.Sph.1x{self.n}", value)
+            for name, value in (("PSize", self.size), ("PForm", self.form))
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """Articulated location error of one sphere in ``n`` articulations of ``touches`` touches each, in m."""
+
+    place: str
+    n: int
+    touches: int
+    diameter: float
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """The figure, named by touches and articulations."""
+        name = f"LDia.{self.n}x{self.touches}"
+        return (Figure("articulated location", self.place, self.n, name, self.diameter),)
+
+
+Result = Articulation | Volumetric | Probing | Location
+
+
+def single_point_articulation(points: Array, place: str = "cone") -> Articulation:
+    """Return the single-point articulation performance of points (N, 3), N >= 2, after the method of ASME B89.4.22.
+
+    One cone, touched with the arm in articulations as different as can be. With d_n = |x_n - mean(x)|:
+
+        largest = max d_n,    2s = 2 sqrt(sum d_n^2 / (N - 1)).
+
+    Usual are 10 touches at each of three places, near, middle and far. Assumed, since the standard's wording was not at
+    hand: the divisor N - 1, and that s takes the three coordinates together, as the distance does.
+
+    Raises MeasurementError for a single point.
+    """
+    if len(points) < 2:
+        raise MeasurementError(f"cone {place!r}: it takes two touches or more to see how they differ.")
+    squares = np.sum((points - points.mean(axis=0)) ** 2, axis=1)
+    two_s = 2.0 * np.sqrt(squares.sum() / (len(points) - 1))
+    return Articulation(place, len(points), float(np.sqrt(squares.max())), float(two_s))
+
+
+def volumetric_lengths(measured: Array, known: Array) -> Volumetric:
+    """Return the volumetric performance of measured lengths (N,) in m, after the method of ASME B89.4.22.
+
+    With D_n = measured - known:
+
+        largest = D_n of the largest |D_n|, signed,    range = max D_n - min D_n,    2s = 2 sqrt(sum D_n^2 / N).
+
+    Usual are 20 lengths, short and long, all about the volume. Assumed, since the standard's wording was not at hand: s
+    is taken about zero and not about the mean. The lengths are known, so an error of scale shall count.
+    """
+    D = measured - known
+    two_s = 2.0 * np.sqrt(np.mean(D**2))
+    return Volumetric(len(D), float(D[np.argmax(np.abs(D))]), float(np.ptp(D)), float(two_s))
+
+
+def probing(points: Array, diameter: float, ball: float, place: str = "sphere") -> Probing:
+    """Return the probing errors of ball centres (N, 3) that touch a sphere, after the method of ISO 10360-12.
+
+    With the Gaussian associated sphere (:func:`calib.assessment.spheres.least_squares_sphere`) of diameter D:
+
+        PSize.Sph.1x25 = D - ball - diameter,    PForm.Sph.1x25 = max r_n - min r_n,
+
+    r_n the distances from its centre: the thickness of the shell about that centre that holds all points. Both come
+    from the same touches (ISO 10360-5:2020, clause 6). A touching ball stays half its diameter away, hence ``ball``.
+    The standard asks for 25 touches in each of two places; of these the worse one counts (Kreon).
+
+    Raises MeasurementError when the points do not determine a sphere.
+    """
+    sphere = _sphere(points, place)
+    distances = sphere.distances(points)
+    return Probing(place, len(points), 2.0 * sphere.radius - ball - diameter, float(np.ptp(distances)))
+
+
+def articulated_location(points: Sequence[Array], place: str = "sphere") -> Location:
+    """Return the articulated location error of one sphere, after the method of ISO 10360-12.
+
+    ``points``: ball centres (N, 3) in m, one array for each articulation. In every one the sphere's centre is found by
+    least squares; LDia.5x5 (five articulations of five touches) is the diameter of the smallest sphere that holds these
+    centres. Assumed, since the standard's wording was not at hand: that sphere, as the name LDia says, and that every
+    fit has its own diameter. So neither ball nor reference diameter enters.
+
+    Raises MeasurementError when the points of an articulation do not determine a sphere.
+    """
+    centres = np.stack([_sphere(touched, place).centre for touched in points])
+    diameter = 2.0 * smallest_enclosing_sphere(centres).radius
+    return Location(place, len(points), max(map(len, points)), diameter)
+
+
+def _sphere(points: Array, place: str) -> Sphere:
+    try:
+        return least_squares_sphere(points)
+    except MeasurementError as e:
+        raise MeasurementError(f"sphere {place!r}: {e}") from e
+
+
+def probe_point(tips: Array, cones: Sequence[str], guess: Array) -> Array:
+    """Return where on the tip link the ball's centre (3,) is, from touches of cones at unknown places.
+
+    ``tips`` (N, 4, 4): the tip link in the base; ``cones``: N names. Row n says t_n + R_n p = c of its cone, which is
+    linear in p and c: the p for which the touches of every cone scatter least, each about its own mean. What the
+    articulations do not show of p stays as in ``guess`` (3,), all in m.
+    """
+    R, t = tips[:, :3, :3].copy(), tips[:, :3, 3] + tips[:, :3, :3] @ guess
+    for rows in _rows(cones).values():
+        R[rows] -= R[rows].mean(axis=0)
+        t[rows] -= t[rows].mean(axis=0)
+    return np.asarray(guess - np.linalg.lstsq(R.reshape(-1, 3), t.ravel(), rcond=_UNSEEN)[0])
+
+
+# ---- the figures, from touches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Performance:
+    """What the tests say of one arm. ``probe`` (3,): the ball's centre on the tip link, in m, as it was found."""
+
+    probe: Array
+    results: tuple[Result, ...]
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All figures, in the order of the tests."""
+        return tuple(figure for result in self.results for figure in result.figures)
+
+
+class Arm(Protocol):
+    """A calibrated arm, as :class:`calib.CalibratedModel` is."""
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal arm."""
+
+    @property
+    def tools(self) -> Mapping[str, Array]:
+        """Poses (4, 4) of tools in the tip link."""
+
+    def tips(self, readings: Array, /) -> Array:
+        """Return the placements (N, 4, 4) of the calibrated arm's tip link in its base."""
+
+
+def before_and_after(
+    arm: Arm, tests: Sequence[Touches], probe: Touches | None = None
+) -> tuple[Performance, Performance]:
+    """Return the performance of the nominal and of the calibrated arm in the same tests.
+
+    The probe is found anew for both, from ``probe``, touches of cones, or else from the tests' own cones. The reflector
+    of the calibration is not the ball of the test; and were the nominal arm given the ball of the calibrated one, it
+    would be charged for whatever calibration shifted between the tip link and the tool. Touches of their own are the
+    better choice, since the tests' own cones would lose three degrees of freedom to the probe. Without any cone, the
+    first tool of the calibrated arm serves both.
+
+    Raises MeasurementError when a test cannot be evaluated.
+    """
+    tool = next(iter(arm.tools.values()))[:3, 3]
+    return performance(arm.robot.tips, tests, probe, tool), performance(arm.tips, tests, probe, tool)
+
+
+def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, guess: Array) -> Performance:
+    """Return the performance of the arm whose tip link is where ``tips`` says; ``guess`` (3,) as in probe_point.
+
+    Raises MeasurementError when a test cannot be evaluated, or when ``probe`` holds other touches than of cones.
+    """
+    if probe is not None and probe.kind != "cone":
+        raise MeasurementError(f"{probe.where}: is a {probe.kind} test; the probe is found from touches of a cone.")
+    cones = [test for test in tests if test.kind == "cone"] if probe is None else [probe]
+    point = guess
+    if cones:
+        frames = np.concatenate([tips(cone.readings) for cone in cones])
+        # The same name in two tables is not the same cone.
+        names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
+        point = probe_point(frames, names, guess)
+    results: list[Result] = []
+    for test in tests:
+        frames = tips(test.readings)
+        results += _results(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
+    return Performance(read_only(point), tuple(results))
+
+
+def _results(test: Touches, points: Array) -> list[Result]:
+    places = _rows(test.words["target"])
+    try:
+        match test.kind:
+            case "cone":
+                return [single_point_articulation(points[rows], place) for place, rows in places.items()]
+            case "length":
+                return [_lengths(test, points)]
+            case "sphere":
+                return [
+                    probing(points[rows], _only(test, "diameter", rows), _only(test, "ball", rows), place)
+                    for place, rows in places.items()
+                ]
+            case "articulations":
+                group = test.words["group"]
+                return [
+                    articulated_location([points[rows[own]] for own in _rows([group[n] for n in rows]).values()], place)
+                    for place, rows in places.items()
+                ]
+    except MeasurementError as e:
+        raise MeasurementError(f"{test.where}: {e}") from e
+
+
+def _lengths(test: Touches, points: Array) -> Volumetric:
+    measured, known = [], []
+    for pair, rows in _rows(test.words["pair"]).items():
+        ends = _rows([test.words["target"][n] for n in rows])
+        if len(ends) != 2:
+            listed = ", ".join(map(repr, ends))
+            raise MeasurementError(f"pair {pair!r} has the ends {listed}; a length has two.")
+        a, b = (points[rows[own]].mean(axis=0) for own in ends.values())
+        measured.append(float(np.linalg.norm(b - a)))
+        known.append(_only(test, "length", rows))
+    return volumetric_lengths(np.array(measured), np.array(known))
+
+
+def _only(test: Touches, column: str, rows: IntArray) -> float:
+    values = test.sizes[column][rows]
+    if (other := values != values[0]).any():
+        n = int(np.argmax(other))
+        lines = test.lines[rows]
+        raise MeasurementError(
+            f"column {column!r} is {1e3 * values[0]:.6g} mm in line {lines[0]} and {1e3 * values[n]:.6g} mm in line "
+            f"{lines[n]} of the same target or pair."
+        )
+    return float(values[0])
+
+
+def _rows(words: Sequence[str]) -> dict[str, IntArray]:
+    """Return the rows of every word, words in the order of their first row."""
+    found: dict[str, list[int]] = {}
+    for n, word in enumerate(words):
+        found.setdefault(word, []).append(n)
+    return {word: np.array(rows, dtype=np.intp) for word, rows in found.items()}

@@ -1,0 +1,227 @@
+"""How parameter errors move the tip: the error model of a multi-joint arm, before anything is measured.
+
+The total differential of the touched point P = F(x) is dP = J dx, with one column for every parameter of an error model
+(Ye Dong, Huang Qingcheng, Che Rensheng, *error model of a multi-joint CMM*: dP = sum df/da da + df/dd dd + df/dalpha
+dalpha + df/dtheta dtheta, 25 columns for six joints). The coefficients are those of the nominal robot, analytic and
+exact; what linearising leaves out is seen by setting :func:`predicted_error` beside :func:`exact_error`.
+
+Everywhere ``readings`` (N, k) are encoder readings in rad or m, one column for every reading of the robot, and the
+point is the model's only tool, at its given place.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import JobError, MeasurementError
+from calib.identification import identifiability, system
+from calib.identification.error_model import ErrorModel
+from calib.identification.identifiability import BlindDirection
+from calib.identification.machine import values_at
+from calib.identification.parameters import Parameter, scales
+from calib.identification.system import Problem
+from calib.measurement.measurements import Measurements
+from calib.measurement.table import nearest
+
+
+class Coefficients(NamedTuple):
+    """Change of the tip point with each parameter: ``matrix`` (N, 3, p) in m per m or m per rad, columns ``names``."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """How far each parameter moves the tip over a set of poses. Made by :func:`sensitivity`.
+
+    ``rms`` and ``largest`` (p,): length of a parameter's coefficient over the ``poses``, in m per m or m per rad, which
+    are mm per mm and mm per mrad. ``rank``: how many combinations of the parameters the positions tell apart;
+    ``blind_directions``: those they do not.
+    """
+
+    parameters: tuple[Parameter, ...]
+    poses: int
+    rms: Array
+    largest: Array
+    rank: int
+    blind_directions: tuple[BlindDirection, ...]
+
+    @property
+    def order(self) -> IntArray:
+        """Indices (p,) of the parameters by rms, the strongest first; equal ones in the order of the model."""
+        return np.argsort(-np.round(self.rms, 9), kind="stable")
+
+    def records(self) -> list[dict[str, object]]:
+        """Return one plain record for every parameter, in the order of the model."""
+        return [
+            {"name": p.name, "unit": f"m/{p.unit}", "rms": float(rms), "max": float(largest)}
+            for p, rms, largest in zip(self.parameters, self.rms, self.largest, strict=True)
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupStudy:
+    """What becomes of the tip error when one group of parameter errors grows or shrinks. Made by :func:`group_study`.
+
+    ``errors`` (N,): exact length of the tip error in m under the given parameter errors. ``scaled`` (groups, factors,
+    N): the same with the errors of one group multiplied by one factor.
+    """
+
+    groups: tuple[str, ...]
+    factors: tuple[float, ...]
+    errors: Array
+    scaled: Array
+
+    @property
+    def changes(self) -> Array:
+        """``scaled - errors`` (groups, factors, N) in m."""
+        return np.asarray(self.scaled - self.errors)
+
+    def records(self) -> list[dict[str, object]]:
+        """Return one plain record for every group and factor: the change of the tip error in m over the poses."""
+        return [
+            {
+                "group": group,
+                "factor": factor,
+                "smallest": float(change.min()),
+                "mean": float(change.mean()),
+                "largest": float(change.max()),
+            }
+            for group, of_group in zip(self.groups, self.changes, strict=True)
+            for factor, change in zip(self.factors, of_group, strict=True)
+        ]
+
+
+def coefficients(model: ErrorModel, readings: npt.ArrayLike) -> Coefficients:
+    """Return the error model's coefficient matrix (N, 3, p) at the nominal robot.
+
+    Raises JobError when nothing is free, MeasurementError when the readings are not of this robot.
+    """
+    problem, x = _at_nominal(model, readings)
+    return Coefficients(tuple(p.name for p in problem.parameters), read_only(_jacobian(problem, x)))
+
+
+def predicted_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float]) -> Array:
+    """Return the linear tip error dP = J dx (N, 3) in m for ``errors`` by parameter name, in m and rad.
+
+    What is not named has no error. Raises JobError for a name that is no free parameter, or a value that is no number.
+    """
+    problem, x = _at_nominal(model, readings)
+    return read_only(_jacobian(problem, x) @ _values(problem.parameters, errors))
+
+
+def exact_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float]) -> Array:
+    """Return the tip error F(x + dx) - F(x) (N, 3) in m for ``errors`` as in :func:`predicted_error`."""
+    problem, x = _at_nominal(model, readings)
+    return read_only(_point(problem, x + _values(problem.parameters, errors)) - _point(problem, x))
+
+
+def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
+    """Return how far every parameter moves the tip over a set of poses, and which parameters positions tell apart."""
+    problem, x = _at_nominal(model, readings)
+    J, parameters = _jacobian(problem, x), problem.parameters
+    motion = np.linalg.norm(J, axis=1)
+    scaled = J.reshape(-1, len(parameters)) * scales(parameters)
+    seen = identifiability.directions(scaled)
+    kept = identifiability.minimal_set(scaled, seen.rank, identifiability.preference(parameters))
+    return Sensitivity(
+        parameters,
+        len(J),
+        read_only(np.sqrt(np.mean(motion**2, axis=0))),
+        read_only(np.max(motion, axis=0)),
+        seen.rank,
+        identifiability.blind_directions(seen.hidden(seen.rank), parameters, kept),
+    )
+
+
+def group_of(name: str) -> str:
+    """Return the group of a parameter, the last part of its name: ``a``, ``d``, ``alpha``, ``offset``, ``tx``, ..."""
+    return name.rpartition(".")[2]
+
+
+def group_study(
+    model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float], factors: Sequence[float] = (10.0, 0.1)
+) -> GroupStudy:
+    """Multiply the errors of one group of parameters at a time, and return the exact tip errors.
+
+    The study of the paper (Ye Dong, Huang Qingcheng, Che Rensheng) takes the groups a, d, alpha and theta - here called
+    ``offset`` - of a DH table ten times as large and ten times as small. ``errors`` as in :func:`predicted_error`.
+    """
+    if not (len(factors) and np.all(np.isfinite(factors))):
+        raise JobError(f"factors: {factors!r} are not numbers.")
+    groups = _unique(map(group_of, errors))
+    problem, x = _at_nominal(model, readings)
+    nominal = _point(problem, x)
+
+    def length(factor: float, scaled_group: str | None) -> Array:
+        scaled = {name: value * (factor if group_of(name) == scaled_group else 1.0) for name, value in errors.items()}
+        moved = _point(problem, x + _values(problem.parameters, scaled))
+        return np.asarray(np.linalg.norm(moved - nominal, axis=1))
+
+    scaled = np.array([[length(factor, group) for factor in factors] for group in groups])
+    return GroupStudy(
+        groups,
+        tuple(float(factor) for factor in factors),
+        read_only(length(1.0, None)),
+        read_only(scaled.reshape(len(groups), len(factors), len(nominal))),
+    )
+
+
+def _unique(words: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(words))
+
+
+def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Array]:
+    """Return the poses as rows of a problem that nobody measured, and the nominal robot's parameter values (p,)."""
+    names = tuple(reading.name for reading in model.robot.readings)
+    q = np.asarray(readings, dtype=np.float64)
+    if q.ndim != 2 or q.shape[1] != len(names) or not len(q) or not np.all(np.isfinite(q)):
+        raise MeasurementError(
+            f"readings of shape {q.shape}: needed are finite numbers (N, {len(names)}), a column for each of "
+            f"{', '.join(names)}."
+        )
+    tools = ("tool",)
+    parameters = model.parameters(tools)
+    if not parameters:
+        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    origin, rows = read_only(np.zeros((len(q), 3))), np.arange(len(q), dtype=np.intp)
+    poses = Measurements(
+        kind="position",
+        reading_names=names,
+        readings=read_only(q),
+        position=origin,
+        orientation=None,
+        sigma=origin,
+        tools=tools,
+        tool=np.zeros_like(rows),
+        group=None,
+        target=None,
+        where="poses",
+        lines=rows,
+    )
+    reference = model.given_frames(tools)
+    return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)
+
+
+def _point(problem: Problem, x: Array) -> Array:
+    """Return the tip points (N, 3): measured at the origin, they are what the residuals lack."""
+    return -system.residuals(problem.model.robot, problem.measurements, problem.machine(x))[0]
+
+
+def _jacobian(problem: Problem, x: Array) -> Array:
+    return -system.jacobian(problem, x)[0]
+
+
+def _values(parameters: Sequence[Parameter], errors: Mapping[str, float]) -> Array:
+    names = [parameter.name for parameter in parameters]
+    for name, value in errors.items():
+        if name not in names:
+            raise JobError(f"{name!r} is not a free parameter of the error model{nearest(name, names)}.")
+        if not np.isfinite(value):
+            raise JobError(f"{name}: {value!r} is not a finite error in m or rad.")
+    return np.array([float(errors.get(name, 0.0)) for name in names])

@@ -1,0 +1,419 @@
+"""Sanity before any fit: a typical mistake in a table, recognised by its signature and named with the evidence.
+
+A mistake that everybody makes once (a flipped sign, swapped columns, degrees for radians) lets the nominal robot miss
+its measurements by decimetres, and mending it brings them back. So where they are missed, the mistakes of one table are
+mended on trial, and the one that brings them back is named. To miss means here: what the best base and tool leave,
+joint offsets of an ordinary size allowed for. Those are what calibration is for; they must neither look like a mistake
+nor hide one.
+
+What no data can tell apart is said together: where a free base or tool takes the rest, the sign of an outer joint and
+half a turn of the one next to it (UR10: joints 1 and 2, and 6 and 5; Panda: 1 and 2). A zero that a free base or tool
+absorbs is no mistake. Two mistakes at once are not searched; no single one explains them, and that is said.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations import linear, rigid
+from calib.foundations.arrays import Array, read_only
+from calib.identification.error_model import ErrorModel
+from calib.identification.identify import with_common_tools
+from calib.identification.machine import values_at
+from calib.identification.parameters import scales
+from calib.identification.start import start_frames
+from calib.identification.system import Problem, evaluate
+from calib.measurement.checks import Finding
+from calib.measurement.measurements import Measurements
+from calib.robot.robot import Reading
+
+# Ordinary joint offsets: their standard deviation, and how many of these at most. Allowing for them is what makes the
+# signatures sharp: besides 1 deg of offsets and 1 mm of placements, a UR10's flipped wrist_2 leaves 53 times what it
+# leaves mended, and only 5 times if they are not allowed for; besides 5 deg and 10 mm, 3.3 times and 1.3.
+_ORDINARY_ANGLE = float(np.radians(5.0))
+_ORDINARY_LENGTH = 0.01
+_MOST_ORDINARY = 2.0
+# The thresholds, as fractions of the reach and as factors, from simulated UR10 and Panda arms, 10 to 300 positions or
+# poses. Sound arms with 1 deg, 1 mm and 2 mrad of errors are missed by 0.1 to 0.9 %, and nothing is tried. With up to
+# 5 deg, and 10 mm and 10 mrad (standard deviations) in every placement, it is 0.6 to 4.9 %, and no mistake lowers that
+# by more than 1.07. A wrong robot (UR3, UR5, UR10 for each other) is missed by 10 to 56 %, which its size lowers by 2.2
+# to 29 and nothing else by more than 1.2. A mistake that was made lowers it by 13 at least besides 1 deg of errors.
+_GOOD = 0.01
+_CLEARLY = 3.0
+_LARGE = 0.07
+# Mended, all comes near but ordinary errors. A wrong given base misses by so much that nonsense can lower it threefold.
+_EXPLAINED = 0.1
+# An explanation that does not suffice is worth mentioning if it halves what is missed.
+_HELPFULLY = 2.0
+# Explanations that leave up to 1.5 times as much are mentioned; within a hundredth the first of the table is the best.
+_AS_WELL = 1.5
+_SAME = 1.01
+# Sizes of one family differ by more (UR3, UR5, UR10: 1.4 to 2.4); a unit is taken for one within this factor.
+_ANOTHER_SIZE, _FAMILY = 1.1, 4.0
+_LIKE_A_UNIT = 1.15
+# Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit), trials after the screening.
+_MOST_ROWS = 120
+_NUMBERS_PER_UNKNOWN = 2
+_EVALUATIONS = 4
+_PROMISING = 8
+_LISTED = 3
+
+_NEGLIGIBLE = 1e-10
+
+Mend = Callable[[Measurements], Measurements]
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """A mistake: its code, what it looks as if, and how rows that suffered it are mended.
+
+    Mending makes positions ``shrink`` times smaller. What it leaves then counts so many times: positions shrunk to a
+    point are explained by any robot that hardly moves.
+    """
+
+    code: str
+    looks_as_if: str
+    mend: Mend
+    shrink: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """What one mistake, mended in the sets of ``scope``, leaves of the miss, in m."""
+
+    mistake: Mistake
+    scope: tuple[int, ...]
+    miss: float
+
+    @property
+    def counted(self) -> float:
+        """The miss by which the mistake is judged."""
+        return self.miss * self.mistake.shrink
+
+
+def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return the typical mistake that explains why the nominal robot misses the measurements; usually nothing.
+
+    A mistake is sought in all sets together, then in every single one. An error names it, and what explains the rows as
+    well; a warning says that the robot misses them by far and no typical mistake explains it. Too few rows to judge
+    give nothing. Raises MeasurementError when the measurements are not of this robot.
+    """
+    with linear.one_thread():
+        return _signatures(model, [data for data in measurements if len(data)])
+
+
+def _signatures(model: ErrorModel, filled: Sequence[Measurements]) -> tuple[Finding, ...]:
+    if not filled:
+        return ()
+    sets = tuple(_spread_rows(data, filled) for data in with_common_tools(model, filled))
+    unknowns = len(_ordinary(model).parameters(sets[0].tools))
+    if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * unknowns:
+        return ()
+    missed, reach = _miss(model, sets), model.robot.reach
+    if missed < _GOOD * reach:
+        return ()
+    every = tuple(range(len(sets)))
+    found: list[_Trial] = []
+    for scope in (every, *((i,) for i in every if len(every) > 1)):
+        best, *others = _trials(model, sets, scope)
+        if missed > _CLEARLY * best.counted and best.miss < _EXPLAINED * reach:
+            return (_explained(model, sets, missed, best, others),)
+        found.append(best)
+    return (_unexplained(model, sets, missed, min(found, key=_counted)),) if missed > _LARGE * reach else ()
+
+
+def _spread_rows(data: Measurements, sets: Sequence[Measurements]) -> Measurements:
+    """Return at most a fair share of ``_MOST_ROWS`` rows, spread evenly."""
+    share = max(1, _MOST_ROWS * len(data) // sum(map(len, sets)))
+    return data if len(data) <= share else data.subset(np.linspace(0, len(data) - 1, share).astype(np.intp))
+
+
+# ---- how far the robot misses
+
+
+def _ordinary(model: ErrorModel) -> ErrorModel:
+    """Return the model in which nothing but base, tool and ordinary joint offsets is unknown."""
+    return replace(
+        model,
+        offsets=tuple(model.robot.chain[i].name for i in model.robot.moving),
+        placements=(),
+        prior_angle=_ORDINARY_ANGLE,
+        prior_length=_ORDINARY_LENGTH,
+    )
+
+
+def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _EVALUATIONS) -> float:
+    """Return the rms over the rows, in m, that base, tool and ordinary offsets leave; turns weigh times the reach.
+
+    Gauss-Newton from the best base and tool: priors hold the offsets back while much is unexplained, and limits always.
+    """
+    ordinary = _ordinary(model)
+    parameters = ordinary.parameters(sets[0].tools)
+    frames = start_frames(ordinary, sets)
+    problem = Problem(ordinary, parameters, frames, tuple(sets))
+    units = np.repeat([1.0, 1.0 / model.robot.reach], 3)
+    sigmas = [np.broadcast_to(units[: data.sigma.shape[1]], data.sigma.shape) for data in sets]
+    s = scales(parameters)
+    z = values_at(model.robot, parameters, frames) / s
+    of_robot = np.array([parameter.of_robot for parameter in parameters])
+    limit = np.where(of_robot, _MOST_ORDINARY, np.inf)
+    least = np.inf
+    for _ in range(evaluations):
+        data = np.concatenate(evaluate(problem, sigmas, z * s).triangles)
+        miss = float(np.linalg.norm(data[:, -1])) / float(np.sqrt(sum(map(len, sets))))
+        least = min(least, miss)
+        priors = np.column_stack([np.eye(len(z)), z])[of_robot]
+        rows = np.concatenate([data / max(miss, _NEGLIGIBLE), priors])
+        z = np.clip(z - np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_NEGLIGIBLE)[0], -limit, limit)
+    return least
+
+
+def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, float]:
+    """Return the matrix A (3, 3) for R_base^T that explains the rows best, and the rms in m that it leaves.
+
+    As in :mod:`calib.identification.alignment`, ``A x_n + s = t_n + R_n p`` and ``R_n^T A R_measured`` is the same for
+    all rows of a tool, with A any matrix: linear, and never worse than the best rotation.
+    """
+    tips = np.concatenate([model.robot.tips(data.readings) for data in sets])
+    R, t = tips[:, :3, :3], tips[:, :3, 3]
+    tool = np.concatenate([data.tool for data in sets])
+    unknown = np.full((len(tool), 3, 3), np.nan)
+    seen = [unknown[: len(data)] if data.orientation is None else data.orientation for data in sets]
+    orientation = np.concatenate(seen)
+    y = np.concatenate([data.position for data in sets])
+    y = y - y.mean(axis=0)
+    size = max(float(np.abs(y).max()), _NEGLIGIBLE)
+    X = np.einsum("ni,jk->njki", y / size, np.eye(3)).reshape(-1, 9)
+    points = [(-R * (tool == k)[:, None, None]).reshape(-1, 3) for k in range(len(sets[0].tools))]
+    rows = [np.column_stack([X, np.tile(np.eye(3), (len(y), 1)), *points, t.ravel()])]
+    turned = ~np.isnan(orientation[:, 0, 0])
+    for own in (turned & (tool == k) for k in np.unique(tool[turned])):
+        # vec(R^T A R_measured) = K vec(A); the mean stands for the tool.
+        K = np.einsum("nki,nml->nilkm", R[own], orientation[own]).reshape(-1, 9, 9)
+        K = linear.triangle((K - K.mean(axis=0)).reshape(-1, 9))
+        # |R - R'|^2 is twice the angle squared.
+        rows.append(np.pad(K * model.robot.reach / np.sqrt(2.0) / size, ((0, 0), (0, rows[0].shape[1] - 9))))
+    triangle = linear.triangle(np.concatenate(rows))
+    L, c = triangle[:, :-1], triangle[:, -1]
+    solution = np.asarray(np.linalg.lstsq(L, c, rcond=_NEGLIGIBLE)[0], dtype=np.float64)
+    return solution[:9].reshape(3, 3) / size, float(np.linalg.norm(c - L @ solution)) / float(np.sqrt(len(y)))
+
+
+# ---- trials
+
+
+def _counted(trial: _Trial) -> float:
+    return trial.counted
+
+
+def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...]) -> list[_Trial]:
+    """Return trials of the promising mistakes, the best first."""
+
+    def mended(mistake: Mistake) -> list[Measurements]:
+        return [mistake.mend(data) if i in scope else data for i, data in enumerate(sets)]
+
+    chosen = [sets[i] for i in scope]
+    table = (*_of_readings(model.robot.readings), *_of_frames(model, chosen))
+    # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
+    screen = _relaxed_miss if model.base == "pose" else _first_miss
+    screened = [screen(model, mended(mistake)) for mistake in table]
+    promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
+    mistakes = (*promising, *_unseen_by_screening(model, chosen))
+    trials = [_Trial(mistake, scope, _miss(model, mended(mistake))) for mistake in mistakes]
+    least = min(map(_counted, trials))
+    # The same to rounding: the order of the table, the most typical first, decides.
+    return sorted(trials, key=lambda trial: max(trial.counted, _SAME * least))
+
+
+def _relaxed_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:
+    A, left = _relaxed(model, sets)
+    # Rotations have the norm sqrt(3); A fades away where robot and measurements have nothing in common.
+    return left * float(np.sqrt(3.0)) / max(float(np.linalg.norm(A)), _NEGLIGIBLE)
+
+
+def _first_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:
+    return _miss(model, sets, evaluations=1)
+
+
+# ---- sentences
+
+
+def _explained(
+    model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial, others: Sequence[_Trial]
+) -> Finding:
+    as_well = [trial.mistake.looks_as_if for trial in others if trial.counted <= _AS_WELL * best.counted]
+    more = f", or {len(as_well) - _LISTED} more" if len(as_well) > _LISTED else ""
+    also = f"; as well it could be that {', or that '.join(as_well[:_LISTED])}{more}" if as_well else ""
+    return Finding(
+        "error",
+        best.mistake.code,
+        f"{_where(sets, best.scope)}: it looks as if {best.mistake.looks_as_if}: {_misses(model, sets, missed)}, "
+        f"and by {_mm(best.miss)} with this mended{also}.",
+    )
+
+
+def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial) -> Finding:
+    fixed = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom == "fixed"]
+    nearest = f" (the nearest, that {best.mistake.looks_as_if}, leaves {_mm(best.miss)})"
+    questions = (
+        "is this the URDF of the robot that was measured",
+        *(f"is the given {name} right" for name in fixed),
+        f"is a zero off by more than {np.degrees(_MOST_ORDINARY * _ORDINARY_ANGLE):.0f} deg",
+        "do readings and measurements of a row belong together",
+        "or are there two mistakes?",
+    )
+    return Finding(
+        "warning",
+        "unexplained",
+        f"{_where(sets, range(len(sets)))}: {_misses(model, sets, missed)}, and no typical mistake explains it"
+        f"{nearest if missed > _HELPFULLY * best.counted else ''}: {', '.join(questions)}",
+    )
+
+
+def _misses(model: ErrorModel, sets: Sequence[Measurements], missed: float) -> str:
+    turns = any(data.orientation is not None for data in sets)
+    weighed = f" (1 rad counted as {model.robot.reach:.3g} m)" if turns else ""
+    return f"the nominal robot misses the measurements by {_mm(missed)} rms{weighed}"
+
+
+def _where(sets: Sequence[Measurements], scope: Sequence[int]) -> str:
+    return ", ".join(dict.fromkeys(sets[i].where for i in scope))
+
+
+def _mm(metres: float) -> str:
+    millimetres = 1e3 * metres
+    return f"{millimetres:.0f} mm" if millimetres >= 100.0 else f"{millimetres:.2g} mm"
+
+
+# ---- the table of mistakes, the most typical first
+
+
+def _of_readings(readings: Sequence[Reading]) -> Iterator[Mistake]:
+    ones = np.eye(len(readings))
+    for reading, one in zip(readings, ones, strict=True):
+        yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", _read(1.0 - 2.0 * one))
+    for i, j in combinations(range(len(readings)), 2):
+        if readings[i].dimension == readings[j].dimension:
+            a, b = readings[i].name, readings[j].name
+            swap = ones.copy()
+            swap[[i, j]] = swap[[j, i]]
+            yield Mistake("swapped-joints", f"the columns {a!r} and {b!r} are swapped", _read(swap=swap))
+    for reading, one in zip(readings, ones, strict=True):
+        for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
+            says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
+            yield Mistake("shifted-zero", says, _read(offset=np.radians(float(degrees)) * one))
+    for dimension, factor, says in _READING_UNITS:
+        its = np.array([reading.dimension == dimension for reading in readings])
+        if its.any():
+            yield Mistake("reading-unit", says, _read(np.where(its, factor, 1.0)))
+
+
+def _of_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+    """Yield what a free base cannot absorb: columns where something else tells the axes, and orientations."""
+    turned = any(data.orientation is not None for data in sets)
+    yield from _COLUMNS if turned or model.base == "fixed" else ()
+    yield from _ORIENTATIONS if turned else ()
+
+
+def _unseen_by_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+    """Yield the mistakes to which a linear fit is blind: it takes a robot of any size and, from positions, mirrored."""
+    positions = [replace(data, orientation=None) for data in sets]  # orientations have no size, and pull A to nothing
+    determinant = abs(float(np.linalg.det(_relaxed(model, positions)[0])))
+    size = max(determinant, _NEGLIGIBLE**4) ** (-1.0 / 3.0)
+    for factor, says in _POSITION_UNITS:
+        if max(size / factor, factor / size) < _LIKE_A_UNIT:
+            yield Mistake("position-unit", says, _placed(np.eye(3) / factor), max(factor, 1.0))
+            break
+    else:
+        if _ANOTHER_SIZE < max(size, 1.0 / size) < _FAMILY:
+            says = f"the machine is {size:.3g} times the size of the URDF, another one of its family"
+            yield Mistake("another-size", says, _placed(np.eye(3) / size), max(size, 1.0))
+    if model.base == "pose" and all(data.orientation is None for data in sets):
+        says = "x, y, z are left-handed: two of the columns are swapped, or one has the wrong sign"
+        yield Mistake("position-columns", says, _placed(-np.eye(3)))
+
+
+def _read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array | None = None) -> Mend:
+    def mend(data: Measurements) -> Measurements:
+        readings = data.readings if swap is None else data.readings @ swap
+        return replace(data, readings=read_only(readings * factor + offset))
+
+    return mend
+
+
+def _placed(matrix: npt.ArrayLike) -> Mend:
+    M = read_only(matrix)
+    return lambda data: replace(data, position=read_only(data.position @ M.T))
+
+
+def _turned(change: Callable[[Array], Array]) -> Mend:
+    def mend(data: Measurements) -> Measurements:
+        R = data.orientation
+        return data if R is None else replace(data, orientation=read_only(change(R)))
+
+    return mend
+
+
+def _inverted(data: Measurements) -> Measurements:
+    if data.orientation is None:
+        return data
+    T = rigid.inverse(rigid.placement(data.orientation, data.position))
+    return replace(data, position=read_only(T[:, :3, 3]), orientation=read_only(T[:, :3, :3]))
+
+
+def _reordered(order: Sequence[int]) -> Mend:
+    """Read the quaternion's numbers in another order; its sign, which a rotation forgets, is the same for all four."""
+    return _turned(lambda R: rigid.rotation_of_quaternion(rigid.quaternion_of(R)[:, list(order)]))
+
+
+_READING_UNITS: tuple[tuple[str, float, str], ...] = (
+    ("angle", np.pi / 180.0, "degrees stand under [rad] in all angles"),
+    ("angle", 180.0 / np.pi, "radians stand under [deg] in all angles"),
+    ("length", 1e-3, "millimetres stand under [m] in all joints that slide"),
+    ("length", 1e3, "metres stand under [mm] in all joints that slide"),
+)
+
+# How many times too large the positions are.
+_POSITION_UNITS = (
+    (1e3, "millimetres stand under [m] in x, y, z"),
+    (1e-3, "metres stand under [mm] in x, y, z"),
+    (25.4, "millimetres stand under [inch] in x, y, z"),
+    (1.0 / 25.4, "inches stand under [mm] in x, y, z"),
+    (1.0 / 25.4e-3, "inches stand under [m] in x, y, z"),
+    (25.4e-3, "metres stand under [inch] in x, y, z"),
+)
+
+_COLUMNS = tuple(
+    Mistake("position-columns", says, _placed(np.diag(signs)[list(order)]))
+    for says, order, signs in (
+        ("the columns x and y are swapped", (1, 0, 2), (1, 1, 1)),
+        ("the columns y and z are swapped", (0, 2, 1), (1, 1, 1)),
+        ("the columns x and z are swapped", (2, 1, 0), (1, 1, 1)),
+        ("x has the wrong sign", (0, 1, 2), (-1, 1, 1)),
+        ("y has the wrong sign", (0, 1, 2), (1, -1, 1)),
+        ("z has the wrong sign", (0, 1, 2), (1, 1, -1)),
+        ("x, y, z hold y, z, x", (2, 0, 1), (1, 1, 1)),
+        ("x, y, z hold z, x, y", (1, 2, 0), (1, 1, 1)),
+    )
+)
+
+_ORIENTATIONS = (
+    Mistake("quaternion-order", "qw, qx, qy, qz hold x, y, z, w", _reordered((3, 0, 1, 2))),
+    Mistake("quaternion-order", "qw, qx, qy, qz hold z, w, x, y", _reordered((1, 2, 3, 0))),
+    Mistake("inverse-rotation", "the rotations are inverse (quaternions conjugated)", _turned(lambda R: R.mT)),
+    Mistake("inverse-pose", "the poses are inverse (of the instrument in the tool)", _inverted),
+    Mistake(
+        "euler-order",
+        "the orientations were made as Rz Ry Rx (extrinsic x, y, z) of angles that mean Rx Ry Rz (intrinsic)",
+        _turned(lambda R: rigid.rx_ry_rz(rigid.rpy_of(R))),
+    ),
+    Mistake(
+        "euler-order",
+        "the orientations were made as Rx Ry Rz (intrinsic x, y, z) of angles that mean Rz Ry Rx (extrinsic)",
+        # Rx Ry Rz of angles is the inverse of Rz Ry Rx of their negatives.
+        _turned(lambda R: rigid.rotation_of_rpy(-rigid.rpy_of(R.mT))),
+    ),
+)

@@ -1,0 +1,86 @@
+"""A DH table and its two conventions.
+
+With q_i the position of joint i, zero for a fixed row, and theta_i + q_i or d_i + q_i as the joint turns or slides:
+
+    standard   T = base . prod_i [ Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i) ] . tool
+    modified   T = base . prod_i [ Rx(alpha_i) Tx(a_i) Ry(beta_i) Rz(theta_i) Tz(d_i) ] . tool
+
+so that row i of a modified table holds what Craig calls alpha_{i-1} and a_{i-1}. Both are one alternation of *along*
+steps Rz Tz, which commute with the joint, and *across* steps Tx Rx Ry from one axis to the next; they differ in the row
+that a step across is written in, and in nothing else.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import RobotError
+
+Convention = Literal["standard", "modified"]
+RowType = Literal["revolute", "prismatic", "fixed"]
+NUMBERS = ("a", "d", "alpha", "theta", "beta")
+
+_X, _Y, _Z = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class DhRow:
+    """One row: ``a`` and ``d`` in m, ``alpha``, ``theta`` and Hayati's ``beta`` in rad, at joint position zero."""
+
+    joint: str
+    type: RowType
+    a: float
+    d: float
+    alpha: float
+    theta: float
+    beta: float = 0.0
+
+    @property
+    def along(self) -> Array:
+        """The step (4, 4) along the row's own axis, Rz(theta) Tz(d)."""
+        return rigid.placement(rigid.rotation_about(_Z, self.theta), self.d * _Z)
+
+    @property
+    def across(self) -> Array:
+        """The step (4, 4) between two axes, Tx(a) Rx(alpha) Ry(beta)."""
+        turn = rigid.rotation_about(_X, self.alpha) @ rigid.rotation_about(_Y, self.beta)
+        return rigid.placement(turn, self.a * _X)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DhTable:
+    """Rows from base to tip. ``base`` (4, 4): frame 0 in the base link; ``tool`` (4, 4): the tip in the last frame.
+
+    Raises RobotError when a joint has two rows, no row moves, a number is not finite or a frame is no rigid placement.
+    """
+
+    convention: Convention
+    rows: tuple[DhRow, ...]
+    base: Array = field(default_factory=lambda: read_only(np.eye(4)))
+    tool: Array = field(default_factory=lambda: read_only(np.eye(4)))
+
+    def __post_init__(self) -> None:
+        check_convention(self.convention)
+        names = [row.joint for row in self.rows]
+        for row in self.rows:
+            if names.count(row.joint) > 1:
+                raise RobotError(f"DH table: joint {row.joint!r} has more than one row.")
+            if row.type not in get_args(RowType):
+                raise RobotError(f"DH table: joint {row.joint!r} is {row.type!r}, not {', '.join(get_args(RowType))}.")
+            if not np.isfinite([getattr(row, number) for number in NUMBERS]).all():
+                raise RobotError(f"DH table: joint {row.joint!r} has a number that is not finite.")
+        if all(row.type == "fixed" for row in self.rows):
+            raise RobotError("DH table: no joint moves; a table needs a revolute or a prismatic row.")
+        for name, T in (("base", self.base), ("tool", self.tool)):
+            R = T[:3, :3] if T.shape == (4, 4) and np.isfinite(T).all() else np.zeros((3, 3))
+            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-9) and np.linalg.det(R) > 0.0):
+                raise RobotError(f"DH table: the {name} is not a rigid placement (4, 4).")
+
+
+def check_convention(convention: str) -> None:
+    """Raise RobotError unless ``convention`` is one of the two."""
+    if convention not in get_args(Convention):
+        raise RobotError(f"DH convention: {convention!r} is not one of {', '.join(get_args(Convention))}.")

@@ -1,0 +1,237 @@
+"""Acceptance figures: on points whose figures a hand can compute, on tables, and on the arm in robots/arm_cmm."""
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.assessment.performance import (
+    Figure,
+    Touches,
+    articulated_location,
+    before_and_after,
+    performance,
+    probe_point,
+    probing,
+    read_touches,
+    single_point_articulation,
+    touches,
+    volumetric_lengths,
+)
+from calib.foundations.errors import MeasurementError
+from calib.job.results import write_results
+from calib.job.run import load, run
+from calib.measurement.table import table_from_arrays
+from calib.presentation.performance_tables import performance_table
+from calib.presentation.tables import plain
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[2]
+CASE = ROOT / "robots" / "arm_cmm"
+SCRIPT = ROOT / "scripts" / "arm_cmm_performance.py"
+TESTS = ("cone.csv", "lengths.csv", "sphere.csv", "articulations.csv")
+
+AXES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+# ---- from points
+
+
+def test_single_point_articulation_by_hand() -> None:
+    # Six points 3 mm either way along the axes: all 3 mm off the mean, and 2 sqrt(6 * 9 / 5) mm.
+    found = single_point_articulation([0.4, 0.2, 0.1] + 3e-3 * AXES, "near")
+    assert found.largest == pytest.approx(3e-3, abs=1e-15)
+    assert found.two_s == pytest.approx(2e-3 * np.sqrt(54 / 5), abs=1e-15)
+    assert (found.place, found.n) == ("near", 6)
+    with pytest.raises(MeasurementError, match="two touches"):
+        single_point_articulation(np.zeros((1, 3)))
+
+
+def test_volumetric_lengths_by_hand() -> None:
+    found = volumetric_lengths(np.array([0.300, 0.301, 0.598, 0.602]), np.array([0.3, 0.3, 0.6, 0.6]))
+    assert found.largest in (pytest.approx(-2e-3), pytest.approx(2e-3))
+    assert found.range == pytest.approx(4e-3)
+    assert found.two_s == pytest.approx(2e-3 * np.sqrt((0 + 1 + 4 + 4) / 4))
+    # An error of scale shows: all lengths 1 mm too short have no range, and a 2s.
+    short = volumetric_lengths(np.full(5, 0.299), np.full(5, 0.3))
+    assert (short.largest, short.range, short.two_s) == (pytest.approx(-1e-3), pytest.approx(0.0), pytest.approx(2e-3))
+
+
+def test_probing_by_hand() -> None:
+    # Ball centres on a sphere of 15.05 mm radius, whose poles stand 20 um out and whose equator 10 um in, so that the
+    # least-squares radius stays: the fit is symmetric, and the mean of 2 * 20 - 4 * 10 is nothing.
+    radii = 15.05e-3 + np.array([-10e-6, -10e-6, 20e-6] * 2)
+    found = probing([0.1, 0.2, 0.3] + radii[:, None] * AXES, diameter=24e-3, ball=6e-3, place="far")
+    assert found.size == pytest.approx(0.1e-3, abs=1e-12)
+    assert found.form == pytest.approx(30e-6, abs=1e-12)
+    assert [figure.name for figure in found.figures] == ["PSize.Sph.1x6", "PForm.Sph.1x6"]
+
+
+def test_articulated_location_by_hand() -> None:
+    # Centres on a circle of 40 um radius, one inside it; spheres of different size have centres all the same.
+    centres = 40e-6 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, 0, 1], [0.1, 0.2, 0.3]])
+    sizes = 15e-3 + 1e-6 * np.arange(5)
+    found = articulated_location([c + r * AXES[:5] for c, r in zip(centres, sizes, strict=True)])
+    assert found.diameter == pytest.approx(80e-6, abs=1e-12)
+    assert found.figures == (Figure("articulated location", "sphere", 5, "LDia.5x5", found.diameter),)
+
+
+def test_where_the_arm_stands_and_in_which_order_it_touched_do_not_matter() -> None:
+    rng = np.random.default_rng(1)
+    points = [15e-3 * AXES + 1e-5 * rng.standard_normal((6, 3)) for _ in range(5)]
+    moved = [p @ Rotation.random(random_state=2).as_matrix().T + [3.0, -2.0, 1.0] for p in points]
+    for a, b in ((points, moved), (points, [rng.permutation(p) for p in points[::-1]])):
+        assert articulated_location(a).diameter == pytest.approx(articulated_location(b).diameter, abs=1e-12)
+        for evaluate in (lambda p: single_point_articulation(p).two_s, lambda p: probing(p, 24e-3, 6e-3).form):
+            assert sorted(map(evaluate, a)) == pytest.approx(sorted(map(evaluate, b)), abs=1e-12)
+
+
+def test_probe_point_is_found_from_cones_at_unknown_places() -> None:
+    rng = np.random.default_rng(4)
+    point, cones = np.array([4e-3, -2e-3, 0.15]), rng.uniform(-0.5, 0.5, (3, 3))
+    names = [name for name in "abc" for _ in range(4)]
+    tips = np.tile(np.eye(4), (12, 1, 1))
+    tips[:, :3, :3] = Rotation.random(12, random_state=4).as_matrix()
+    tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
+    assert np.abs(probe_point(tips, names, np.zeros(3)) - point).max() < 1e-14
+    # Turned about one axis only, what lies along it cannot be seen and stays as guessed.
+    tips[:, :3, :3] = Rotation.from_euler("z", np.arange(12.0)[:, None]).as_matrix()
+    tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
+    assert np.abs(probe_point(tips, names, np.full(3, 0.1)) - [4e-3, -2e-3, 0.1]).max() < 1e-14
+
+
+# ---- from tables
+
+
+@pytest.fixture(scope="module")
+def robot() -> calib.Robot:
+    return calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+
+
+JOINTS = {f"joint_{i} [deg]": [10.0, 20.0, 30.0, 40.0] for i in range(1, 7)}
+CONE: dict[str, Any] = {"target": ["a", "a", "b", "b"]}
+LENGTH: dict[str, Any] = {"target": list("abab"), "pair": [1, 1, 2, 2], "length [mm]": [300.0, 300.0, 600.0, 600.0]}
+SPHERE: dict[str, Any] = {"target": ["a"] * 4, "diameter [mm]": [25.0] * 4, "ball [mm]": [6.0] * 4}
+
+
+def made(robot: calib.Robot, columns: Mapping[str, Any]) -> Touches:
+    return touches(table_from_arrays(JOINTS | columns), robot.readings)
+
+
+def test_a_table_says_which_test_it_is(robot: calib.Robot) -> None:
+    assert made(robot, CONE).kind == "cone"
+    assert made(robot, LENGTH).kind == "length"
+    assert made(robot, SPHERE).kind == "sphere"
+    assert made(robot, SPHERE | {"group": [1, 1, 2, 2]}).kind == "articulations"
+    found = made(robot, LENGTH | {"time [s]": [0.0] * 4})
+    assert found.sizes["length"].tolist() == [0.3, 0.3, 0.6, 0.6]
+    assert found.words["pair"] == ("1", "1", "2", "2")
+    assert found.readings[3] == pytest.approx(np.radians(40.0) * np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({}, "no column 'target' of a cone test"),
+        ({"targt [mm]": [0.0] * 4, **CONE}, "'targt' is not one of a cone test"),
+        ({"target": ["a"] * 4, "length [mm]": [300.0] * 4}, "no column 'pair' of a length test"),
+        ({"target": ["a"] * 4, "diameter [mm]": [25.0] * 4}, "no column 'ball' of a sphere test"),
+        (LENGTH | {"length [mm]": [300.0, 300.0, 600.0, -600.0]}, "arrays:3: column 'length' is not positive"),
+        ({**CONE, "length [deg]": [1.0] * 4, "pair": [1] * 4}, "'deg' is not a unit of length"),
+    ],
+    ids=["no target", "misspelt", "no pair", "no ball", "negative", "unit"],
+)
+def test_tables_that_are_no_test(robot: calib.Robot, columns: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(MeasurementError, match=sentence):
+        made(robot, columns)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (LENGTH | {"pair": [1, 1, 1, 1]}, "column 'length' is 300 mm in line 0 and 600 mm in line 2"),
+        (LENGTH | {"target": ["a"] * 4}, "pair '1' has the ends 'a'; a length has two"),
+        (CONE | {"target": list("aaab")}, "cone 'b': it takes two touches"),
+        (SPHERE | {"target": list("aaab")}, "sphere 'a': a sphere needs four points"),
+        (SPHERE | {"ball [mm]": [6.0, 6.0, 6.0, 7.0]}, "column 'ball' is 6 mm in line 0 and 7 mm in line 3"),
+    ],
+    ids=["two lengths in a pair", "one end", "one touch", "three points", "two balls"],
+)
+def test_tests_that_cannot_be_evaluated(robot: calib.Robot, columns: dict[str, Any], sentence: str) -> None:
+    def tips(readings: Array) -> Array:
+        frames = np.tile(np.eye(4), (len(readings), 1, 1))
+        frames[:, :3, 3] = np.vstack([np.zeros(3), np.eye(3)])
+        return frames
+
+    with pytest.raises(MeasurementError, match=f"arrays: {sentence}"):
+        performance(tips, [made(robot, columns)], None, np.zeros(3))
+
+
+def test_the_probe_is_found_from_cones_only(robot: calib.Robot) -> None:
+    with pytest.raises(MeasurementError, match="the probe is found from touches of a cone"):
+        performance(robot.tips, [made(robot, CONE)], made(robot, LENGTH), np.zeros(3))
+
+
+def test_without_a_cone_the_tool_of_the_model_serves(robot: calib.Robot) -> None:
+    point = np.array([0.01, 0.02, 0.03])
+    assert performance(robot.tips, [made(robot, LENGTH)], None, point).probe.tolist() == point.tolist()
+
+
+# ---- the arm in robots/arm_cmm
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> calib.CalibratedModel:
+    out = tmp_path_factory.mktemp("arm") / "out"
+    write_results(run(load(CASE / "calibration_realistic.toml")), out)
+    return calib.load_model(out)
+
+
+def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: calib.CalibratedModel) -> None:
+    tests = [read_touches(CASE / name, model.robot) for name in TESTS]
+    before, after = before_and_after(model, tests, read_touches(CASE / "probe.csv", model.robot))
+    assert [(f.test, f.place, f.n, f.name) for f in before.figures] == [
+        (f.test, f.place, f.n, f.name) for f in after.figures
+    ]
+    for b, a in zip(before.figures, after.figures, strict=True):
+        assert abs(b.value) > 4e-3
+        assert abs(a.value) < 0.15e-3
+    text = plain(performance_table(before, after))
+    assert max(map(len, text.splitlines())) <= 80
+    assert "LDia.5x5" in text
+    assert "no certificate" in text
+
+
+def test_the_order_of_files_only_orders_the_figures(model: calib.CalibratedModel) -> None:
+    tests = [read_touches(CASE / name, model.robot) for name in TESTS]
+    _, after = before_and_after(model, tests)
+    _, again = before_and_after(model, tests[::-1])
+    assert set(after.figures) == set(again.figures)
+
+
+def test_the_page_shows_what_the_script_prints() -> None:
+    printed = subprocess.run([sys.executable, str(SCRIPT), "--markdown"], check=True, capture_output=True, text=True)
+    page = (ROOT / "docs" / "arm_cmm_performance.md").read_text(encoding="utf-8")
+    start, _, rest = page.partition("<!-- scripts/arm_cmm_performance.py --markdown -->\n")
+    shown = rest.partition("<!-- end -->")[0]
+    assert start
+    assert rows(shown) == rows(printed.stdout)
+    for a, b in zip(numbers(shown), numbers(printed.stdout), strict=True):
+        # The last digit may go with the machine that computes.
+        assert a == pytest.approx(b, abs=1.5e-4)
+
+
+def rows(table: str) -> list[list[str]]:
+    return [line.split(" | ")[:4] for line in table.splitlines()]
+
+
+def numbers(table: str) -> list[float]:
+    return [float(cell.strip(" |")) for line in table.splitlines()[2:] for cell in line.split(" | ")[4:]]

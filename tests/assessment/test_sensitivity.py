@@ -1,0 +1,200 @@
+"""The error model's coefficients against finite differences, and what is made of them."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.sensitivity import (
+    coefficients,
+    exact_error,
+    group_of,
+    group_study,
+    predicted_error,
+    sensitivity,
+)
+from calib.foundations.errors import JobError, MeasurementError
+from calib.presentation.plots import sensitivity_figure
+from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
+from calib.presentation.tables import plain
+from tests.identification import machines
+
+Array = machines.Array
+
+POINT = (0.05, 0.02, 0.15)
+ARMS = {"ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0")} | {
+    name: (text, "tip") for name, text in machines.INLINE.items()
+}
+
+
+def case(name: str = "ur10", rows: int = 10, **options: object) -> tuple[calib.ErrorModel, Array, machines.Arm]:
+    """A model with known base and tool, poses, and the same arm by independent code."""
+    arm, rng = machines.arm(*ARMS[name]), np.random.default_rng(3)
+    given = {"offsets": "all", "placements": "all", "base": "fixed", "tool": "fixed", "tool_poses": {"tool": POINT}}
+    return calib.error_model(machines.load(*ARMS[name]), **given | options), arm.draw(rng, rows), arm
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_coefficients_are_the_derivatives_of_the_exact_error(name: str) -> None:
+    model, q, _ = case(name, placements=["*"], base="pose", tool="position")
+    names, matrix = coefficients(model, q)
+    assert matrix.shape == (len(q), 3, len(names))
+    h = 1e-5
+    for k, parameter in enumerate(names):
+        numeric = (exact_error(model, q, {parameter: h}) - exact_error(model, q, {parameter: -h})) / (2 * h)
+        assert np.max(np.abs(matrix[:, :, k] - numeric)) < 1e-8, parameter
+
+
+def test_exact_error_is_that_of_an_arm_walked_by_other_code() -> None:
+    model, q, arm = case("negative", offsets="all", placements="none")
+    zeros = dict(zip(arm.ranges, (0.1, -0.2, 0.3, 0.2, -0.1, 0.4), strict=True))
+    wrong = arm.with_errors(np.zeros((len(arm.joints), 6)), zeros)
+    expected = ((wrong.tips(q) - arm.tips(q)) @ machines.pose(POINT))[:, :3, 3]
+    errors = {f"{joint}.offset": zero for joint, zero in zeros.items()}
+    assert np.max(np.abs(exact_error(model, q, errors) - expected)) < 1e-13
+
+
+def test_linear_error_misses_the_exact_one_by_the_square_of_the_errors() -> None:
+    model, q, _ = case()
+    rng = np.random.default_rng(0)
+    errors = {name: float(value) for name in coefficients(model, q).names for value in [rng.normal(scale=1e-3)]}
+
+    def miss(scale: float) -> float:
+        scaled = {name: scale * value for name, value in errors.items()}
+        return float(np.max(np.abs(predicted_error(model, q, scaled) - exact_error(model, q, scaled))))
+
+    assert miss(1.0) / miss(0.1) == pytest.approx(100.0, rel=0.05)
+
+
+def test_predicted_error_is_the_matrix_times_the_errors_and_unnamed_ones_are_zero() -> None:
+    model, q, _ = case()
+    names, matrix = coefficients(model, q)
+    errors = {names[3]: 2e-3, names[7]: -1e-3}
+    expected = 2e-3 * matrix[:, :, 3] - 1e-3 * matrix[:, :, 7]
+    assert np.max(np.abs(predicted_error(model, q, errors) - expected)) < 1e-16
+    assert not predicted_error(model, q, {}).any()
+    assert not exact_error(model, q, {}).any()
+
+
+def test_the_base_turns_errors_and_does_not_change_their_length() -> None:
+    base = machines.anywhere(np.random.default_rng(8))
+    model, q, _ = case()
+    moved, _, _ = case(base_pose=base)
+    errors = {"shoulder_lift_joint.offset": 0.2, "elbow_joint.tx": 1e-3}
+    for of in (predicted_error, exact_error):
+        assert np.max(np.abs(of(moved, q, errors) - of(model, q, errors) @ base[:3, :3].T)) < 1e-14
+
+
+def test_sensitivity_is_the_length_of_the_columns() -> None:
+    model, q, _ = case()
+    found = sensitivity(model, q)
+    lengths = np.linalg.norm(coefficients(model, q).matrix, axis=1)
+    assert np.allclose(found.rms, np.sqrt(np.mean(lengths**2, axis=0)), rtol=1e-14)
+    assert np.allclose(found.largest, lengths.max(axis=0), rtol=1e-14)
+    translations = [p.name.endswith((".tx", ".ty", ".tz")) for p in found.parameters]
+    assert np.allclose(found.rms[translations], 1.0, rtol=1e-13)
+    assert found.poses == len(q)
+    assert [record["name"] for record in found.records()] == [p.name for p in found.parameters]
+    assert np.all(np.diff(found.rms[found.order]) <= 1e-9)
+
+
+def test_sensitivity_says_what_positions_cannot_tell_apart() -> None:
+    # On the last axis an offset moves nothing; the point's place and the last placement are one.
+    model, q, _ = case(placements=["wrist_3_joint.tx"], tool="position", tool_poses={"tool": (0.0, 0.0, 0.1)})
+    found = sensitivity(model, q)
+    assert found.rank == len(found.parameters) - len(found.blind_directions)
+    assert "wrist_3_joint.offset" in {direction.parameter for direction in found.blind_directions}
+    seen, q, _ = case(placements="none")
+    assert sensitivity(seen, q).rank == 6
+    assert sensitivity(seen, q).blind_directions == ()
+
+
+def test_group_is_the_last_part_of_a_name() -> None:
+    assert [group_of(name) for name in ("joint_3.alpha", "a.b.offset", "tool.probe.x")] == ["alpha", "offset", "x"]
+
+
+def test_group_study_scales_one_group_at_a_time() -> None:
+    model, q, _ = case()
+    errors = {"shoulder_lift_joint.offset": 1e-3, "elbow_joint.offset": 2e-3, "elbow_joint.tx": 1e-4}
+    study = group_study(model, q, errors, factors=(10.0, 0.0, 1.0))
+    assert study.groups == ("offset", "tx")
+    assert study.scaled.shape == (2, 3, len(q))
+    assert np.allclose(study.errors, np.linalg.norm(exact_error(model, q, errors), axis=1), rtol=1e-14)
+    ten = errors | {"elbow_joint.tx": 1e-3}
+    assert np.allclose(study.scaled[1, 0], np.linalg.norm(exact_error(model, q, ten), axis=1), rtol=1e-14)
+    none = {"elbow_joint.tx": 1e-4}
+    assert np.allclose(study.scaled[0, 1], np.linalg.norm(exact_error(model, q, none), axis=1), rtol=1e-12)
+    assert not study.changes[:, 2].any()
+    assert study.records()[0] == {
+        "group": "offset",
+        "factor": 10.0,
+        "smallest": float(study.changes[0, 0].min()),
+        "mean": float(study.changes[0, 0].mean()),
+        "largest": float(study.changes[0, 0].max()),
+    }
+
+
+def test_refuses_names_values_factors_and_readings() -> None:
+    model, q, _ = case()
+    with pytest.raises(JobError, match=r"'elbow_joint.ofset' is not a free parameter .* 'elbow_joint.offset'"):
+        predicted_error(model, q, {"elbow_joint.ofset": 1e-3})
+    with pytest.raises(JobError, match=r"elbow_joint\.tx: nan is not a finite error"):
+        exact_error(model, q, {"elbow_joint.tx": float("nan")})
+    with pytest.raises(JobError, match="factors"):
+        group_study(model, q, {"elbow_joint.tx": 1e-3}, factors=())
+    for wrong in (q[:, :5], q[0], q[:0], np.full_like(q, np.nan)):
+        with pytest.raises(MeasurementError, match=r"needed are finite numbers \(N, 6\)"):
+            sensitivity(model, wrong)
+    nothing, _, _ = case(offsets="none", placements="none")
+    with pytest.raises(JobError, match="no parameter is free"):
+        coefficients(nothing, q)
+
+
+def test_results_are_read_only() -> None:
+    model, q, _ = case()
+    errors = {"elbow_joint.tx": 1e-3}
+    found, study = sensitivity(model, q), group_study(model, q, errors)
+    arrays = (found.rms, found.largest, study.errors, study.scaled, coefficients(model, q).matrix)
+    assert not any(
+        a.flags.writeable for a in (*arrays, predicted_error(model, q, errors), exact_error(model, q, errors))
+    )
+
+
+# ---- shown to people
+
+
+def test_tables_are_narrow_and_in_order() -> None:
+    model, q, _ = case()
+    found = sensitivity(model, q)
+    text = plain(sensitivity_table(found))
+    assert max(map(len, text.splitlines())) <= 80
+    rows = [line.split()[0] for line in text.splitlines() if "mm/m" in line]
+    assert rows == [found.parameters[k].name for k in found.order]
+    said = "".join(map(plain, sensitivity_verdict(found)))
+    assert f"tell {found.rank} combinations of the {len(found.parameters)} parameters apart" in said.replace("\n", " ")
+    shown = plain(group_table(group_study(model, q, {"elbow_joint.tx": 1e-3, "elbow_joint.offset": 1e-3})))
+    assert max(map(len, shown.splitlines())) <= 80
+    assert [line.split()[:2] for line in shown.splitlines() if line.endswith("mm")] == [
+        ["tx", "10"],
+        ["tx", "0.1"],
+        ["offset", "10"],
+        ["offset", "0.1"],
+    ]
+
+
+def test_figure_has_a_bar_for_every_parameter_the_strongest_on_top(tmp_path: object) -> None:
+    model, q, _ = case()
+    found = sensitivity(model, q)
+    figure = sensitivity_figure(found)
+    (axes,) = figure.axes
+    assert [bar.get_width() for bar in axes.patches] == found.rms[found.order[::-1]].tolist()
+    assert [label.get_text() for label in axes.get_yticklabels()][-1] == found.parameters[found.order[0]].name
+    figure.savefig(f"{tmp_path}/sensitivity.svg")
+    figure.savefig(f"{tmp_path}/sensitivity.png")
+
+
+def test_library_loads_no_matplotlib_for_tables() -> None:
+    import subprocess
+    import sys
+
+    code = "import sys, calib.presentation.plots; sys.exit(any(m.startswith('matplotlib') for m in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,374 @@
+"""Mistakes made on independently simulated machines are named; sound machines, badly made ones too, are left alone."""
+
+import importlib.util
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.foundations.errors import MeasurementError
+from calib.identification import sanity
+from calib.identification.sanity import signatures
+from calib.measurement.checks import Finding
+from tests.identification import machines
+from tests.identification.machines import Array, Machine, anywhere, pose
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
+PANDA = ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp")
+ARMS = {"ur10": UR10, "panda": PANDA} | {name: (machines.INLINE[name], "tip") for name in ("scara", "gantry", "skew")}
+LINKS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+JOINTS = {
+    "ur10": tuple(f"{name}_joint" for name in LINKS),
+    "panda": tuple(f"panda_joint{i}" for i in range(1, 8)),
+}
+TOOL = pose((0.05, 0.02, 0.15), (0.3, -0.4, 0.5))
+ROWS = 45
+
+Columns = dict[str, object]
+Spoil = Callable[[Columns], Columns]
+
+
+class Lab:
+    """A machine with ordinary errors, 1 mm, 2 mrad and zeros 1 deg off, and the table somebody makes of it."""
+
+    def __init__(self, name: str, observes: str = "position", seed: int = 0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.robot, self.arm, self.observes = machines.load(*ARMS[name]), machines.arm(*ARMS[name]), observes
+        badly_made = self.arm.moved(self.rng, length=1e-3, angle=2e-3, zero=np.radians(1.0))
+        self.true = Machine(badly_made, anywhere(self.rng), {"tool": TOOL})
+
+    def columns(self, rows: int = ROWS) -> Columns:
+        readings = self.arm.draw(self.rng, rows)
+        poses = self.true.see(readings).copy()
+        poses[:, :3, 3] += self.rng.normal(scale=5e-5, size=(rows, 3))
+        return machines.table(self.arm, readings, poses, self.observes)
+
+    def measure(self, spoil: Spoil = dict, rows: int = ROWS) -> calib.Measurements:
+        return calib.read_measurements(spoil(self.columns(rows)), self.robot, self.observes)
+
+    def model(self, **options: object) -> calib.ErrorModel:
+        return calib.error_model(self.robot, **({"tool": "pose" if self.observes == "pose" else "position"} | options))
+
+    def sentence(self, spoil: Spoil, **options: object) -> str:
+        (finding,) = signatures(self.model(**options), [self.measure(spoil)])
+        assert finding.severity == "error", finding
+        return finding.sentence
+
+
+def changed(columns: Columns, names: Sequence[str], change: Callable[[Array], Array]) -> Columns:
+    """The columns (N, k) of some names, changed."""
+    values = change(np.column_stack([columns[name] for name in names]))
+    return columns | {name: values[:, k] for k, name in enumerate(names)}
+
+
+def joint(name: str, change: Callable[[Array], Array], unit: str = "rad") -> Spoil:
+    return lambda columns: changed(columns, [f"{name} [{unit}]"], change)
+
+
+def joints(names: Sequence[str], change: Callable[[Array], Array]) -> Spoil:
+    return lambda columns: changed(columns, [f"{name} [rad]" for name in names], change)
+
+
+def xyz(change: Callable[[Array], Array]) -> Spoil:
+    return lambda columns: changed(columns, ["x [m]", "y [m]", "z [m]"], change)
+
+
+def wxyz(change: Callable[[Array], Array]) -> Spoil:
+    return lambda columns: changed(columns, ["qw", "qx", "qy", "qz"], change)
+
+
+def reversed_frames(columns: Columns) -> Columns:
+    R = Rotation.from_quat(np.column_stack([columns[q] for q in ("qw", "qx", "qy", "qz")]), scalar_first=True)
+    columns = xyz(lambda x: -R.inv().apply(x))(columns)
+    return wxyz(lambda q: q * np.array([1.0, -1.0, -1.0, -1.0]))(columns)
+
+
+def other_euler(meant: str, taken: str) -> Spoil:
+    """The angles of convention ``meant``, made into quaternions by convention ``taken`` (capitals: intrinsic)."""
+
+    def change(q: Array) -> Array:
+        angles = Rotation.from_quat(q, scalar_first=True).as_euler(meant)
+        return Rotation.from_euler(taken, angles).as_quat(scalar_first=True)
+
+    return wxyz(change)
+
+
+# ---- readings
+
+EACH_JOINT = [(arm, name) for arm, names in JOINTS.items() for name in names]
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize(("arm", "name"), EACH_JOINT)
+def test_flipped_sign(arm: str, name: str, observes: str) -> None:
+    sentence = Lab(arm, observes).sentence(joint(name, np.negative))
+    assert f"it looks as if {name!r} is read with the wrong sign" in sentence
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize(("degrees", "needs"), [(-90.0, "+90"), (90.0, "-90"), (180.0, "180")])
+@pytest.mark.parametrize(("arm", "name"), [each for each in EACH_JOINT if each[1] not in {"panda_joint7"}])
+def test_shifted_zero(arm: str, name: str, degrees: float, needs: str, observes: str) -> None:
+    lab = Lab(arm, observes)
+    spoil = joint(name, lambda q: q + np.radians(degrees))
+    if name in (JOINTS[arm][0], JOINTS[arm][-1]):
+        assert signatures(lab.model(), [lab.measure(spoil)]) == ()  # base and tool absorb it
+    else:
+        # Half a turn may be the sign of another joint just as well; then both are said.
+        assert f"{name!r} is read from another zero and needs {needs} deg" in lab.sentence(spoil)
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize("arm", JOINTS)
+def test_swapped_joints(arm: str, observes: str) -> None:
+    lab = Lab(arm, observes)
+    for i, a in enumerate(JOINTS[arm]):
+        for b in JOINTS[arm][i + 1 :]:
+            sentence = lab.sentence(joints([a, b], lambda q: q[:, ::-1]))
+            assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize("arm", JOINTS)
+def test_degrees_and_radians(arm: str, observes: str) -> None:
+    lab = Lab(arm, observes)
+    assert "degrees stand under [rad]" in lab.sentence(joints(JOINTS[arm], np.degrees))
+    assert "radians stand under [deg]" in lab.sentence(joints(JOINTS[arm], np.radians))
+
+
+def test_joints_that_slide() -> None:
+    lab = Lab("gantry")
+    assert "'ram' is read with the wrong sign" in lab.sentence(joint("ram", np.negative, "m"))
+    names = [f"{name} [m]" for name in ("bridge", "carriage", "ram")]
+    millimetres = lab.sentence(lambda columns: changed(columns, names, lambda q: 1e3 * q))
+    assert "millimetres stand under [m] in all joints that slide" in millimetres
+
+
+# ---- positions and orientations
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize("arm", JOINTS)
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (1e3, "millimetres stand under [m]"),
+        (1e-3, "metres stand under [mm]"),
+        (25.4, "millimetres stand under [inch]"),
+        (1.0 / 25.4, "inches stand under [mm]"),
+        (1e3 / 25.4, "inches stand under [m]"),
+        (25.4e-3, "metres stand under [inch]"),
+    ],
+)
+def test_position_units(arm: str, observes: str, factor: float, says: str) -> None:
+    assert f"it looks as if {says} in x, y, z:" in Lab(arm, observes).sentence(xyz(lambda x: factor * x))
+
+
+COLUMNS: list[tuple[Callable[[Array], Array], str]] = [
+    (lambda x: x[:, [1, 0, 2]], "the columns x and y are swapped"),
+    (lambda x: x[:, [0, 2, 1]], "the columns y and z are swapped"),
+    (lambda x: x[:, [2, 1, 0]], "the columns x and z are swapped"),
+    (lambda x: x * [-1, 1, 1], "x has the wrong sign"),
+    (lambda x: x * [1, -1, 1], "y has the wrong sign"),
+    (lambda x: x * [1, 1, -1], "z has the wrong sign"),
+    (lambda x: x[:, [1, 2, 0]], "x, y, z hold y, z, x"),
+    (lambda x: x[:, [2, 0, 1]], "x, y, z hold z, x, y"),
+]
+
+
+@pytest.mark.parametrize("arm", JOINTS)
+@pytest.mark.parametrize(("change", "says"), COLUMNS)
+def test_position_columns(arm: str, change: Callable[[Array], Array], says: str) -> None:
+    assert f"it looks as if {says}:" in Lab(arm, "pose").sentence(xyz(change))
+    positions = Lab(arm)
+    known = {"base": "fixed", "base_pose": positions.true.base}
+    assert f"it looks as if {says}:" in positions.sentence(xyz(change), **known)
+    if "hold" in says:
+        assert signatures(positions.model(), [positions.measure(xyz(change))]) == ()  # a free base absorbs it
+    else:
+        assert "x, y, z are left-handed" in positions.sentence(xyz(change))
+
+
+@pytest.mark.parametrize("arm", JOINTS)
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (wxyz(lambda q: q[:, [1, 2, 3, 0]]), "qw, qx, qy, qz hold x, y, z, w"),
+        (wxyz(lambda q: q[:, [3, 0, 1, 2]]), "qw, qx, qy, qz hold z, w, x, y"),
+        (wxyz(lambda q: q * [1.0, -1.0, -1.0, -1.0]), "the rotations are inverse"),
+        (reversed_frames, "the poses are inverse"),
+        (other_euler("XYZ", "xyz"), "made as Rz Ry Rx (extrinsic x, y, z) of angles that mean Rx Ry Rz"),
+        (other_euler("xyz", "XYZ"), "made as Rx Ry Rz (intrinsic x, y, z) of angles that mean Rz Ry Rx"),
+    ],
+)
+def test_orientations(arm: str, spoil: Spoil, says: str) -> None:
+    assert says in Lab(arm, "pose").sentence(spoil)
+
+
+# ---- the sentences
+
+
+def test_what_is_said() -> None:
+    assert Lab("ur10").sentence(joint("elbow_joint", np.negative)) == (
+        "arrays: it looks as if 'elbow_joint' is read with the wrong sign: the nominal robot misses the measurements "
+        "by 729 mm rms, and by 2.6 mm with this mended."
+    )
+    assert Lab("ur10").sentence(joint("wrist_3_joint", np.negative)) == (
+        "arrays: it looks as if 'wrist_3_joint' is read with the wrong sign: the nominal robot misses the measurements "
+        "by 51 mm rms, and by 2.6 mm with this mended; as well it could be that 'wrist_2_joint' is read from another "
+        "zero and needs 180 deg."
+    )
+    assert Lab("panda", "pose").sentence(wxyz(lambda q: q[:, [1, 2, 3, 0]])) == (
+        "arrays: it looks as if qw, qx, qy, qz hold x, y, z, w: the nominal robot misses the measurements by 2489 mm "
+        "rms (1 rad counted as 1.42 m), and by 7 mm with this mended."
+    )
+
+
+# ---- no mistake
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("seed", range(20))
+def test_badly_made_machines_are_left_alone(arm: str, observes: str, seed: int) -> None:
+    lab = Lab(arm, observes, seed)
+    half = np.repeat((10e-3, 5e-3), 3)
+    origins = lab.rng.uniform(-half, half, (len(lab.arm.joints), 6))
+    zeros = {
+        j.driver: lab.rng.uniform(-1.0, 1.0) * (10e-3 if j.type == "prismatic" else np.radians(5.0))
+        for j in lab.arm.joints
+        if j.type != "fixed"
+    }
+    lab.true = replace(lab.true, arm=lab.arm.with_errors(origins, zeros))
+    assert signatures(lab.model(), [lab.measure(rows=30 + seed)]) == ()
+    known = {"base": "fixed", "base_pose": lab.true.base, "tool": "fixed", "tool_poses": lab.true.tools}
+    assert signatures(lab.model(**known), [lab.measure(rows=30 + seed)]) == ()
+
+
+def test_a_sound_table_costs_no_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(sanity, "_trials")
+    lab = Lab("panda")
+    assert signatures(lab.model(), [lab.measure(rows=500)]) == ()
+
+
+def test_few_rows_say_nothing() -> None:
+    lab = Lab("ur10")
+    data = lab.measure(joint("elbow_joint", np.negative))
+    assert signatures(lab.model(), []) == ()
+    assert all(signatures(lab.model(), [data.subset(range(n))]) == () for n in (0, 1, 5, 9))
+    assert all(signatures(lab.model(), [data.subset(range(n))])[0].code == "flipped-sign" for n in (10, 12, 20))
+
+
+def test_another_robot_is_refused() -> None:
+    with pytest.raises(MeasurementError, match="are not those of the robot"):
+        signatures(Lab("panda").model(), [Lab("ur10").measure()])
+
+
+# ---- other set-ups
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_known_frames_show_the_zeros_of_the_first_and_the_last_joint(observes: str) -> None:
+    lab = Lab("ur10", observes)
+    base = {"base": "fixed", "base_pose": lab.true.base}
+    half_a_turn = joint("shoulder_pan_joint", lambda q: q + np.pi)
+    assert "'shoulder_pan_joint' is read from another zero and needs 180 deg" in lab.sentence(half_a_turn, **base)
+    tool = {"tool": "fixed", "tool_poses": lab.true.tools}
+    quarter = joint("wrist_3_joint", lambda q: q - np.pi / 2)
+    assert "'wrist_3_joint' is read from another zero and needs +90 deg" in lab.sentence(quarter, **tool)
+    assert "'elbow_joint' is read with the wrong sign" in lab.sentence(
+        joint("elbow_joint", np.negative), **base, **tool
+    )
+
+
+def test_one_of_two_tables() -> None:
+    lab = Lab("panda")
+    sound = replace(lab.measure(), where="a.csv")
+    spoiled = replace(lab.measure(xyz(lambda x: 1e3 * x)), where="b.csv")
+    (finding,) = signatures(lab.model(), [sound, sound.subset([]), spoiled])
+    assert finding.code == "position-unit"
+    assert finding.sentence.startswith("b.csv: it looks as if millimetres stand under [m]")
+
+
+def test_several_tools() -> None:
+    lab = Lab("ur10")
+    lab.true = replace(lab.true, tools={"a": TOOL, "b": pose((-0.1, 0.05, 0.1))})
+    readings = lab.arm.draw(lab.rng, 60)
+    points = ["a", "b"] * 30
+    data = lab.true.measure(lab.robot, readings, points=points)
+    assert signatures(lab.model(), [data]) == ()
+    signs = np.where(np.arange(6) == 4, -1.0, 1.0)
+    (finding,) = signatures(lab.model(), [replace(data, readings=data.readings * signs)])
+    assert "'wrist_2_joint' is read with the wrong sign" in finding.sentence
+
+
+# ---- what is no single mistake
+
+
+def test_another_size_of_the_family() -> None:
+    lab = Lab("ur10")
+    small = machines.load(*UR5)
+    (finding,) = signatures(calib.error_model(small), [lab.measure()])
+    assert (finding.severity, finding.code) == ("error", "another-size")
+    assert "the machine is 1.4" in finding.sentence
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_what_nothing_explains(observes: str) -> None:
+    lab = Lab("ur10", observes)
+    data = lab.measure()
+    shuffled = replace(data, readings=data.readings[lab.rng.permutation(len(data))])
+    (finding,) = signatures(lab.model(), [shuffled])
+    assert (finding.severity, finding.code) == ("warning", "unexplained")
+
+
+def test_two_mistakes_are_not_taken_for_one() -> None:
+    lab = Lab("panda")
+    data = lab.measure(joints(["panda_joint2", "panda_joint4"], np.negative))
+    assert signatures(lab.model(), [data]) == (
+        Finding(
+            "warning",
+            "unexplained",
+            "arrays: the nominal robot misses the measurements by 421 mm rms, and no typical mistake explains it (the "
+            "nearest, that 'panda_joint5' is read from another zero and needs 180 deg, leaves 154 mm): is this the "
+            "URDF of the robot that was measured, is a zero off by more than 10 deg, do readings and measurements of a "
+            "row belong together, or are there two mistakes?",
+        ),
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_wrong_base_is_asked_for(seed: int) -> None:
+    lab = Lab("panda", seed=seed)
+    (finding,) = signatures(lab.model(base="fixed", base_pose=anywhere(lab.rng)), [lab.measure()])
+    assert finding.code == "unexplained"
+    assert "is the given base right" in finding.sentence
+
+
+# ---- a real robot
+
+
+@pytest.mark.skipif("CALIB_DATASETS" not in os.environ, reason="CALIB_DATASETS names no folder of real measurements")
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_a_real_ur10(observes: str) -> None:
+    script = Path(__file__).resolve().parents[2] / "scripts" / "ur10_leica_job.py"
+    spec = importlib.util.spec_from_file_location("ur10_leica_job", script)
+    assert spec is not None
+    assert spec.loader is not None
+    job = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(job)
+    columns = job.table_columns(job.read(Path(os.environ["CALIB_DATASETS"]) / "ur10_leica"), observes)
+    robot = machines.load(*UR10)
+    data = calib.read_measurements(columns, robot, observes)
+    model = calib.error_model(robot, tool="pose" if observes == "pose" else "position")
+    assert signatures(model, [data]) == ()
+    for k, name in enumerate(JOINTS["ur10"][:-1]):
+        flipped = replace(data, readings=data.readings * np.where(np.arange(6) == k, -1.0, 1.0))
+        (finding,) = signatures(model, [flipped])
+        assert f"it looks as if {name!r} is read with the wrong sign" in finding.sentence
