@@ -24,18 +24,22 @@ from calib.foundations.errors import (
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
+from calib.identification.total_differential import Trace, total_differential
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.presentation.tables import table
+from calib.robot import dh
 from calib.robot.load import load_robot
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 
 __version__ = "0.1.0.dev0"
 
 __all__ = [
     "CalibError",
     "CalibratedModel",
+    "ClosedLoop",
+    "Coupling",
     "Deviations",
     "ErrorModel",
     "Fit",
@@ -47,11 +51,14 @@ __all__ = [
     "OutputError",
     "Robot",
     "RobotError",
+    "Trace",
+    "dh",
     "error_model",
     "identify",
     "load_model",
     "load_robot",
     "read_measurements",
     "table",
+    "total_differential",
     "write_urdf",
 ]

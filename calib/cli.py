@@ -14,7 +14,7 @@ from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
 from calib.compensation.model_file import load_model
-from calib.foundations.errors import CalibError
+from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
 from calib.job.results import refuse_folder, result_json, robot_errors, write_results
@@ -24,6 +24,9 @@ from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import blind_lines, error_table, verdict
+from calib.robot import dh
+from calib.robot.dh.table import Convention
+from calib.robot.load import load_robot
 
 app = typer.Typer(
     help="Calibrate any robot arm described by a URDF.",
@@ -46,6 +49,10 @@ Errors = Annotated[
     Path | None,
     typer.Option("--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False),
 ]
+DhSource = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A DH table (.csv) or a URDF (.urdf).", show_default=False)
+]
+DhOut = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The other one, to be written.")]
 PlotFile = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False)
 ]
@@ -150,9 +157,9 @@ def sensitivity(
 def performance(
     results: ResultFolder, touches: TouchFiles, probe: ProbeFile = None, as_json: Json = False, quiet: Quiet = False
 ) -> None:
-    """Evaluate acceptance tests of an arm CMM, before and after its calibration.
+    """Evaluate acceptance tests of an arm CMM.
 
-    Single-point articulation, lengths, and spheres, after the methods of ASME B89.4.22 and ISO 10360-12. Which test a
+    Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of ASME B89.4.22 and ISO 10360-12. Which test a
     file is, its columns say.
     """
     with progress(shown=not (quiet or as_json)) as say:
@@ -166,6 +173,29 @@ def performance(
         write(json.dumps({"schema": 1, **figures}, indent=2, allow_nan=False) + "\n")
     elif not quiet:
         show(performance_table(before, after))
+
+
+@app.command(name="dh")
+def dh_view(
+    source: DhSource,
+    out: DhOut,
+    tip: Annotated[str | None, typer.Option("--tip", metavar="LINK", help="Tip link of a URDF.")] = None,
+    base: Annotated[str | None, typer.Option("--base", metavar="LINK", help="Base link of a URDF.")] = None,
+    convention: Annotated[Convention | None, typer.Option(help="Convention of the table: standard by default.")] = None,
+) -> None:
+    """Turn a DH table into a URDF, or a URDF into a table.
+
+    Which way follows from the endings: table.csv to arm.urdf, or the arm of arm.urdf to table.csv.
+    """
+    kinds = {source.suffix.lower(), out.suffix.lower()}
+    if kinds != {".csv", ".urdf"}:
+        raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
+    if out.exists():
+        raise OutputError(f"{out}: is there already; choose another name.")
+    if out.suffix.lower() == ".urdf":
+        write_atomically(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
+    else:
+        write_atomically(out, dh.write_dh(dh.dh_of(load_robot(source, tip, base), convention or "standard")))
 
 
 @app.callback(invoke_without_command=True)

@@ -16,7 +16,7 @@ from calib.foundations.errors import CalibError, JobError, OutputError, RobotErr
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
 from calib.robot.load import load_robot
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -81,6 +81,23 @@ class CouplingEntry(_Strict):
     offsets: dict[str, float]
 
 
+class DriverEntry(_Strict):
+    """A joint coupled to several drivers, as the job says."""
+
+    joint: str
+    drivers: dict[str, float]
+    offset: float
+
+
+class LoopEntry(_Strict):
+    """A closed loop, as the job says."""
+
+    name: str
+    frames: tuple[str, str]
+    closes: tuple[Literal["x", "y", "z"], ...]
+    passive: tuple[str, ...]
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -92,6 +109,8 @@ class ModelFile(_Strict):
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
     tools: dict[str, PoseEntry]
+    couplings: tuple[DriverEntry, ...] = ()
+    loops: tuple[LoopEntry, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +136,8 @@ class CalibratedModel:
 
 def model_file(fit: Fit) -> ModelFile:
     """Return the contents of ``model.json`` for a fit."""
-    robot, machine = fit.model.robot, fit.machine
-    offsets = iter(map(float, machine.deviations.offsets))
+    robot, machine, deviations = fit.robot, fit.machine, fit.deviations
+    offsets = iter(map(float, deviations.offsets))
     joints = tuple(
         JointEntry(
             name=joint.name,
@@ -126,7 +145,7 @@ def model_file(fit: Fit) -> ModelFile:
             deviation=_six(d),
             offset=None if joint.type == "fixed" else next(offsets),
         )
-        for joint, d in zip(robot.chain, machine.deviations.placements, strict=True)
+        for joint, d in zip(robot.chain, deviations.placements, strict=True)
     )
     tools = dict(zip(fit.measurements[0].tools, map(PoseEntry.of, machine.frames.tools), strict=True))
     return ModelFile(
@@ -138,6 +157,11 @@ def model_file(fit: Fit) -> ModelFile:
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.frames.base),
         tools=tools,
+        couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
+        loops=tuple(
+            LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
+            for loop in robot.closed_loops
+        ),
     )
 
 
@@ -171,7 +195,13 @@ def load_model(folder: str | Path) -> CalibratedModel:
         raise OutputError(str(e)) from e
     model = _parsed(source, path)
     try:
-        robot = load_robot(parse_urdf(read_bytes(urdf, RobotError), str(urdf)), model.tip, model.base_link)
+        robot = load_robot(
+            parse_urdf(read_bytes(urdf, RobotError), str(urdf)),
+            model.tip,
+            model.base_link,
+            couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
+            loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in model.loops],
+        )
     except CalibError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
     if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in model.joints]:

@@ -11,7 +11,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
-from calib.robot.load import load_robot
+from calib.robot.load import with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
 from calib.robot.urdf_writer import splice_origins
@@ -52,7 +52,7 @@ def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     they differ.
     """
     document = splice_origins(robot.urdf.source, calibrated_origins(robot, deviations), robot.urdf.where)
-    again = load_robot(parse_urdf(document, "the calibrated URDF"), robot.tip, robot.base)
+    again = with_document(robot, parse_urdf(document, "the calibrated URDF"))
     readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
     difference = float(np.max(np.abs(again.tips(readings) - robot.tips(readings, deviations))))
     if not difference < _ROUNDING:
@@ -66,14 +66,14 @@ def write_urdf(fit: Fit, path: str | Path) -> None:
     Raises OutputError when the file cannot be written or is the nominal URDF.
     """
     path = Path(path)
-    robot = fit.model.robot
+    robot = fit.robot
     try:
         there = path.read_bytes()
     except OSError:  # nothing there; any other reason shows when it is written
         there = b""
     if there == robot.urdf.source:
         raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
-    write_atomically(path, calibrated_urdf(robot, fit.machine.deviations))
+    write_atomically(path, calibrated_urdf(robot, fit.deviations))
 
 
 def _motion(joint: UrdfJoint, q: float) -> Array:

@@ -130,7 +130,9 @@ def error_model(
     the same frame.
     """
     moving = [robot.chain[i] for i in robot.moving]
-    chosen_offsets = _select(offsets, [joint.name for joint in moving], "offsets")
+    # A passive joint of a closed loop is where the loop puts it; an offset of it would mean nothing.
+    read = [joint.name for j, joint in enumerate(moving) if j not in robot.passive]
+    chosen_offsets = _select(offsets, read, "offsets")
     every = [
         (joint.name, component)
         for joint in robot.chain

@@ -12,6 +12,7 @@ from calib.identification.machine import Machine
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import Deviations, Robot
 
 BlindPolicy = Literal["nearest", "minimal", "refuse"]
 
@@ -51,6 +52,16 @@ class Fit:
     evaluations: int
     step: float
     converged: bool
+
+    @property
+    def robot(self) -> Robot:
+        """The robot in the frames of its URDF; with :attr:`deviations` it is the calibrated one."""
+        return self.model.urdf_robot
+
+    @property
+    def deviations(self) -> Deviations:
+        """Deviations of :attr:`robot`. Those of ``machine`` may be in other frames, where DH parameters are named."""
+        return self.model.urdf_deviations(self.machine.deviations)
 
     @property
     def sigmas(self) -> Array:

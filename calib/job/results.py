@@ -18,19 +18,22 @@ from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, PoseEntry, m
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import OutputError
+from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
+from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.run import Inputs, Outcome, Progress, resolved
 from calib.measurement.measurements import Measurements
 from calib.presentation.scene import Scene, render_scene
+from calib.robot import dh
 
 RESULT_FILE = "result.json"
 CALIBRATED_FILE = "calibrated.urdf"
 JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
-_RESULTS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
+DH_FILE = "calibrated_dh.csv"
+_RESULTS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE, DH_FILE)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
@@ -84,9 +87,9 @@ def _refuse_unwritable(out: Path) -> None:
 def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:
     """Write the folder of results; on any error it stays as it was."""
     refuse_folder(out, outcome.inputs)
-    fit, robot = outcome.fit, outcome.inputs.robot
+    fit, robot = outcome.fit, outcome.fit.robot
     progress("writing the calibrated URDF")
-    calibrated = calibrated_urdf(robot, fit.machine.deviations)
+    calibrated = calibrated_urdf(robot, fit.deviations)
     progress("drawing the scene")
     scene = render_scene(_scene(outcome, calibrated))
     files: dict[str, bytes | str] = {
@@ -97,6 +100,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
+        **_dh_table(fit),
     }
     progress("writing the results")
     with replace_folder(out) as folder:
@@ -231,13 +235,13 @@ def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[
 
 
 def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
-    fit, robot = outcome.fit, outcome.inputs.robot
+    fit, robot = outcome.fit, outcome.fit.robot
     sets: Sequence[Measurements] = (*fit.measurements, *outcome.inputs.validate)
     before = [*fit.nominal_residuals, *(b for b, _ in outcome.validation_residuals)]
     after = [*fit.residuals, *(a for _, a in outcome.validation_residuals)]
     measured = np.concatenate([data.position for data in sets])
     shown = fit.measurements[0].readings[:1]
-    tip = fit.machine.frames.base @ robot.tips(shown, fit.machine.deviations)[0]
+    tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations)[0]
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=calibrated,
@@ -255,9 +259,19 @@ def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
     )
 
 
+def _dh_table(fit: Fit) -> dict[str, str]:
+    """Return the corrected DH table, where DH parameters are free and a table can hold the arm."""
+    if fit.model.dh is None:
+        return {}
+    try:
+        return {DH_FILE: dh.write_dh(corrected_dh(fit.model, fit.machine.deviations))}
+    except (JobError, RobotError):
+        return {}
+
+
 def _base_in_root(fit: Fit) -> Array:
     """Return the root link of the URDF in the arm's base link, joints between them at zero."""
-    robot = fit.model.robot
+    robot = fit.robot
     if robot.base == robot.urdf.root:
         return np.eye(4)
     T = np.eye(4)

@@ -12,7 +12,7 @@ from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError, PoseError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
@@ -26,7 +26,7 @@ from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.load import load_robot
-from calib.robot.robot import Robot
+from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
 
 Progress = Callable[[str], None]
@@ -78,11 +78,12 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     job = read_job(path)
     folder = path.parent
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
-    robot = load_robot(urdf, job.robot.tip, job.robot.base)
+    robot = _robot(job, urdf)
     model = _model(job, robot, path)
     progress("reading the measurements")
     sections = job.measurements
     sets = [_measurements(section, job, robot, folder) for section in sections]
+    _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     _refuse_unknown_points(job, chosen, held_out, path)
@@ -171,6 +172,25 @@ def resolved(inputs: Inputs) -> str:
     return json.dumps(inputs.job.model_dump(by_alias=True), indent=2, allow_nan=False) + "\n"
 
 
+def _robot(job: Job, urdf: Path) -> Robot:
+    section = job.robot
+    return load_robot(
+        urdf,
+        section.tip,
+        section.base,
+        couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
+        loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+    )
+
+
+def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
+    for data in sets:
+        try:
+            robot.joint_positions(data.readings)
+        except PoseError as e:
+            raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
+
+
 def _refuse(findings: Sequence[Finding]) -> None:
     for finding in findings:
         if finding.severity == "error":
@@ -248,6 +268,9 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             robot,
             offsets=section.offsets,
             placements=section.placements,
+            dh=section.dh,
+            dh_convention=section.dh_convention,
+            dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),

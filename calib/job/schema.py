@@ -91,6 +91,7 @@ def _this_schema(value: object) -> object:
 Name = Annotated[str, AfterValidator(_not_empty)]
 Length = Annotated[str, BeforeValidator(_quantity("length"))]
 LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
+Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
@@ -110,6 +111,23 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class CouplingSection(_Section):
+    """``[[robot.coupling]]``: a joint that follows several drivers, which URDF's mimic cannot say."""
+
+    joint: Name
+    drivers: dict[str, float] = Field(min_length=1)
+    offset: Angle = "0 rad"
+
+
+class LoopSection(_Section):
+    """``[[robot.loop]]``: two links whose origins coincide in directions of the first one's frame."""
+
+    name: Name
+    frames: tuple[Name, Name]
+    closes: tuple[Literal["x", "y", "z"], ...] = Field(min_length=1)
+    passive: tuple[Name, ...] = Field(min_length=1)
+
+
 class RobotSection(_Section):
     """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes."""
 
@@ -117,6 +135,8 @@ class RobotSection(_Section):
     tip: str | None = None
     base: str | None = None
     mesh_roots: tuple[Name, ...] = ()
+    coupling: tuple[CouplingSection, ...] = ()
+    loop: tuple[LoopSection, ...] = ()
 
 
 class PriorSection(_Section):
@@ -131,6 +151,9 @@ class ErrorModelSection(_Section):
 
     offsets: Selection = "none"
     placements: Selection = "none"
+    dh: Selection = "none"
+    dh_convention: Literal["standard", "modified"] = "standard"
+    dh_parallel: PositiveAngle = "0.01 rad"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()

@@ -1,7 +1,6 @@
 """Loading an arm: which joints lie between base and tip, what they read, how they are coupled and closed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
 
@@ -12,30 +11,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 from calib.robot import deviation
 from calib.robot.loops import Loop
-from calib.robot.robot import ChainJoint, Reading, Robot
+from calib.robot.robot import ChainJoint, ClosedLoop, Coupling, Reading, Robot
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
-
-
-@dataclass(frozen=True, slots=True)
-class Coupling:
-    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several."""
-
-    joint: str
-    drivers: Mapping[str, float]
-    offset: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedLoop:
-    """Two links whose origins coincide, in the directions ``closes`` ("x", "y", "z") of the first one's frame.
-
-    ``passive``: the joints that follow, as many as directions; no encoder reads them.
-    """
-
-    name: str
-    frames: tuple[str, str]
-    closes: tuple[str, ...]
-    passive: tuple[str, ...]
 
 
 def load_robot(
@@ -88,7 +65,14 @@ def load_robot(
         read_only(coupling_offset),
         read_only(offset_coupling),
         closed,
+        tuple(couplings),
+        tuple(loops),
     )
+
+
+def with_document(robot: Robot, document: Urdf) -> Robot:
+    """Return the same arm of another document: same base and tip, couplings and loops. Raises RobotError."""
+    return load_robot(document, robot.tip, robot.base, couplings=robot.couplings, loops=robot.closed_loops)
 
 
 def _known_link(document: Urdf, name: str, role: str) -> str:

@@ -5,6 +5,7 @@ carries a deviation; the readings of the encoders become joint positions through
 follow from closed loops.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -29,6 +30,28 @@ class Reading:
     dimension: Literal["angle", "length"]
     lower: float | None
     upper: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several."""
+
+    joint: str
+    drivers: Mapping[str, float]
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """Two links whose origins coincide, in the directions ``closes`` ("x", "y", "z") of the first one's frame.
+
+    ``passive``: the joints that follow, as many as directions; no encoder reads them.
+    """
+
+    name: str
+    frames: tuple[str, str]
+    closes: tuple[Literal["x", "y", "z"], ...]
+    passive: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +105,7 @@ class Robot:
     ``chain``: the joints, parents first: those from base to tip, then the branches that loops need. ``tip_joint``:
     index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
-    ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets.
+    ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
     """
 
     urdf: Urdf
@@ -95,6 +118,8 @@ class Robot:
     coupling_offset: Array
     offset_coupling: Array
     loops: tuple[Loop, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    closed_loops: tuple[ClosedLoop, ...] = ()
 
     @property
     def moving(self) -> tuple[int, ...]:

@@ -151,6 +151,8 @@ def dh_of(robot: Robot, convention: Convention = "standard", parallel: float = P
 def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float = PARALLEL) -> DhFrames:
     """Return the arm in DH frames; see :func:`dh_of` for how they are chosen. Raises RobotError."""
     check_convention(convention)
+    if robot.loops:
+        raise RobotError(f"{robot.urdf.where}: an arm with closed loops is no DH table; free placements instead.")
     modified = convention == "modified"
     elements, steps, slides = _walk(robot, parallel, modified=modified)
     chain, owner, at = _chain(robot, dict(zip(elements, slides, strict=True)), dict(zip(elements, steps, strict=True)))
@@ -174,7 +176,7 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
     numbers = [(row.joint, name) for row in rows for name in NUMBERS]
     return DhFrames(
         robot,
-        replace(robot, chain=chain),
+        replace(robot, chain=chain, tip_joint=len(chain) - 1),
         owner,
         convention,
         tuple(rows),
@@ -324,9 +326,10 @@ def _chain(
         if beta != 0.0:
             turn = DhRow("", "fixed", 0.0, 0.0, 0.0, 0.0, beta).across
             back = rigid.inverse(turn)
-            new.append(ChainJoint(f"{joint.name} (cut)", "fixed", read_only(placement @ back), read_only(frame @ back)))
+            name, end = f"{joint.name} (cut)", len(new) - 1
+            new.append(ChainJoint(name, "fixed", end, read_only(placement @ back), read_only(frame @ back)))
             placement = turn
-        new.append(replace(joint, placement=read_only(placement), frame=read_only(frame)))
+        new.append(replace(joint, parent=len(new) - 1, placement=read_only(placement), frame=read_only(frame)))
         owner += [i] * (len(new) - len(owner))
         before = slide
     return tuple(new), tuple(owner), at
