@@ -159,8 +159,8 @@ def performance(
 ) -> None:
     """Evaluate acceptance tests of an arm CMM.
 
-    Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of ASME B89.4.22 and ISO 10360-12. Which test a
-    file is, its columns say.
+    Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of
+    ASME B89.4.22 and ISO 10360-12. Which test a file is, its columns say.
     """
     with progress(shown=not (quiet or as_json)) as say:
         say("reading the model and the touches")
@@ -209,7 +209,7 @@ def version(show: Annotated[bool, typer.Option("--version", help="Print the vers
 def main() -> None:
     """Run the command line; an error of the user's is one line and exit code 1, a bug shows its traceback."""
     try:
-        app()
+        app(prog_name="calib")
     except CalibError as error:
         show_error(str(error))
         sys.exit(BAD_INPUT)
