@@ -38,7 +38,7 @@ TIP = "tool0"
 POSES = 1000
 SIGMA, SIGMA_ANGLE = 0.05e-3, 0.1e-3
 
-# Multiples of the bare loop over as many poses; the limits of issue 2.
+# Multiples of the bare loop over as many poses: the limits that this project sets itself.
 LIMIT_SYSTEM = 4.0
 LIMIT_IDENTIFY = 80.0
 LIMIT_EVALUATIONS = 6

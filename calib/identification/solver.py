@@ -186,8 +186,17 @@ def _levenberg_marquardt(
         return rows(z)[:, :-1]
 
     # lm and not trf: its first step is not held back, which saves half of the evaluations on nearly linear problems.
+    # The columns are scaled already; SciPy's own scaling, its default since 1.16, would hold the first step back.
     result = least_squares(
-        residual, z0, jac=jacobian, method="lm", ftol=_ROUGH, xtol=_ROUGH, gtol=_ROUGH, max_nfev=_MOST_STEPS
+        residual,
+        z0,
+        jac=jacobian,
+        method="lm",
+        x_scale=1.0,
+        ftol=_ROUGH,
+        xtol=_ROUGH,
+        gtol=_ROUGH,
+        max_nfev=_MOST_STEPS,
     )
     return np.asarray(result.x)
 

@@ -70,7 +70,7 @@ def test_with_noise_unseen_tips_are_as_good_as_the_noise_allows(name: str, obser
 
 
 def test_the_floor() -> None:
-    """The example of issue 2: 1.15 times 0.05 mm sqrt(27 / 500), mean of 20 machines."""
+    """The noise floor: 1.15 times 0.05 mm sqrt(27 / 500), mean of 20 machines."""
     found = []
     for seed in range(20):
         lab = Lab(seed=seed)
