@@ -23,7 +23,7 @@ from calib.presentation.console import literal, progress, sentence, show, show_e
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
-from calib.presentation.tables import blind_lines, error_table, verdict
+from calib.presentation.tables import blind_lines, error_table, level_table, verdict
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
@@ -89,6 +89,7 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
             *(warning(finding.sentence) for finding in inputs.findings),
             error_table(outcome.metrics),
             *([] if outcome.trace is None else [literal(str(outcome.trace))]),
+            *([level_table([(e.name, e.free, e.rank, e.metrics) for e in outcome.levels])] if outcome.levels else []),
             *verdict(outcome.fit, outcome.doubts),
             sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
         )

@@ -1,6 +1,6 @@
 """The figures by which people compare calibrations."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ def error_norms(residuals: Array) -> dict[str, Array]:
     return norms
 
 
-def metrics(residuals: tuple[Array, ...]) -> Mapping[str, Metrics]:
+def metrics(residuals: Sequence[Array]) -> Mapping[str, Metrics]:
     """Return the metrics of each quantity over all sets of residuals, (N, 3) in m or (N, 6) in m and rad."""
     norms: dict[str, list[Array]] = {}
     for r in residuals:

@@ -1,5 +1,6 @@
 """Identification: measurements in, parameters with their doubts out."""
 
+import fnmatch
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,39 +12,46 @@ from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
-from calib.identification.machine import Machine, values_at
+from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.start import start_frames
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import Deviations
 
 
 def identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
     *,
+    free: Sequence[str] | None = None,
+    start: Fit | None = None,
     blind: BlindPolicy = "nearest",
     model_sigmas: Sequence[float | None] | None = None,
 ) -> Fit:
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
-    ``blind`` says what to do about directions that the data cannot see: "nearest" takes, among all equal fits, the
-    machine nearest to the nominal one; "minimal" holds what exceeds a minimal set of parameters at its nominal value;
-    "refuse" raises. ``model_sigmas``: standard deviations (m or rad) of what the model cannot explain, one for each
-    component of the data (position, then orientation, of each set in order); None stands for one to be estimated.
+    ``free``: names and globs of those parameters of the model that are free this time; all of them when None. What is
+    not free stays as in ``start``, an earlier fit of the same model, or nominal. ``blind`` says what to do about
+    directions that the data cannot see: "nearest" takes, among all equal fits, the machine nearest to the nominal one;
+    "minimal" holds what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard deviations (m
+    or rad) of what the model cannot explain, one for each component of the data (position, then orientation, of each
+    set in order); None stands for one to be estimated.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, blind, model_sigmas)
+        return _identify(model, measurements, free, start, blind, model_sigmas)
 
 
 def _identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
+    free: Sequence[str] | None,
+    begin: Fit | None,
     blind: BlindPolicy,
     model_sigmas: Sequence[float | None] | None,
 ) -> Fit:
@@ -51,7 +59,7 @@ def _identify(
         raise JobError(f"blind: {blind!r} is not one of nearest, minimal, refuse.")
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     sets = with_common_tools(model, sets)
-    parameters = model.parameters(sets[0].tools)
+    parameters = _chosen(model.parameters(sets[0].tools), free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
@@ -62,8 +70,9 @@ def _identify(
     start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
     nominal = before.machine(np.zeros(0) if start is None else start.x)
 
-    problem = Problem(model, parameters, nominal.frames, sets)
-    found = solve(problem, values_at(model.robot, parameters, nominal.frames), variances)
+    reference, deviations = _beginning(begin, sets[0].tools, nominal.frames)
+    problem = Problem(model, parameters, reference, sets, deviations)
+    found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     at_start = identifiability.directions(found.start)
     told = min(found.directions.usable, at_start.rank)
@@ -77,7 +86,7 @@ def _identify(
     if blind == "minimal" and directions:
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
         problem = replace(problem, parameters=tuple(parameters[k] for k in kept))
-        found = solve(problem, values_at(model.robot, problem.parameters, nominal.frames), variances)
+        found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), variances)
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
     return Fit(
@@ -102,6 +111,26 @@ def _identify(
         step=found.step,
         converged=found.converged,
     )
+
+
+def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:
+    """Return the parameters that some name or glob matches; raises JobError for one that matches none."""
+    if free is None:
+        return parameters
+    names = [parameter.name for parameter in parameters]
+    for pattern in free:
+        if not fnmatch.filter(names, pattern):
+            raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
+    return tuple(p for p in parameters if any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
+
+
+def _beginning(begin: Fit | None, tools: Sequence[str], frames: Frames) -> tuple[Frames, Deviations | None]:
+    """Return base, tools and deviations to begin from: of an earlier fit, tools it did not know as in ``frames``."""
+    if begin is None:
+        return frames, None
+    known = dict(zip(begin.measurements[0].tools, begin.machine.frames.tools, strict=True))
+    placed = np.stack([known.get(name, T) for name, T in zip(tools, frames.tools, strict=True)])
+    return Frames(begin.machine.frames.base, placed), begin.machine.deviations
 
 
 def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:

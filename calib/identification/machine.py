@@ -49,14 +49,16 @@ class Layout:
         self.tools = self.base + 6
 
 
-def machine(robot: Robot, parameters: Sequence[Parameter], reference: Frames, x: Array) -> Machine:
-    """Return the machine at parameter values x (p,) in SI units.
+def machine(
+    robot: Robot, parameters: Sequence[Parameter], reference: Frames, x: Array, held: Deviations | None = None
+) -> Machine:
+    """Return the machine at parameter values x (p,) in SI units; deviations that are not free are as ``held``, or zero.
 
     Base and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from ``reference``. Positions are thus absolute
     where they are free, and angles are small rotations of the reference, far from any gimbal lock.
     """
     layout = Layout(robot)
-    state = _reference_state(layout, reference)
+    state = _reference_state(layout, reference, held)
     S = directions(parameters, len(state))
     # Free entries are what the parameters say; the rest stay at the reference.
     state = np.where(np.any(S, axis=1), S @ x, state)
@@ -72,14 +74,18 @@ def machine(robot: Robot, parameters: Sequence[Parameter], reference: Frames, x:
     )
 
 
-def values_at(robot: Robot, parameters: Sequence[Parameter], reference: Frames) -> Array:
-    """Return the parameter values (p,) of the nominal robot whose base and tools are at ``reference``."""
-    state = _reference_state(Layout(robot), reference)
+def values_at(
+    robot: Robot, parameters: Sequence[Parameter], reference: Frames, held: Deviations | None = None
+) -> Array:
+    """Return the parameter values (p,) of a robot, nominal or as ``held``, with base and tools at ``reference``."""
+    state = _reference_state(Layout(robot), reference, held)
     return np.asarray(state @ directions(parameters, len(state)))
 
 
-def _reference_state(layout: Layout, reference: Frames) -> Array:
+def _reference_state(layout: Layout, reference: Frames, held: Deviations | None) -> Array:
     state = np.zeros(layout.tools + 6 * len(reference.tools))
+    if held is not None:
+        state[: layout.offsets], state[layout.offsets : layout.base] = held.placements.ravel(), held.offsets
     frames = state[layout.base :].reshape(-1, 6)
     frames[0, :3] = reference.base[:3, 3]
     frames[1:, :3] = reference.tools[:, :3, 3]

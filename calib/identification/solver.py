@@ -59,6 +59,8 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     """
     s = scales(problem.parameters)
     z0 = x0 / s
+    # Nearest to nominal: the robot to zero, frames to where they start.
+    nominal = np.where([parameter.of_robot for parameter in problem.parameters], 0.0, z0)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
@@ -67,14 +69,14 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     sigmas = first_sigmas = weights.sigmas_of(problem, v)
     first = evaluator(z0, sigmas)
     G = _first_gauge(problem, first, _prior_rows(problem, z0), estimated=None in fixed)
-    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, G)
+    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, nominal, G)
 
     step, settled, rank = np.inf, False, None
     for k in range(_MOST_STEPS):
         evaluation = evaluator(z, sigmas)
         state = _State.of(problem, evaluation, z, sigmas, v, fixed, rank)
         rank = state.rank if k >= _STEP_OF_DECISION else None
-        delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - z0)])
+        delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - nominal)])
         z, step = z + delta, float(np.max(np.abs(delta)))
         v, sigmas, settled = state.variances, state.sigmas, state.settled
         if step < _NEGLIGIBLE_STEP and settled:
@@ -173,10 +175,10 @@ class _Evaluator:
 
 
 def _levenberg_marquardt(
-    problem: Problem, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, G: Array
+    problem: Problem, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, nominal: Array, G: Array
 ) -> Array:
     def rows(z: Array) -> Array:
-        gauge = np.column_stack([G, G @ (z - z0)])
+        gauge = np.column_stack([G, G @ (z - nominal)])
         return np.concatenate([*evaluator(z, sigmas).triangles, _prior_rows(problem, z), gauge])
 
     def residual(z: Array) -> Array:

@@ -18,7 +18,7 @@ from calib.identification.machine import Frames, Layout, Machine, machine
 from calib.identification.observations import Linearised, pose, position
 from calib.identification.parameters import Parameter, directions, scales
 from calib.measurement.measurements import Measurements
-from calib.robot.robot import Robot, TipModel
+from calib.robot.robot import Deviations, Robot, TipModel
 
 # Small enough that the temporaries of a block stay in the processor's cache.
 BLOCK = 256
@@ -34,12 +34,16 @@ class Component(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """The unknowns, the frames they are relative to, and the measurements that are to be explained."""
+    """The unknowns, the frames they are relative to, and the measurements that are to be explained.
+
+    ``held``: deviations of the robot where they are not free; zero when None.
+    """
 
     model: ErrorModel
     parameters: tuple[Parameter, ...]
     reference: Frames
     measurements: tuple[Measurements, ...]
+    held: Deviations | None = None
 
     @property
     def components(self) -> tuple[Component, ...]:
@@ -54,7 +58,7 @@ class Problem:
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
-        return machine(self.model.robot, self.parameters, self.reference, x)
+        return machine(self.model.robot, self.parameters, self.reference, x, self.held)
 
 
 class Evaluation(NamedTuple):

@@ -6,7 +6,8 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import calib
+from calib.assessment.metrics import Metrics
 from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
@@ -138,13 +140,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
         "doubts": list(outcome.doubts),
         "findings": [finding.sentence for finding in outcome.inputs.findings],
         "metrics": {
-            use: {
-                when: {
-                    quantity: {"unit": m.unit, "n": m.n, "mean": m.mean, "rms": m.rms, "p95": m.p95, "max": m.max}
-                    for quantity, m in by_quantity.items()
-                }
-                for when, by_quantity in by_when.items()
-            }
+            use: {when: _by_quantity(figures) for when, figures in by_when.items()}
             for use, by_when in outcome.metrics.items()
         },
         "rank": fit.rank,
@@ -177,6 +173,10 @@ def result(outcome: Outcome) -> dict[str, Any]:
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
         },
         "solver": {"converged": fit.converged, "evaluations": fit.evaluations, "last_step": fit.step},
+        "levels": [
+            {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}
+            for level in outcome.levels
+        ],
         "trace": None
         if outcome.trace is None
         else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
@@ -207,23 +207,21 @@ def _version(distribution: str) -> str | None:
         return None
 
 
+def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
+    return {quantity: asdict(m) for quantity, m in figures.items()}
+
+
 def residual_table(outcome: Outcome) -> str:
     """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm and degrees."""
-    fit, inputs = outcome.fit, outcome.inputs
-    identified = zip(inputs.tables("identify"), fit.measurements, fit.nominal_residuals, fit.residuals, strict=True)
-    held_out = zip(inputs.tables("validate"), inputs.validate, outcome.validation_residuals, strict=True)
-    sets = [
-        *(("identification", *row) for row in identified),
-        *(("validation", file, data, *pair) for file, data, pair in held_out),
-    ]
     whens = ("before", "after")
     columns = [f"{when}_{axis} [mm]" for when in whens for axis in "xyz"]
     columns += [f"{when}_{axis} [deg]" for when in whens for axis in ("rx", "ry", "rz")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["use", "file", "line", "point", *columns])
-    for use, file, data, before, after in sets:
-        writer.writerows([use, file, *row] for row in _residual_rows(data, before, after))
+    for judged in outcome.sets:
+        rows = _residual_rows(judged.data, judged.before, judged.after)
+        writer.writerows([judged.use, judged.file, *row] for row in rows)
     return text.getvalue()
 
 
@@ -236,10 +234,7 @@ def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[
 
 def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
     fit, robot = outcome.fit, outcome.fit.robot
-    sets: Sequence[Measurements] = (*fit.measurements, *outcome.inputs.validate)
-    before = [*fit.nominal_residuals, *(b for b, _ in outcome.validation_residuals)]
-    after = [*fit.residuals, *(a for _, a in outcome.validation_residuals)]
-    measured = np.concatenate([data.position for data in sets])
+    measured = np.concatenate([judged.data.position for judged in outcome.sets])
     shown = fit.measurements[0].readings[:1]
     tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations)[0]
     return Scene(
@@ -254,8 +249,8 @@ def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
         },
         tip=robot.tip,
         measured=measured,
-        before=measured - np.concatenate([r[:, :3] for r in before]),
-        after=measured - np.concatenate([r[:, :3] for r in after]),
+        before=measured - np.concatenate([judged.before[:, :3] for judged in outcome.sets]),
+        after=measured - np.concatenate([judged.after[:, :3] for judged in outcome.sets]),
     )
 
 

@@ -1,10 +1,10 @@
 """From a job file to a fit: everything is read and checked before anything is solved."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -53,20 +53,44 @@ class Inputs:
         return tuple(section.file for section in self.job.measurements if section.use == use)
 
 
+class JudgedSet(NamedTuple):
+    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
+
+    use: Literal["identification", "validation"]
+    file: str
+    data: Measurements
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LevelReport:
+    """What one level has brought: metrics by quantity of the held-out data, base and tool fitted anew.
+
+    Of the data to identify from, where nothing is held out. ``free``: number of parameters; ``rank``: of those seen.
+    """
+
+    name: str
+    free: int
+    rank: int
+    metrics: Mapping[str, Metrics]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
     """A finished calibration.
 
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
-    ``validation_residuals``: (before, after) for every set held out. ``doubts``: why it should not be trusted.
+    ``sets``: residuals of every table. ``doubts``: why it should not be trusted.
     """
 
     inputs: Inputs
     fit: Fit
-    validation_residuals: tuple[tuple[Array, Array], ...]
+    sets: tuple[JudgedSet, ...]
     metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
     doubts: tuple[str, ...]
     trace: Trace | None = None
+    levels: tuple[LevelReport, ...] = ()
 
 
 def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
@@ -86,6 +110,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
+    _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
     _refuse_no_noise(job, sets, path)
     findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
@@ -119,33 +144,105 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     """Identify, and judge by the data held out."""
-    progress("identifying")
-    policy = inputs.job.error_model.blind
     try:
-        fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=inputs.model_sigmas)
-    except IdentificationError as e:
-        raise IdentificationError(f"{inputs.path}: {e}") from e
+        fit, reports = _climb(inputs, progress)
+    except (IdentificationError, JobError) as e:
+        raise type(e)(f"{inputs.path}: {e}") from e
     trace = None
     if inputs.job.solver.kind == "total_differential":
         progress("following the total differential")
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
     progress("validating")
-    before = residuals_of(fit, inputs.validate, fit.nominal)
-    after = residuals_of(fit, inputs.validate, fit.machine)
-    figures = {"identification": {"before": metrics(fit.nominal_residuals), "after": metrics(fit.residuals)}}
-    if inputs.validate:
-        figures["validation"] = {"before": metrics(before), "after": metrics(after)}
+    judged_sets = (
+        *_judged("identification", inputs.tables("identify"), inputs.identify, fit),
+        *_judged("validation", inputs.tables("validate"), inputs.validate, fit),
+    )
+    figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
+        use: {
+            "before": metrics([judged.before for judged in judged_sets if judged.use == use]),
+            "after": metrics([judged.after for judged in judged_sets if judged.use == use]),
+        }
+        for use in dict.fromkeys(judged.use for judged in judged_sets)
+    }
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     judged = figures["validation" if inputs.validate else "identification"]
     return Outcome(
         inputs,
         fit,
-        tuple(zip(before, after, strict=True)),
+        judged_sets,
         figures,
         (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
         trace,
+        reports,
     )
+
+
+def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
+    """Identify level by level, or all at once where the job has no levels."""
+    policy = inputs.job.error_model.blind
+    if not inputs.job.levels:
+        progress("identifying")
+        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=inputs.model_sigmas), ()
+    by_file = dict(
+        zip(_identify_files(inputs.job), zip(inputs.identify, _sigma_groups(inputs), strict=True), strict=True)
+    )
+    fit: Fit | None = None
+    reports: list[LevelReport] = []
+    for level in inputs.job.levels:
+        progress(f"identifying level {level.name}")
+        chosen = [by_file[file] for file in level.measurements or by_file]
+        fit = identify(
+            inputs.model,
+            [data for data, _ in chosen],
+            free=level.free,
+            start=fit,
+            blind=policy,
+            model_sigmas=[sigma for _, sigmas in chosen for sigma in sigmas],
+        )
+        reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
+    if fit is None:
+        raise TypeError("a job with levels has a first one")
+    return fit, tuple(reports)
+
+
+def _judged(
+    use: Literal["identification", "validation"], files: Sequence[str], sets: Sequence[Measurements], fit: Fit
+) -> Iterator[JudgedSet]:
+    before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
+    for file, data, b, a in zip(files, sets, before, after, strict=True):
+        yield JudgedSet(use, file, data, b, a)
+
+
+def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
+    """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
+    frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
+    judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
+    return metrics(residuals_of(judged, inputs.validate or inputs.identify, judged.machine))
+
+
+def _identify_files(job: Job) -> list[str]:
+    return [section.file for section in job.measurements if section.use == "identify"]
+
+
+def _sigma_groups(inputs: Inputs) -> list[tuple[float | None, ...]]:
+    return [_sigmas(section) for section in inputs.job.measurements if section.use == "identify"]
+
+
+def _refuse_levels(job: Job, path: Path) -> None:
+    """Refuse levels that name files which are not to be identified from, and files that come twice."""
+    files = _identify_files(job)
+    for i, level in enumerate(job.levels):
+        for file in level.measurements or ():
+            if file not in files:
+                known = ", ".join(map(repr, files))
+                raise JobError(
+                    f"{path}: levels[{i}].measurements: {file!r} is not a file to identify from, as {known} are."
+                )
+    if job.levels and len(set(files)) < len(files):
+        raise JobError(f"{path}: measurements: a file comes twice, and levels could not tell which is meant.")
+    if job.levels and job.solver.kind != "least_squares":
+        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
 
 
 def _follow(inputs: Inputs) -> Trace:

@@ -185,6 +185,18 @@ class SolverSection(_Section):
     most: Annotated[int, BeforeValidator(_iterations)] = 20
 
 
+class LevelSection(_Section):
+    """``[[levels]]``: one step of several; each begins with what the one before has found.
+
+    ``free``: names and globs among the parameters that ``[error_model]`` frees; ``measurements``: files to identify
+    from, all of them when left out.
+    """
+
+    name: Name
+    free: tuple[Name, ...] = Field(min_length=1)
+    measurements: tuple[Name, ...] | None = None
+
+
 class MeasurementsSection(_Section):
     """``[[measurements]]``: one table."""
 
@@ -209,6 +221,7 @@ class Job(_Section):
     base: FrameSection | None = None
     tools: dict[str, FrameSection] = Field(default_factory=dict)
     instruments: dict[str, InstrumentSection] = Field(default_factory=dict)
+    levels: tuple[LevelSection, ...] = ()
     measurements: tuple[MeasurementsSection, ...] = Field(min_length=1)
 
 

@@ -56,6 +56,20 @@ def error_table(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> T
     return out
 
 
+def level_table(levels: Sequence[tuple[str, int, int, Mapping[str, Metrics]]]) -> Table:
+    """Return what every level brought: name, number of free parameters, rank and metrics by quantity."""
+    out = _table("Levels", "tip errors of the data held out, base and tool fitted anew after each level")
+    out.add_column("level", overflow="fold")
+    for name in ("free", "rank", "mean", "rms", "max"):
+        out.add_column(name, justify="right")
+    out.add_column("unit")
+    for name, free, rank, figures in levels:
+        for m in figures.values():
+            factor, unit = _SHOWN[m.unit]
+            out.add_row(name, str(free), str(rank), *(f"{v * factor:.4f}" for v in (m.mean, m.rms, m.max)), unit)
+    return out
+
+
 def parameter_table(fit: Fit) -> Table:
     """Return all parameters with values, sigmas and flags, in mm and degrees."""
     out = _table("Parameters")
