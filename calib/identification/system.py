@@ -20,8 +20,8 @@ from calib.identification.parameters import Parameter, directions, scales
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot, TipModel
 
-# Small enough that the temporaries of a block stay in the processor's cache.
-BLOCK = 256
+# Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
+BLOCK = 768
 
 
 class Component(NamedTuple):
@@ -80,7 +80,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     at = problem.machine(x)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
-        for rows, observed, J in _blocks(problem, data, at, scales(problem.parameters)):
+        for rows, observed, J in blocks(problem, data, at, scales(problem.parameters)):
             parts.append(observed.residual)
             whitened = np.concatenate([J, observed.residual[:, :, None]], axis=2) / sigma[rows, :, None]
             for c, component in enumerate(problem.components):
@@ -96,7 +96,7 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     at, found = problem.machine(x), []
     for data in problem.measurements:
         J = np.empty((*data.sigma.shape, len(problem.parameters)))
-        for rows, _, block in _blocks(problem, data, at, np.ones(len(problem.parameters))):
+        for rows, _, block in blocks(problem, data, at, np.ones(len(problem.parameters))):
             J[rows] = block
         found.append(J)
     return tuple(found)
@@ -120,10 +120,13 @@ def _observe(data: Measurements, rows: slice, tools: Array) -> Linearised:
     return pose.residual(data.position[rows], data.orientation[rows], tools)
 
 
-def _blocks(
+def blocks(
     problem: Problem, data: Measurements, at: Machine, units: Array
 ) -> Iterator[tuple[slice, Linearised, Array]]:
-    """Yield rows, residuals and Jacobians (n, d, p) of one set, block by block; ``units`` (p,) of the parameters."""
+    """Yield rows, residuals and Jacobians (n, d, p) of one set, block by block.
+
+    ``units`` (p,): derivatives are taken for so much of every parameter.
+    """
     robot, tools = problem.model.robot, at.frames.tools
     layout = Layout(robot)
     S = directions(problem.parameters, layout.tools + 6 * len(tools)) * units
@@ -134,16 +137,23 @@ def _blocks(
     # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
     to_tool = rigid.adjoint(rigid.inverse(tools))
     by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
-    for start in range(0, len(data), BLOCK):
-        rows = slice(start, start + BLOCK)
+    size = BLOCK // data.sigma.shape[1]
+    for start in range(0, len(data), size):
+        rows = slice(start, start + size)
         tool = data.tool[rows] if len(tools) > 1 else 0
         motion = tip.motion(data.readings[rows])
         observed = _observe(data, rows, at.frames.base @ motion.placement @ tools[tool])
-        n, d, _ = observed.twist.shape
         # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = observed.twist @ to_tool[tool]
-        J = ((by_tip @ motion.regressor).reshape(n * d, -1) @ joints).reshape(n, d, -1)
-        J += observed.twist @ by_tool[tool]
+        by_tip = _times(observed.twist, to_tool[tool])
+        J = _times(by_tip @ motion.regressor, joints)
+        J += _times(observed.twist, by_tool[tool])
         if robot.loops:
             J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
         yield rows, observed, J
+
+
+def _times(rows: Array, matrix: Array) -> Array:
+    """Return rows (n, d, a) times one matrix (a, b) for all, in a single product, or one for each row (n, a, b)."""
+    if matrix.ndim == 2:
+        return np.asarray((rows.reshape(-1, len(matrix)) @ matrix).reshape(*rows.shape[:2], -1))
+    return np.asarray(rows @ matrix)

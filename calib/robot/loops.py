@@ -3,6 +3,10 @@
 Loop l asks that the origins of two frames A and B coincide in some directions S of A: ``g = S R_A^T (p_B - p_A) = 0``.
 The passive joints are solved by Newton's method from their nominal coupling; their derivatives with respect to anything
 follow from the implicit function theorem, ``dq_passive = -(dg/dq_passive)^-1 dg``.
+
+Only the joints behind the last one that carries both frames matter to a loop: these are walked here, all rows at once.
+A turn z of such a joint at p, on the way to B, changes the gap by ``S R_A^T (z x (p_B - p))``; on the way to A it turns
+the directions too, and the change is the same with the other sign, whatever the gap is.
 """
 
 from collections.abc import Sequence
@@ -13,12 +17,14 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError
-from calib.robot.kinematics import Kinematics, Regressor
+from calib.robot.kinematics import MovingType, Tree
 from calib.robot.skeleton import Skeleton, derivative, end_frame
 
 _MOST_STEPS = 30
 # Where a quarter of a micrometre is left, the links cannot reach; rounding leaves a thousandth of a nanometre.
 _OPEN = 1e-10
+# Newton's steps square: after one this small (rad or m) nothing is left but rounding.
+_LAST_STEP = 1e-9
 _NEGLIGIBLE = 1e-14
 # Smallest singular value of the closure, in m/rad or per unit: below it a pose is at a dead centre.
 _SINGULAR = 1e-6
@@ -36,14 +42,41 @@ class Loop(NamedTuple):
     passive: tuple[int, ...]
 
 
-class _Gap(NamedTuple):
-    """Gaps (N, m) of one loop, and their change (N, m, 6) with the local twists of its two frames."""
+class _Frames(NamedTuple):
+    """Rotations (N, 3, 3) and origins (N, 3) of a frame over N rows, in the joint that carries the whole loop."""
 
-    value: Array
-    by_a: Array
-    by_b: Array
-    a: Regressor
-    b: Regressor
+    R: Array
+    p: Array
+
+
+class _Side(NamedTuple):
+    """The way from the joint that carries the whole loop to one of its two frames.
+
+    ``joints``: moving joints on the way, with their ``placements`` (len, 4, 4); ``end`` (4, 4): the frame in the last.
+    ``still``: how many of them come before the first passive one. ``sign``: -1 towards A, +1 towards B.
+    """
+
+    joints: tuple[int, ...]
+    placements: Array
+    end: Array
+    still: int
+    sign: float
+
+
+class _Ring(NamedTuple):
+    """A loop ready to be walked. ``follows`` (f, 6 n): the twists that change the gap, as they follow deviations.
+
+    f counts six for every joint of both sides, in order, then six for each of the two frames.
+    """
+
+    closes: list[int]
+    sides: tuple[_Side, _Side]
+    follows: Array
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The moving joints of both sides, in order."""
+        return self.sides[0].joints + self.sides[1].joints
 
 
 def passive_joints(loops: Sequence[Loop]) -> list[int]:
@@ -52,30 +85,29 @@ def passive_joints(loops: Sequence[Loop]) -> list[int]:
 
 
 class Closure:
-    """The loops of a tree at given deviations. Not to be shared by threads."""
+    """The loops of a tree at given deviations."""
 
     def __init__(self, s: Skeleton, loops: Sequence[Loop]) -> None:
         self._loops, self._types, self._passive = tuple(loops), s.tree.types, passive_joints(loops)
-        ends = [end for loop in loops for end in loop.ends]
-        self._kinematics = Kinematics(s.tree, [end_frame(s, end) for end in ends])
-        self._derivatives = [derivative(s, end) for end in ends]
+        self._rings = [_ring(s, loop, self._passive) for loop in loops]
 
     def close(self, q: Array) -> Array:
         """Return joint positions (N, nj) with the passive joints solved, from q (N, nj) as start.
 
-        Raises RobotError naming the first row whose loop cannot close or is at a dead centre.
+        Raises PoseError naming the first row whose loop cannot close or is at a dead centre.
         """
         q = q.copy()
+        still = [[self._walk(side, slice(side.still), q)[-1] for side in ring.sides] for ring in self._rings]
         for _ in range(_MOST_STEPS):
-            value, slope = self._passive_system(self._gaps(q))
+            value, slope = self._gaps(q, still)
             self._refuse(_smallest_singular_value(slope) < _SINGULAR, "is at a dead centre: its joints may go two ways")
             step = np.linalg.solve(slope, value[:, :, None])[:, :, 0]
             # A step of more than half a radian could leave the branch that the machine was assembled in.
             step *= np.minimum(1.0, 0.5 / np.maximum(np.max(np.abs(step), axis=1, keepdims=True), _NEGLIGIBLE))
             q[:, self._passive] -= step
-            if max(np.max(np.abs(step), initial=0.0), np.max(np.abs(value), initial=0.0)) < _NEGLIGIBLE:
-                break
-        value, _ = self._passive_system(self._gaps(q))
+            if np.max(np.abs(step), initial=0.0) < _LAST_STEP:
+                return q
+        value, _ = self._gaps(q, still)
         self._refuse(np.max(np.abs(value), axis=1) > _OPEN, "cannot close: its links do not reach")
         return q
 
@@ -85,49 +117,136 @@ class Closure:
         (N, k, 6 n + a): per change of the n joints' deviations, then of parameters that move the positions of the
         joints by ``by_position`` (nj, a), where rows of passive joints do not count.
         """
-        gaps = self._gaps(q)
-        _, slope = self._passive_system(gaps)
-        ends = zip(gaps, self._derivatives[::2], self._derivatives[1::2], strict=True)
-        by_deviation = np.concatenate(
-            [_follow(gap.by_a, gap.a, *of_a) + _follow(gap.by_b, gap.b, *of_b) for gap, of_a, of_b in ends], axis=1
-        )
-        moving = np.concatenate([self._by_joint(gap, range(len(self._types))) for gap in gaps], axis=1)
         driven = by_position.copy()
         driven[self._passive] = 0.0
-        change = np.concatenate([by_deviation, moving @ driven], axis=2)
-        return np.asarray(-np.linalg.solve(slope, change))
+        by_twists = [self._by_twist(ring, q) for ring in self._rings]
+        slope = np.zeros((len(q), len(self._passive), len(self._passive)))
+        row = 0
+        for ring, by_twist in zip(self._rings, by_twists, strict=True):
+            rows = slice(row, row := row + len(ring.closes))
+            for i, j in enumerate(ring.joints):
+                if j in self._passive:
+                    slope[:, rows, self._passive.index(j)] = by_twist[:, :, 6 * i + self._own(j)]
+        inverse, row, found = -np.linalg.inv(slope), 0, []
+        for ring, by_twist in zip(self._rings, by_twists, strict=True):
+            shares = inverse[:, :, row : (row := row + len(ring.closes))] @ by_twist
+            found.append((shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven)))
+        return np.asarray(sum(found)).reshape(*slope.shape[:2], -1)
 
-    def _gaps(self, q: Array) -> list[_Gap]:
-        ends = self._kinematics.regressors(q)
-        return [_gap(loop, a, b) for loop, a, b in zip(self._loops, ends[::2], ends[1::2], strict=True)]
+    def _own(self, joint: int) -> int:
+        """Return which component of a twist is a joint's own motion, which commutes with a change of its placement."""
+        return 5 if self._types[joint] == "revolute" else 2
 
-    def _passive_system(self, gaps: Sequence[_Gap]) -> tuple[Array, Array]:
-        """Return all gaps (N, k) and their change (N, k, k) with the passive joints."""
-        slope = np.concatenate([self._by_joint(gap, self._passive) for gap in gaps], axis=1)
-        return np.concatenate([gap.value for gap in gaps], axis=1), slope
+    def _follows(self, ring: _Ring, driven: Array) -> Array:
+        """Return how the twists that change a gap follow deviations and driven positions: (f, 6 n + a)."""
+        by_position = np.zeros((len(ring.follows), driven.shape[1]))
+        for i, j in enumerate(ring.joints):
+            by_position[6 * i + self._own(j)] = driven[j]
+        return np.hstack([ring.follows, by_position])
 
-    def _by_joint(self, gap: _Gap, joints: Sequence[int]) -> Array:
-        of_a, of_b = (end.by_joint(self._types, joints) for end in (gap.a, gap.b))
-        return np.asarray(gap.by_a @ of_a + gap.by_b @ of_b)
+    def _walk(self, side: _Side, part: slice, q: Array, start: _Frames | None = None) -> list[_Frames]:
+        """Return the frames of some joints of a side, each before its own motion, then that behind the last one."""
+        R, p = _at_rest(len(q)) if start is None else start
+        found: list[_Frames] = []
+        for j, placement in zip(side.joints[part], side.placements[part], strict=True):
+            R, p = _placed(R, p, placement)
+            found.append(_Frames(R, p))
+            if self._types[j] == "prismatic":
+                p = p + R[:, :, 2] * q[:, j, None]
+            else:
+                c, s = np.cos(q[:, j, None]), np.sin(q[:, j, None])
+                turned = np.empty_like(R)
+                turned[:, :, 0] = R[:, :, 0] * c + R[:, :, 1] * s
+                turned[:, :, 1] = R[:, :, 1] * c - R[:, :, 0] * s
+                turned[:, :, 2] = R[:, :, 2]
+                R = turned
+        return [*found, _Frames(R, p)]
+
+    def _gaps(self, q: Array, starts: Sequence[Sequence[_Frames]]) -> tuple[Array, Array]:
+        """Return all gaps (N, k) and their change (N, k, k) with the passive joints.
+
+        ``starts``: for both sides of every ring, the frames (N) behind its still joints.
+        """
+        values, slopes = [], []
+        for ring, start in zip(self._rings, starts, strict=True):
+            parts = [slice(side.still, None) for side in ring.sides]
+            walks = [self._walk(side, part, q, at) for side, part, at in zip(ring.sides, parts, start, strict=True)]
+            a, b = (_placed(*walk[-1], side.end) for walk, side in zip(walks, ring.sides, strict=True))
+            moved = np.zeros((len(q), 3, len(self._passive)))
+            for side, part, walk in zip(ring.sides, parts, walks, strict=True):
+                for j, (R, p) in zip(side.joints[part], walk, strict=False):
+                    if j in self._passive:
+                        z = R[:, :, 2]
+                        by_joint = z if self._types[j] == "prismatic" else _cross(z, b.p - p)
+                        moved[:, :, self._passive.index(j)] = side.sign * by_joint
+            S = np.swapaxes(a.R[:, :, ring.closes], 1, 2)
+            values.append((S @ (b.p - a.p)[:, :, None])[:, :, 0])
+            slopes.append(S @ moved)
+        return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
+
+    def _by_twist(self, ring: _Ring, q: Array) -> Array:
+        """Return how a gap follows local twists: of the placements of its joints, then of its frames (N, m, f)."""
+        walks = [self._walk(side, slice(None), q) for side in ring.sides]
+        a, b = (_placed(*walk[-1], side.end) for walk, side in zip(walks, ring.sides, strict=True))
+        at = [(side.sign, frames) for side, walk in zip(ring.sides, walks, strict=True) for frames in walk[:-1]]
+        at += [(-1.0, a), (1.0, b)]
+        S = np.swapaxes(a.R[:, :, ring.closes], 1, 2)
+        found = np.empty((len(q), len(ring.closes), 6 * len(at)))
+        for i, (sign, (R, p)) in enumerate(at):
+            # S (v + w x d) with v, w and d, the way to B, in the frame that is twisted: w . (d x S) each row.
+            local = sign * (S @ R)
+            d = (b.p - p)[:, None, :] @ R
+            found[:, :, 6 * i : 6 * i + 3] = local
+            found[:, :, 6 * i + 3 : 6 * i + 6] = _cross(d, local)
+        return found
 
     def _refuse(self, rows: BoolArray, why: str) -> None:
         if np.any(rows):
             raise PoseError(int(np.argmax(rows)), f"loop {', '.join(repr(loop.name) for loop in self._loops)} {why}")
 
 
-def _gap(loop: Loop, a: Regressor, b: Regressor) -> _Gap:
-    to_a = np.swapaxes(a.placement[:, :3, :3], -1, -2)
-    apart = (to_a @ (b.placement[:, :3, 3] - a.placement[:, :3, 3])[:, :, None])[:, :, 0]
-    # dg = S (R_AB v_B - v_A - w_A x gap); the last term matters once a gap stays open in another direction.
-    by_a = np.concatenate([np.broadcast_to(-np.eye(3), to_a.shape), rigid.skew(apart)], axis=2)
-    by_b = np.concatenate([to_a @ b.placement[:, :3, :3], np.zeros_like(to_a)], axis=2)
-    S = list(loop.closes)
-    return _Gap(apart[:, S], by_a[:, S], by_b[:, S], a, b)
+def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:
+    frames = [end_frame(s, end) for end in loop.ends]
+    ways = [_way(s.tree, frame.joint) for frame in frames]
+    common = sum(a == b for a, b in zip(*ways, strict=False))
+    sides: list[_Side] = []
+    rows: list[Array] = []
+    tails: list[Array] = []
+    for end, frame, way, sign in zip(loop.ends, frames, ways, (-1.0, 1.0), strict=True):
+        joints = tuple(way[common:])
+        still = next((i for i, j in enumerate(joints) if j in passive), len(joints))
+        sides.append(_Side(joints, s.tree.placements[list(joints)], frame.placement, still, sign))
+        by_joint, tail = derivative(s, end)
+        rows += [by_joint[6 * j : 6 * j + 6] for j in joints]
+        tails.append(tail)
+    return _Ring(list(loop.closes), (sides[0], sides[1]), np.concatenate(rows + tails))
 
 
-def _follow(by_twist: Array, end: Regressor, joints: Array, tail: Array) -> Array:
-    """Return how gaps follow deviations through one end's twist: (N, m, 6 n)."""
-    return np.asarray((by_twist @ end.matrix) @ joints + by_twist @ tail)
+def _way(tree: Tree, joint: int) -> list[int]:
+    """Return the moving joints from the root to one, itself included."""
+    way: list[int] = []
+    while joint >= 0:
+        way.append(joint)
+        joint = tree.parents[joint]
+    return way[::-1]
+
+
+def _at_rest(n: int) -> _Frames:
+    return _Frames(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))
+
+
+def _placed(R: Array, p: Array, placement: Array) -> _Frames:
+    """Return frames (N) moved on by one placement (4, 4) in themselves."""
+    moved = (R.reshape(-1, 3) @ placement[:3]).reshape(-1, 3, 4)
+    return _Frames(moved[:, :, :3], p + moved[:, :, 3])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return cross products (..., 3); numpy's own takes several times as long."""
+    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        found[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return found
 
 
 def _smallest_singular_value(slope: Array) -> Array:

@@ -214,6 +214,23 @@ class TipModel:
             rates = self._closure.rates(q, self._robot.offset_coupling)
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates)
 
+    def driven(self, readings: Array) -> tuple[Array, Array]:
+        """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
+
+        At readings (N, nr): joints move by their coupling, passive ones as their loops make them follow. Raises as
+        joint_positions does.
+        """
+        q = self.joint_positions(readings)
+        (tip,) = self._kinematics.regressors(q)
+        coupling, types, passive = self._robot.coupling, self._robot.moving_types, self._robot.passive
+        by_joint = tip.by_joint(types, range(len(types)))
+        if self._closure is None:
+            return tip.placement, np.asarray(by_joint @ coupling)
+        active = coupling.copy()
+        active[list(passive)] = 0.0
+        rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
+        return tip.placement, np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
+
 
 def _segments(robot: Robot) -> list[Segment]:
     numbers = {i: j for j, i in enumerate(robot.moving)}

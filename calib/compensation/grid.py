@@ -1,0 +1,411 @@
+"""Level 3: what no model of the arm explains, measured at the corners of cells in joint space and interpolated.
+
+A sector grid spans some of the joints; the others stood at a reference when its nodes were measured. The error vectors
+at the nodes, measured minus predicted, are kept in the axes of the base or of the tip link, whichever they follow.
+"""
+
+import io
+import itertools
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RegularGridInterpolator
+
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.errors import JobError, MeasurementError, OutputError
+from calib.foundations.files import read_bytes, write_atomically
+from calib.robot.robot import Reading
+
+Frame = Literal["base", "tip"]
+FRAMES: Final[tuple[Frame, ...]] = ("base", "tip")
+
+# Encoders at rest jitter by less than this share of a step; over it errors do not change by anything that counts.
+_OFF_GRID = 1e-3
+# Readings are inside up to rounding, and so is a cell whose missing corner has no more weight than this.
+_ROUNDING = 1e-9
+_MOST_NODES = 10_000_000
+_LARGEST_FILE = 1_000_000_000
+_SCHEMA = 1
+_KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
+_UNITS = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
+
+
+class _Cells(NamedTuple):
+    """Cells (N, k) of N points by their lower corners, and the places (N, k) in them, from 0 to 1."""
+
+    lower: IntArray
+    place: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SectorGrid:
+    """Error vectors at the nodes of a regular grid over some joints. Made by :func:`grid_from_residuals`.
+
+    ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of those that the grid
+    spans, each with its nodes in ``axes``, ascending, in rad or m. ``reference`` (nr): where the other joints stood;
+    NaN for those of the grid. ``errors`` (n_1, ..., n_k, 3): in m, in the axes of ``frame``; where ``measured``
+    (n_1, ..., n_k) is false, those of the nearest measured node.
+    """
+
+    readings: tuple[tuple[str, Literal["angle", "length"]], ...]
+    joints: tuple[int, ...]
+    axes: tuple[Array, ...]
+    reference: Array
+    errors: Array
+    measured: BoolArray
+    frame: Frame
+
+    def at(self, readings: Array, *, clamp: bool = False) -> Array:
+        """Return the error vectors (N, 3) in m, multilinear in each cell, at readings (N, nr) in rad and m.
+
+        NaN in rows outside the grid, which :meth:`outside` explains. With ``clamp`` these have the errors at the
+        nearest edge, and nearest nodes stand for missing ones.
+        """
+        inside = self._clipped(readings)
+        values = np.asarray(RegularGridInterpolator(self.axes, self.errors)(inside))
+        return values if clamp else np.where(self._covered(readings)[:, None], values, np.nan)
+
+    def at_by_distance(self, readings: Array) -> Array:
+        """Return the error vectors (N, 3) as :meth:`at`, by weights 1 / distance^2 of the corners of each cell.
+
+        Distances are in steps of the grid. For comparison: a linear field is not reproduced.
+        """
+        lower, place = self._cells(self._clipped(readings))
+        corners = np.array(list(itertools.product((0, 1), repeat=len(self.axes))))
+        squared = np.sum((place[:, None] - corners) ** 2, axis=2)
+        # At a node its own weight outgrows all others beyond the last digit.
+        weights = 1.0 / np.maximum(squared, 1e-30)
+        weights /= np.sum(weights, axis=1, keepdims=True)
+        nodes = self.errors[tuple(np.moveaxis(lower[:, None] + corners, 2, 0))]
+        values = np.sum(weights[:, :, None] * nodes, axis=1)
+        return np.asarray(np.where(self._covered(readings)[:, None], values, np.nan))
+
+    def outside(self, readings: Array) -> tuple[str, ...]:
+        """Return for every row of readings (N, nr) why it is outside the grid, or an empty text."""
+        covered = self._covered(readings)
+        return tuple("" if covered[n] else self._reason(readings[n]) for n in range(len(readings)))
+
+    def _reason(self, row: Array) -> str:
+        for j, axis in zip(self.joints, self.axes, strict=True):
+            if not _within(row[j], axis):
+                name, dimension = self.readings[j]
+                low, high = (_said(value, dimension) for value in (axis[0], axis[-1]))
+                return f"{name} at {_said(row[j], dimension)} is outside the grid, from {low} to {high}"
+        lower, _ = self._cells(self._clipped(row[None]))
+        cell = ", ".join(
+            f"{self.readings[j][0]} {_said(axis[i], self.readings[j][1])} to {_said(axis[i + 1], self.readings[j][1])}"
+            for j, axis, i in zip(self.joints, self.axes, lower[0], strict=True)
+        )
+        return f"the cell {cell} has a corner that was not measured"
+
+    def _clipped(self, readings: Array) -> Array:
+        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
+        return np.asarray(np.clip(points, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes]))
+
+    def _covered(self, readings: Array) -> BoolArray:
+        inside = np.all([_within(readings[:, j], axis) for j, axis in zip(self.joints, self.axes, strict=True)], axis=0)
+        if not self.measured.all():
+            # A missing node counts only where it has weight: the faces of a whole cell belong to it.
+            missing = RegularGridInterpolator(self.axes, (~self.measured).astype(np.float64))
+            inside &= missing(self._clipped(readings)) <= _ROUNDING
+        return np.asarray(inside)
+
+    def _cells(self, points: Array) -> _Cells:
+        lower = np.stack(
+            [
+                np.clip(np.searchsorted(axis, points[:, k], side="right") - 1, 0, len(axis) - 2)
+                for k, axis in enumerate(self.axes)
+            ],
+            axis=1,
+        )
+        low, high = (np.stack([axis[lower[:, k] + i] for k, axis in enumerate(self.axes)], axis=1) for i in (0, 1))
+        return _Cells(lower, (points - low) / (high - low))
+
+
+def _within(values: Array, axis: Array) -> BoolArray:
+    slack = _ROUNDING * (axis[-1] - axis[0])
+    return np.asarray((values >= axis[0] - slack) & (values <= axis[-1] + slack))
+
+
+def _said(value: float, dimension: str) -> str:
+    symbol, factor = _UNITS[dimension]
+    return f"{value * factor:.6g} {symbol}"
+
+
+# ---- from measured nodes
+
+
+def grid_from_residuals(
+    readings: Array,
+    errors: Array,
+    robot_readings: Sequence[Reading],
+    joints: Sequence[str],
+    frame: Frame = "base",
+    *,
+    axes: Mapping[str, npt.ArrayLike] | None = None,
+    partial: bool = False,
+    where: str = "nodes",
+    lines: Sequence[int] | IntArray | None = None,
+) -> SectorGrid:
+    """Return the grid of error vectors (N, 3) in m, in the axes of ``frame``, measured at readings (N, nr).
+
+    ``joints``: names, out of ``robot_readings``, of those that the grid spans; the others must stand still. The rows,
+    in any order, must hold every combination once. The nodes of a joint are evenly spaced unless ``axes`` names them
+    in rad or m. ``partial``: nodes may be missing, and a cell is used where all its corners are there. ``where`` and
+    ``lines`` (N): where rows stand, for messages.
+
+    Raises JobError when an option cannot be used, and MeasurementError naming the first row that is not on the grid or
+    is there twice, the first node that is missing, or the joint that moves and is not one of the grid's.
+    """
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    given = axes or {}
+    names = [reading.name for reading in robot_readings]
+    numbers = _numbers(names, joints, frame, given)
+    if readings.shape != (len(errors), len(names)) or errors.shape != (len(readings), 3) or not len(errors):
+        raise MeasurementError(
+            f"{where}: readings {readings.shape} and errors {errors.shape} must have the shapes "
+            f"(N, {len(names)}) and (N, 3)."
+        )
+    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
+        raise MeasurementError(f"{where}: readings and errors must be finite numbers.")
+    at = [f"{where}, row {n}" if lines is None else f"{where}:{lines[n]}" for n in range(len(readings))]
+    reference = _reference(readings, robot_readings, numbers, at)
+    placed = [_placed(readings[:, j], robot_readings[j], at, given.get(names[j])) for j in numbers]
+    nodes = tuple(read_only(axis) for axis, _ in placed)
+    shape = tuple(len(axis) for axis in nodes)
+    if np.prod([float(n) for n in shape]) > _MOST_NODES:
+        raise MeasurementError(f"{where}: the steps make a grid of more than {_MOST_NODES} nodes.")
+    index = tuple(np.asarray(i) for _, i in placed)
+    row_of = np.full(shape, -1, dtype=np.intp)
+    for n, node in enumerate(zip(*index, strict=True)):
+        if row_of[node] >= 0:
+            raise MeasurementError(
+                f"{at[n]}: the node {_node(node, nodes, numbers, robot_readings)} is there twice, first at "
+                f"{at[row_of[node]]}."
+            )
+        row_of[node] = n
+    measured = row_of >= 0
+    if not (partial or measured.all()):
+        missing = tuple(int(i) for i in np.argwhere(~measured)[0])
+        raise MeasurementError(
+            f"{where}: {np.count_nonzero(~measured)} of the {measured.size} nodes of the grid are missing, the first at "
+            f"{_node(missing, nodes, numbers, robot_readings)}."
+        )
+    filled = errors[row_of]
+    filled[~measured] = filled[tuple(_nearest_measured(measured).T)]
+    return SectorGrid(
+        tuple((reading.name, reading.dimension) for reading in robot_readings),
+        tuple(numbers),
+        nodes,
+        read_only(reference),
+        read_only(filled),
+        read_only_view(measured),
+        frame,
+    )
+
+
+def _numbers(names: Sequence[str], joints: Sequence[str], frame: str, axes: Mapping[str, npt.ArrayLike]) -> list[int]:
+    if frame not in FRAMES:
+        raise JobError(f"the frame of a grid is {frame!r}; allowed are {', '.join(FRAMES)}.")
+    if not joints:
+        raise JobError("a grid spans at least one joint, and none is named.")
+    for name in joints:
+        if name not in names:
+            raise JobError(f"a grid cannot span {name!r}; the joints that are read are {', '.join(names)}.")
+        if list(joints).count(name) > 1:
+            raise JobError(f"the grid's joint {name!r} is named more than once.")
+    for name in axes:
+        if name not in joints:
+            raise JobError(f"nodes are given for {name!r}, which is not a joint of the grid: {', '.join(joints)}.")
+    return [names.index(name) for name in joints]
+
+
+def _reference(readings: Array, robot_readings: Sequence[Reading], joints: Sequence[int], at: Sequence[str]) -> Array:
+    reference = np.full(readings.shape[1], np.nan)
+    for j, reading in enumerate(robot_readings):
+        if j not in joints:
+            middle = float(np.median(readings[:, j]))
+            off = np.abs(readings[:, j] - middle)
+            if (row := int(np.argmax(off > _OFF_GRID))) or off[0] > _OFF_GRID:
+                raise MeasurementError(
+                    f"{at[row]}: {reading.name} stands at {_said(readings[row, j], reading.dimension)} and elsewhere at "
+                    f"{_said(middle, reading.dimension)}; a joint that is not one of the grid's must stand still."
+                )
+            reference[j] = middle
+    return reference
+
+
+def _placed(values: Array, reading: Reading, at: Sequence[str], given: npt.ArrayLike | None) -> tuple[Array, IntArray]:
+    """Return the nodes of one joint, and the node (N) of every row."""
+    axis = _even_axis(values, reading, at) if given is None else _given_axis(given, reading)
+    index = np.argmin(np.abs(values[:, None] - axis), axis=1)
+    off = np.abs(values - axis[index]) > _OFF_GRID * np.min(np.diff(axis))
+    if off.any():
+        row = int(np.argmax(off))
+        nodes = _said(axis[0], reading.dimension), _said(axis[1] - axis[0], reading.dimension)
+        steps = f"starts at {nodes[0]} with steps of {nodes[1]}" if given is None else "is given"
+        raise MeasurementError(
+            f"{at[row]}: {reading.name} at {_said(values[row], reading.dimension)} is not on the grid, which {steps}."
+        )
+    return axis, index
+
+
+def _given_axis(given: npt.ArrayLike, reading: Reading) -> Array:
+    axis = np.asarray(given, dtype=np.float64)
+    if axis.ndim != 1 or len(axis) < 2 or not (np.isfinite(axis).all() and (np.diff(axis) > 0.0).all()):
+        raise JobError(f"the nodes of {reading.name} must be at least two ascending numbers.")
+    return axis
+
+
+def _even_axis(values: Array, reading: Reading, at: Sequence[str]) -> Array:
+    ordered = np.sort(values)
+    gaps = np.diff(ordered)
+    span = float(ordered[-1] - ordered[0])
+    # Jitter of one node is far smaller than the steps between nodes, of which the usual one is the median.
+    starts = np.concatenate([[0], np.flatnonzero(gaps > _OFF_GRID * span) + 1]) if span > 0.0 else np.zeros(1, int)
+    if len(starts) < 2 or span <= _OFF_GRID * _OFF_GRID:
+        raise MeasurementError(
+            f"{at[0]}: {reading.name} stands at {_said(values[0], reading.dimension)} in all rows; "
+            "a joint of the grid must have at least two nodes."
+        )
+    levels = np.array([np.median(level) for level in np.split(ordered, starts[1:])])
+    counts = np.diff(np.append(starts, len(ordered)))
+    # Levels where few rows stand are slips; the spacing is that of the others.
+    usual = levels[counts >= 0.5 * np.median(counts)]
+    usual = usual if len(usual) > 1 else levels
+    step = float(np.median(np.diff(usual)))
+    k = np.rint((usual - usual[0]) / step)
+    on = np.abs(usual - usual[0] - k * step) <= 10.0 * _OFF_GRID * step
+    if np.count_nonzero(on) > 1:  # the step to the last digit, from the whole span
+        last = int(np.flatnonzero(on)[-1])
+        step = float((usual[last] - usual[0]) / k[last])
+    low, high = (np.rint((value - usual[0]) / step) for value in (levels[0], levels[-1]))
+    if high - low > _MOST_NODES:
+        raise MeasurementError(f"{at[0]}: the steps of {reading.name} are too uneven for a grid.")
+    return np.asarray(usual[0] + step * np.arange(low, high + 1))
+
+
+def _node(node: Sequence[int], axes: Sequence[Array], joints: Sequence[int], robot_readings: Sequence[Reading]) -> str:
+    parts = zip(node, axes, (robot_readings[j] for j in joints), strict=True)
+    return ", ".join(f"{reading.name} {_said(axis[i], reading.dimension)}" for i, axis, reading in parts)
+
+
+def _nearest_measured(measured: BoolArray) -> IntArray:
+    """Return for every missing node (in order) the nearest measured one, in steps: (missing, k)."""
+    there, missing = np.argwhere(measured), np.argwhere(~measured)
+    nearest = [there[np.argmin(np.sum((there - node) ** 2, axis=1))] for node in missing]
+    return np.array(nearest, dtype=np.intp).reshape(-1, measured.ndim)
+
+
+# ---- files
+
+
+def grid_bytes(grid: SectorGrid) -> bytes:
+    """Return a grid as an npz file: plain arrays, the same bytes for the same grid."""
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        schema=np.array(_SCHEMA),
+        frame=np.array(grid.frame),
+        joints=np.array(grid.joints, dtype=np.int64),
+        dimensions=np.array(grid.readings),
+        reference=grid.reference,
+        axes=np.concatenate(grid.axes),
+        lengths=np.array([len(axis) for axis in grid.axes], dtype=np.int64),
+        errors=grid.errors,
+        measured=grid.measured,
+    )
+    return buffer.getvalue()
+
+
+def save_grid(grid: SectorGrid, path: str | Path) -> None:
+    """Write a grid as an npz file. Raises OutputError when it cannot be written."""
+    write_atomically(Path(path), grid_bytes(grid))
+
+
+def load_grid(path: str | Path) -> SectorGrid:
+    """Read a grid that :func:`save_grid` wrote; nothing in the file is ever executed.
+
+    Raises OutputError with one sentence when the file is not such a grid.
+    """
+    data = read_bytes(Path(path), OutputError, _LARGEST_FILE)
+    try:
+        return _grid_of(_arrays(data))
+    except (zipfile.BadZipFile, zlib.error, ValueError, RuntimeError, EOFError, KeyError, OSError) as e:
+        reason = str(e) if isinstance(e, _NotAGridError) else "it is not a readable npz file"
+        raise OutputError(f"{path}: is not a residual grid of this toolkit: {reason}.") from e
+
+
+class _NotAGridError(ValueError):
+    """What is wrong with the contents of a file."""
+
+
+def _arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = archive.infolist()
+        if sorted(entry.filename for entry in entries) != sorted(f"{key}.npy" for key in _KEYS):
+            raise _NotAGridError(f"it must hold {', '.join(_KEYS)} and nothing else")
+        if sum(entry.file_size for entry in entries) > _LARGEST_FILE:
+            raise _NotAGridError(f"it unpacks to more than {_LARGEST_FILE} bytes")
+        return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
+
+
+def _array(data: bytes) -> npt.NDArray[Any]:
+    """Return the array of an npy file whose header promises neither objects nor more than there is."""
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise _NotAGridError("its arrays are of another version")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    size = dtype.itemsize
+    for n in shape:
+        size *= n
+    if dtype.kind not in "ifbU" or fortran or size != len(data) - stream.tell():
+        raise _NotAGridError("an array is not what its header says, or holds no numbers")
+    return np.frombuffer(data, dtype=dtype, offset=stream.tell(), count=-1).reshape(shape) if size else np.zeros(shape)
+
+
+def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
+    kinds = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U", "lengths": "i", "measured": "b"}
+    for key, array in arrays.items():
+        if array.dtype.kind != kinds.get(key, "f"):
+            raise _NotAGridError(f"{key} has a wrong type")
+    if arrays["schema"].shape != () or int(arrays["schema"]) != _SCHEMA:
+        raise _NotAGridError(f"its schema is not {_SCHEMA}")
+    if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
+        raise _NotAGridError(f"its frame is not one of {', '.join(FRAMES)}")
+    table, joints, lengths = arrays["dimensions"], arrays["joints"], arrays["lengths"]
+    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(_UNITS)).all():
+        raise _NotAGridError("its joints have no names and dimensions")
+    numbers = [int(j) for j in joints.ravel()]
+    n = len(table)
+    if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not all(0 <= j < n for j in numbers):
+        raise _NotAGridError("its joints are not different ones of the robot's")
+    if lengths.shape != joints.shape or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
+        raise _NotAGridError("its axes are not at least two nodes for every joint")
+    axes = tuple(read_only(axis) for axis in np.split(arrays["axes"], np.cumsum(lengths)[:-1]))
+    if not all(np.isfinite(axis).all() and (np.diff(axis) > 0.0).all() for axis in axes):
+        raise _NotAGridError("its nodes do not ascend")
+    shape = tuple(int(length) for length in lengths)
+    if arrays["measured"].shape != shape or arrays["errors"].shape != (*shape, 3) or not arrays["measured"].any():
+        raise _NotAGridError("its errors are not those of its nodes")
+    if not np.isfinite(arrays["errors"]).all():
+        raise _NotAGridError("an error is not a finite number")
+    still = [j for j in range(n) if j not in numbers]
+    reference = arrays["reference"]
+    if reference.shape != (n,) or not np.isfinite(reference[still]).all() or not np.isnan(reference[numbers]).all():
+        raise _NotAGridError("its reference is not that of the joints beside the grid")
+    return SectorGrid(
+        tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table),
+        tuple(numbers),
+        axes,
+        read_only(reference),
+        read_only(arrays["errors"]),
+        read_only_view(arrays["measured"].copy()),
+        cast(Frame, str(arrays["frame"])),
+    )
