@@ -17,8 +17,9 @@ from calib.compensation.model_file import load_model
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
+from calib.job.inputs import load
 from calib.job.results import refuse_folder, result_json, robot_errors, write_results
-from calib.job.run import load, run
+from calib.job.run import run
 from calib.presentation.console import literal, progress, sentence, show, show_error, warning, write
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.job.run import load
+from calib.job.inputs import load
 from calib.job.run import run as identify
 from tests.identification import machines
 from tests.job.cases import CASE, JOB, TABLE, copy_case, edit, job, run, tree, write

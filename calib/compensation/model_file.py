@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.compensation.grid import SectorGrid, load_grid
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
@@ -21,6 +22,7 @@ from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
+GRID_FILE: Final = "grid.npz"
 
 
 # Quaternions are written to the last digit; anything farther off was edited by hand.
@@ -109,6 +111,7 @@ class ModelFile(_Strict):
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
     tools: dict[str, PoseEntry]
+    residual_model: Literal["grid.npz"] | None = None
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
 
@@ -118,24 +121,34 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
+    ``grid``: errors of tool positions that the rest leaves, over joint space, or None.
     """
 
     robot: Robot
     deviations: Deviations
     base: Array
     tools: Mapping[str, Array]
+    grid: SectorGrid | None = None
 
     def tips(self, readings: Array) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
         return self.robot.tips(readings, self.deviations)
 
     def predict(self, readings: Array, tool: str = "tool") -> Array:
-        """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool."""
-        return np.asarray(self.base @ self.tips(readings) @ self.tools[tool])
+        """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
+
+        The grid, where there is one, shifts positions; outside of it, where it has no values, nothing is added.
+        """
+        tips = self.tips(readings)
+        placed = np.asarray(self.base @ tips @ self.tools[tool])
+        if self.grid is not None:
+            axes = self.base[:3, :3] if self.grid.frame == "base" else (self.base @ tips)[:, :3, :3]
+            placed[:, :3, 3] += (axes @ np.nan_to_num(self.grid.at(readings))[:, :, None])[:, :, 0]
+        return placed
 
 
-def model_file(fit: Fit) -> ModelFile:
-    """Return the contents of ``model.json`` for a fit."""
+def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
+    """Return the contents of ``model.json`` for a fit; ``with_grid``: a residual grid lies beside it."""
     robot, machine, deviations = fit.robot, fit.machine, fit.deviations
     offsets = iter(map(float, deviations.offsets))
     joints = tuple(
@@ -157,6 +170,7 @@ def model_file(fit: Fit) -> ModelFile:
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.frames.base),
         tools=tools,
+        residual_model=GRID_FILE if with_grid else None,
         couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
         loops=tuple(
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
@@ -214,6 +228,7 @@ def load_model(folder: str | Path) -> CalibratedModel:
         Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets)),
         read_only(model.base.placement),
         {name: read_only(tool.placement) for name, tool in model.tools.items()},
+        None if model.residual_model is None else load_grid(folder / GRID_FILE),
     )
 
 
@@ -239,7 +254,7 @@ def _nonzero(names: list[str], row: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, row, strict=True) if value != 0.0}
 
 
-def model_json(fit: Fit) -> str:
+def model_json(fit: Fit, *, with_grid: bool = False) -> str:
     """Return ``model.json`` of a fit as text."""
-    contents: dict[str, Any] = model_file(fit).model_dump(by_alias=True)
+    contents: dict[str, Any] = model_file(fit, with_grid=with_grid).model_dump(by_alias=True)
     return json.dumps(contents, indent=2, allow_nan=False) + "\n"

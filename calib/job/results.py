@@ -16,7 +16,8 @@ import numpy as np
 
 import calib
 from calib.assessment.metrics import Metrics
-from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
+from calib.compensation.grid import grid_bytes
+from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
@@ -24,7 +25,8 @@ from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
-from calib.job.run import Inputs, Outcome, Progress, resolved
+from calib.job.inputs import Inputs, Progress
+from calib.job.run import Outcome, resolved
 from calib.measurement.measurements import Measurements
 from calib.presentation.scene import Scene, render_scene
 from calib.robot import dh
@@ -35,7 +37,8 @@ JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
 DH_FILE = "calibrated_dh.csv"
-_RESULTS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE, DH_FILE)
+_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
+_RESULTS = (*_ALWAYS, DH_FILE, GRID_FILE)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
@@ -98,11 +101,12 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         CALIBRATED_FILE: calibrated,
         NOMINAL_FILE: robot.urdf.source,
         JOB_FILE: resolved(outcome.inputs),
-        MODEL_FILE: model_json(fit),
+        MODEL_FILE: model_json(fit, with_grid=outcome.grid is not None),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
         **_dh_table(fit),
+        **({} if outcome.grid is None else {GRID_FILE: grid_bytes(outcome.grid)}),
     }
     progress("writing the results")
     with replace_folder(out) as folder:

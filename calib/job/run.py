@@ -1,56 +1,24 @@
-"""From a job file to a fit: everything is read and checked before anything is solved."""
+"""From inputs to an outcome: identify, level by level where a job has levels, and judge by what was held out."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
-from calib.foundations import rigid
+from calib.compensation.grid import Frame as GridFrame
+from calib.compensation.grid import SectorGrid, grid_from_residuals
 from calib.foundations.arrays import Array
-from calib.foundations.errors import IdentificationError, JobError, MeasurementError, PoseError
-from calib.foundations.files import read_bytes, sha256
-from calib.foundations.units import Dimension, parse_quantity
-from calib.identification.error_model import ErrorModel, error_model
+from calib.foundations.errors import IdentificationError, JobError
+from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
-from calib.identification.sanity import signatures
 from calib.identification.total_differential import Trace, total_differential
-from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
-from calib.measurement.checks import Finding, check
-from calib.measurement.instruments import LaserTracker
+from calib.job.inputs import Inputs, Progress
 from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
-from calib.robot.load import load_robot
-from calib.robot.robot import ClosedLoop, Coupling, Robot
-from calib.robot.sources import EXAMPLE, examples_folder, resolve
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Inputs:
-    """Everything a job names, read and checked. ``hashes``: SHA-256 of every input file by its name in the job."""
-
-    job: Job
-    path: Path
-    robot: Robot
-    model: ErrorModel
-    identify: tuple[Measurements, ...]
-    validate: tuple[Measurements, ...]
-    model_sigmas: tuple[float | None, ...]
-    mesh_roots: tuple[Path, ...]
-    findings: tuple[Finding, ...]
-    hashes: Mapping[str, str]
-    files: tuple[Path, ...]
-
-    def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
-        """Return the names, as the job has them, of the tables of one use."""
-        return tuple(section.file for section in self.job.measurements if section.use == use)
 
 
 class JudgedSet(NamedTuple):
@@ -81,7 +49,8 @@ class Outcome:
     """A finished calibration.
 
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
-    ``sets``: residuals of every table. ``doubts``: why it should not be trusted.
+    ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
+    should not be trusted. ``levels`` and ``trace``: on the way to the fit.
     """
 
     inputs: Inputs
@@ -91,55 +60,7 @@ class Outcome:
     doubts: tuple[str, ...]
     trace: Trace | None = None
     levels: tuple[LevelReport, ...] = ()
-
-
-def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
-    """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
-
-    Doubtful but usable things are returned as findings.
-    """
-    progress("reading the job")
-    job = read_job(path)
-    folder = path.parent
-    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
-    robot = _robot(job, urdf)
-    model = _model(job, robot, path)
-    progress("reading the measurements")
-    sections = job.measurements
-    sets = [_measurements(section, job, robot, folder) for section in sections]
-    _refuse_open_loops(robot, sets)
-    chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
-    held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
-    _refuse_levels(job, path)
-    _refuse_unknown_points(job, chosen, held_out, path)
-    _refuse_no_noise(job, sets, path)
-    findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
-    _refuse(findings)
-    progress("looking for typical mistakes")
-    findings += signatures(model, chosen)
-    _refuse(findings)
-    hashes = {
-        name: sha256(read_bytes(file, JobError))
-        for name, file in (
-            (path.name, path),
-            (job.robot.urdf, urdf),
-            *((section.file, folder / section.file) for section in sections),
-        )
-    }
-    findings += _not_held_out(job, hashes, path)
-    return Inputs(
-        job=job,
-        path=path,
-        robot=robot,
-        model=model,
-        identify=chosen,
-        validate=held_out,
-        model_sigmas=tuple(sigma for section in sections if section.use == "identify" for sigma in _sigmas(section)),
-        mesh_roots=_mesh_roots(job, urdf, path),
-        findings=tuple(findings),
-        hashes=hashes,
-        files=(path, urdf, *(folder / section.file for section in sections)),
-    )
+    grid: SectorGrid | None = None
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
@@ -154,9 +75,10 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
     progress("validating")
+    grid = _grid(inputs, fit)
     judged_sets = (
-        *_judged("identification", inputs.tables("identify"), inputs.identify, fit),
-        *_judged("validation", inputs.tables("validate"), inputs.validate, fit),
+        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, grid),
+        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, grid),
     )
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
@@ -165,8 +87,11 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         }
         for use in dict.fromkeys(judged.use for judged in judged_sets)
     }
-    stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     judged = figures["validation" if inputs.validate else "identification"]
+    if grid is not None:
+        values = int(3 * grid.measured.sum())
+        reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, judged["after"]))
+    stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     return Outcome(
         inputs,
         fit,
@@ -175,74 +100,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
         trace,
         reports,
+        grid,
     )
-
-
-def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
-    """Identify level by level, or all at once where the job has no levels."""
-    policy = inputs.job.error_model.blind
-    if not inputs.job.levels:
-        progress("identifying")
-        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=inputs.model_sigmas), ()
-    by_file = dict(
-        zip(_identify_files(inputs.job), zip(inputs.identify, _sigma_groups(inputs), strict=True), strict=True)
-    )
-    fit: Fit | None = None
-    reports: list[LevelReport] = []
-    for level in inputs.job.levels:
-        progress(f"identifying level {level.name}")
-        chosen = [by_file[file] for file in level.measurements or by_file]
-        fit = identify(
-            inputs.model,
-            [data for data, _ in chosen],
-            free=level.free,
-            start=fit,
-            blind=policy,
-            model_sigmas=[sigma for _, sigmas in chosen for sigma in sigmas],
-        )
-        reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
-    if fit is None:
-        raise TypeError("a job with levels has a first one")
-    return fit, tuple(reports)
-
-
-def _judged(
-    use: Literal["identification", "validation"], files: Sequence[str], sets: Sequence[Measurements], fit: Fit
-) -> Iterator[JudgedSet]:
-    before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
-    for file, data, b, a in zip(files, sets, before, after, strict=True):
-        yield JudgedSet(use, file, data, b, a)
-
-
-def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
-    """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
-    frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
-    judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
-    return metrics(residuals_of(judged, inputs.validate or inputs.identify, judged.machine))
-
-
-def _identify_files(job: Job) -> list[str]:
-    return [section.file for section in job.measurements if section.use == "identify"]
-
-
-def _sigma_groups(inputs: Inputs) -> list[tuple[float | None, ...]]:
-    return [_sigmas(section) for section in inputs.job.measurements if section.use == "identify"]
-
-
-def _refuse_levels(job: Job, path: Path) -> None:
-    """Refuse levels that name files which are not to be identified from, and files that come twice."""
-    files = _identify_files(job)
-    for i, level in enumerate(job.levels):
-        for file in level.measurements or ():
-            if file not in files:
-                known = ", ".join(map(repr, files))
-                raise JobError(
-                    f"{path}: levels[{i}].measurements: {file!r} is not a file to identify from, as {known} are."
-                )
-    if job.levels and len(set(files)) < len(files):
-        raise JobError(f"{path}: measurements: a file comes twice, and levels could not tell which is meant.")
-    if job.levels and job.solver.kind != "least_squares":
-        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
 
 
 def _follow(inputs: Inputs) -> Trace:
@@ -252,7 +111,7 @@ def _follow(inputs: Inputs) -> Trace:
             inputs.model,
             inputs.identify,
             stop=parse_quantity(solver.stop, "length", "solver.stop"),
-            rounding=_si(solver.rounding, "angle"),
+            rounding=None if solver.rounding is None else parse_quantity(solver.rounding, "angle", "solver.rounding"),
             most=solver.most,
         )
     except (IdentificationError, JobError) as e:
@@ -264,157 +123,89 @@ def _not_stopped(trace: Trace) -> str:
     return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."
 
 
+def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
+    """Identify level by level, or all at once where the job has no levels."""
+    policy = inputs.job.error_model.blind
+    if not inputs.job.levels:
+        progress("identifying")
+        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=_flat(inputs.model_sigmas)), ()
+    sigmas = zip(inputs.identify, inputs.model_sigmas, strict=True)
+    by_file = dict(zip(inputs.tables("identify"), sigmas, strict=True))
+    fit: Fit | None = None
+    reports: list[LevelReport] = []
+    for level in inputs.job.levels:
+        if level.residual_model is not None:
+            continue
+        progress(f"identifying level {level.name}")
+        chosen = [by_file[file] for file in level.measurements or by_file]
+        fit = identify(
+            inputs.model,
+            [data for data, _ in chosen],
+            free=level.free,
+            start=fit,
+            blind=policy,
+            model_sigmas=_flat(group for _, group in chosen),
+        )
+        reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
+    if fit is None:
+        raise TypeError("a job with levels has a first one")
+    return fit, tuple(reports)
+
+
+def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
+    """Return the residual grid, where the last level asks for one."""
+    section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
+    if section is None:
+        return None
+    errors = [r[:, :3] for r in residuals_of(fit, inputs.nodes, fit.machine)]
+    axes = [_axes(fit, data, section.frame) for data in inputs.nodes]
+    return grid_from_residuals(
+        np.concatenate([data.readings for data in inputs.nodes]),
+        np.concatenate([(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]),
+        fit.robot.readings,
+        section.joints,
+        section.frame,
+        partial=True,
+        where=inputs.nodes[0].where,
+        lines=inputs.nodes[0].lines if len(inputs.nodes) == 1 else None,
+    )
+
+
+def _axes(fit: Fit, data: Measurements, frame: GridFrame) -> Array:
+    """Return the axes (N, 3, 3) of a grid's frame in the instrument's frame, at every row."""
+    base = fit.machine.frames.base
+    if frame == "base":
+        return np.broadcast_to(base[:3, :3], (len(data), 3, 3))
+    return np.asarray((base @ fit.robot.tips(data.readings, fit.deviations))[:, :3, :3])
+
+
+def _judged(
+    use: Literal["identification", "validation"],
+    files: Sequence[str],
+    sets: Sequence[Measurements],
+    fit: Fit,
+    grid: SectorGrid | None,
+) -> Iterator[JudgedSet]:
+    before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
+    for file, data, b, a in zip(files, sets, before, after, strict=True):
+        if grid is not None:
+            a = a.copy()  # noqa: PLW2901
+            shift = _axes(fit, data, grid.frame) @ np.nan_to_num(grid.at(data.readings))[:, :, None]
+            a[:, :3] -= shift[:, :, 0]
+        yield JudgedSet(use, file, data, b, a)
+
+
+def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
+    return [sigma for group in groups for sigma in group]
+
+
+def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
+    """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
+    frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
+    judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
+    return metrics(residuals_of(judged, inputs.validate or inputs.identify, judged.machine))
+
+
 def resolved(inputs: Inputs) -> str:
     """Return the job with every default written out, as JSON."""
     return json.dumps(inputs.job.model_dump(by_alias=True), indent=2, allow_nan=False) + "\n"
-
-
-def _robot(job: Job, urdf: Path) -> Robot:
-    section = job.robot
-    return load_robot(
-        urdf,
-        section.tip,
-        section.base,
-        couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
-        loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
-    )
-
-
-def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
-    for data in sets:
-        try:
-            robot.joint_positions(data.readings)
-        except PoseError as e:
-            raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
-
-
-def _refuse(findings: Sequence[Finding]) -> None:
-    for finding in findings:
-        if finding.severity == "error":
-            raise MeasurementError(finding.sentence)
-
-
-def _refuse_unknown_points(
-    job: Job, chosen: Sequence[Measurements], held_out: Sequence[Measurements], path: Path
-) -> None:
-    """Refuse tools and held-out points that nothing was identified with: they would be passed over or be guessed."""
-    points = tuple(dict.fromkeys(point for data in chosen for point in data.tools))
-    known = ", ".join(map(repr, points))
-    for name in job.tools:
-        if name not in points:
-            raise JobError(f"{path}: tools: {name!r} is not a point of the measurements; they have {known}.")
-    for point in points:
-        if job.tools and point not in job.tools:
-            raise JobError(f"{path}: tools: the point {point!r} of the measurements is missing.")
-    for data in held_out:
-        for point in data.tools:
-            if point not in points:
-                raise MeasurementError(
-                    f"{data.where}: the point {point!r} is in no set to identify from; these have {known}."
-                )
-
-
-def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
-    """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
-    for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
-        keys = ("model_sigma", "model_sigma_angle")[: data.sigma.shape[1] // 3]
-        for k, (key, sigma) in enumerate(zip(keys, _sigmas(section), strict=True)):
-            if sigma == 0.0 and not np.all(data.sigma[:, 3 * k : 3 * k + 3] > 0.0):
-                raise JobError(
-                    f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
-                    "give one of them."
-                )
-
-
-def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
-    """Find tables that the model is both fitted to and judged by."""
-    fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
-    return [
-        Finding(
-            "warning",
-            "not-held-out",
-            f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
-            "the parameters are identified; as a validation it proves nothing.",
-        )
-        for i, section in enumerate(job.measurements)
-        if section.use == "validate" and hashes[section.file] in fitted
-    ]
-
-
-def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
-    """Return the folders where the scene may look for meshes."""
-    named = [path.parent / root for root in job.robot.mesh_roots]
-    for i, (root, text) in enumerate(zip(named, job.robot.mesh_roots, strict=True)):
-        if not _is_folder(root):
-            raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
-    examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
-    return (urdf.parent, *named, *examples)
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError:  # such as a name longer than the file system takes
-        return False
-
-
-def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
-    section = job.error_model
-    try:
-        model = error_model(
-            robot,
-            offsets=section.offsets,
-            placements=section.placements,
-            dh=section.dh,
-            dh_convention=section.dh_convention,
-            dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
-            base=section.base,
-            tool=section.tool,
-            prior_length=_si(section.prior.length, "length"),
-            prior_angle=_si(section.prior.angle, "angle"),
-            base_pose=None if job.base is None else _placement(job.base),
-            tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
-        )
-        free = model.parameters()
-    except JobError as e:
-        raise JobError(f"{path}: error_model.{e}") from e
-    if not free:
-        raise JobError(f"{path}: error_model: no parameter is free; free offsets, placements, the base or the tool.")
-    return model
-
-
-def _placement(frame: FrameSection) -> Array:
-    position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
-    return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
-
-
-def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: Path) -> Measurements:
-    return read_measurements(
-        folder / section.file,
-        robot,
-        section.observes,
-        sigma=_si(section.sigma, "length"),
-        sigma_angle=_si(section.sigma_angle, "angle"),
-        instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-        columns=section.columns,
-    )
-
-
-def _instrument(section: InstrumentSection) -> LaserTracker:
-    x, y, z = (parse_quantity(text, "length", "station") for text in section.station)
-    return LaserTracker(
-        parse_quantity(section.sigma, "length", "sigma"),
-        parse_quantity(section.sigma_per_metre, "length", "sigma_per_metre"),
-        (x, y, z),
-    )
-
-
-def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
-    """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
-    position = _si(section.model_sigma, "length")
-    return (position,) if section.observes == "position" else (position, _si(section.model_sigma_angle, "angle"))
-
-
-def _si(text: str | None, dimension: Dimension) -> float | None:
-    """Return the SI value of a quantity that the schema has accepted."""
-    return None if text is None else parse_quantity(text, dimension, "job")

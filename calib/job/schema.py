@@ -185,16 +185,26 @@ class SolverSection(_Section):
     most: Annotated[int, BeforeValidator(_iterations)] = 20
 
 
+class ResidualModelSection(_Section):
+    """``residual_model`` of a level: errors measured at nodes of a grid over some joints, kept in axes of ``frame``."""
+
+    kind: Literal["grid"]
+    joints: tuple[Name, ...] = Field(min_length=1)
+    frame: Literal["base", "tip"] = "base"
+
+
 class LevelSection(_Section):
     """``[[levels]]``: one step of several; each begins with what the one before has found.
 
-    ``free``: names and globs among the parameters that ``[error_model]`` frees; ``measurements``: files to identify
-    from, all of them when left out.
+    ``free``: names and globs among the parameters that ``[error_model]`` frees; or, in the last level, a
+    ``residual_model`` of what they leave unexplained. ``measurements``: files to identify from, all of them when left
+    out; files of nodes for a residual model.
     """
 
     name: Name
-    free: tuple[Name, ...] = Field(min_length=1)
+    free: tuple[Name, ...] = ()
     measurements: tuple[Name, ...] | None = None
+    residual_model: ResidualModelSection | None = None
 
 
 class MeasurementsSection(_Section):
@@ -205,7 +215,7 @@ class MeasurementsSection(_Section):
     sigma: PositiveLength | None = None
     sigma_angle: PositiveAngle | None = None
     instrument: str | None = None
-    use: Literal["identify", "validate"] = "identify"
+    use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: LengthFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     columns: dict[str, str] = Field(default_factory=dict)

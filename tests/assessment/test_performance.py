@@ -27,7 +27,8 @@ from calib.assessment.performance import (
 )
 from calib.foundations.errors import MeasurementError
 from calib.job.results import write_results
-from calib.job.run import load, run
+from calib.job.inputs import load
+from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.tables import plain

@@ -15,7 +15,8 @@ import calib
 from calib.foundations.errors import OutputError
 from calib.job import results
 from calib.job.results import write_results
-from calib.job.run import Outcome, load
+from calib.job.inputs import load
+from calib.job.run import Outcome
 from calib.job.run import run as identify
 from tests.identification import machines
 from tests.identification.machines import Array
@@ -242,7 +243,7 @@ def test_old_results_survive_a_wrong_job(case: Path, out: Path, tmp_path: Path) 
 def test_old_results_survive_an_error_at_the_last_moment(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OutputError("the disk is full.")
 
     write_results(outcome, tmp_path / "out")

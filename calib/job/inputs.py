@@ -1,0 +1,278 @@
+"""What a job names, read and checked before anything is solved."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.foundations.errors import JobError, MeasurementError, PoseError
+from calib.foundations.files import read_bytes, sha256
+from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.sanity import signatures
+from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
+from calib.measurement.checks import Finding, check
+from calib.measurement.instruments import LaserTracker
+from calib.measurement.measurements import Measurements
+from calib.measurement.read import read_measurements
+from calib.robot.load import load_robot
+from calib.robot.robot import ClosedLoop, Coupling, Robot
+from calib.robot.sources import EXAMPLE, examples_folder, resolve
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """Everything a job names, read and checked. ``hashes``: SHA-256 of every input file by its name in the job."""
+
+    job: Job
+    path: Path
+    robot: Robot
+    model: ErrorModel
+    identify: tuple[Measurements, ...]
+    validate: tuple[Measurements, ...]
+    nodes: tuple[Measurements, ...]
+    model_sigmas: tuple[tuple[float | None, ...], ...]
+    mesh_roots: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+    hashes: Mapping[str, str]
+    files: tuple[Path, ...]
+
+    def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
+        """Return the names, as the job has them, of the tables of one use."""
+        return tuple(section.file for section in self.job.measurements if section.use == use)
+
+
+def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
+    """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
+
+    Doubtful but usable things are returned as findings.
+    """
+    progress("reading the job")
+    job = read_job(path)
+    folder = path.parent
+    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
+    robot = _robot(job, urdf)
+    model = _model(job, robot, path)
+    progress("reading the measurements")
+    sections = job.measurements
+    sets = [_measurements(section, job, robot, folder) for section in sections]
+    _refuse_open_loops(robot, sets)
+    chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
+    held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
+    nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
+    _refuse_levels(job, path)
+    _refuse_unknown_points(job, chosen, held_out, path)
+    _refuse_no_noise(job, sets, path)
+    findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
+    if len(chosen) > 1:
+        # A joint that rests in one table may move in another; what is never seen, the rank says.
+        findings = [finding for finding in findings if finding.code != "joint-at-rest"]
+    _refuse(findings)
+    progress("looking for typical mistakes")
+    findings += signatures(model, chosen)
+    _refuse(findings)
+    hashes = {
+        name: sha256(read_bytes(file, JobError))
+        for name, file in (
+            (path.name, path),
+            (job.robot.urdf, urdf),
+            *((section.file, folder / section.file) for section in sections),
+        )
+    }
+    findings += _not_held_out(job, hashes, path)
+    return Inputs(
+        job=job,
+        path=path,
+        robot=robot,
+        model=model,
+        identify=chosen,
+        validate=held_out,
+        nodes=nodes,
+        model_sigmas=tuple(_sigmas(section) for section in sections if section.use == "identify"),
+        mesh_roots=_mesh_roots(job, urdf, path),
+        findings=tuple(findings),
+        hashes=hashes,
+        files=(path, urdf, *(folder / section.file for section in sections)),
+    )
+
+
+def _refuse_levels(job: Job, path: Path) -> None:
+    """Refuse levels that name files which are not to be identified from, and files that come twice."""
+    files = [section.file for section in job.measurements if section.use == "identify"]
+    nodes = [section.file for section in job.measurements if section.use == "nodes"]
+    for i, level in enumerate(job.levels):
+        residual = level.residual_model is not None
+        if residual == bool(level.free) or (residual and i + 1 < len(job.levels)) or (residual and i == 0):
+            raise JobError(
+                f"{path}: levels[{i}]: has either free parameters or, as the last of several, a residual_model."
+            )
+        for file in level.measurements or ():
+            if file not in (nodes if residual else files):
+                known = ", ".join(map(repr, nodes if residual else files)) or "none"
+                kind = "nodes" if residual else "identify"
+                raise JobError(
+                    f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}", which {known} have.'
+                )
+    if nodes and not any(level.residual_model for level in job.levels):
+        raise JobError(f'{path}: measurements: {nodes[0]!r} has use = "nodes", and no level has a residual_model.')
+    if job.levels and len(set(files)) < len(files):
+        raise JobError(f"{path}: measurements: a file comes twice, and levels could not tell which is meant.")
+    if job.levels and job.solver.kind != "least_squares":
+        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
+
+
+def _robot(job: Job, urdf: Path) -> Robot:
+    section = job.robot
+    return load_robot(
+        urdf,
+        section.tip,
+        section.base,
+        couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
+        loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+    )
+
+
+def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
+    for data in sets:
+        try:
+            robot.joint_positions(data.readings)
+        except PoseError as e:
+            raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
+
+
+def _refuse(findings: Sequence[Finding]) -> None:
+    for finding in findings:
+        if finding.severity == "error":
+            raise MeasurementError(finding.sentence)
+
+
+def _refuse_unknown_points(
+    job: Job, chosen: Sequence[Measurements], held_out: Sequence[Measurements], path: Path
+) -> None:
+    """Refuse tools and held-out points that nothing was identified with: they would be passed over or be guessed."""
+    points = tuple(dict.fromkeys(point for data in chosen for point in data.tools))
+    known = ", ".join(map(repr, points))
+    for name in job.tools:
+        if name not in points:
+            raise JobError(f"{path}: tools: {name!r} is not a point of the measurements; they have {known}.")
+    for point in points:
+        if job.tools and point not in job.tools:
+            raise JobError(f"{path}: tools: the point {point!r} of the measurements is missing.")
+    for data in held_out:
+        for point in data.tools:
+            if point not in points:
+                raise MeasurementError(
+                    f"{data.where}: the point {point!r} is in no set to identify from; these have {known}."
+                )
+
+
+def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
+    for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
+        keys = ("model_sigma", "model_sigma_angle")[: data.sigma.shape[1] // 3]
+        for k, (key, sigma) in enumerate(zip(keys, _sigmas(section), strict=True)):
+            if sigma == 0.0 and not np.all(data.sigma[:, 3 * k : 3 * k + 3] > 0.0):
+                raise JobError(
+                    f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
+                    "give one of them."
+                )
+
+
+def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
+    """Find tables that the model is both fitted to and judged by."""
+    fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
+    return [
+        Finding(
+            "warning",
+            "not-held-out",
+            f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
+            "the parameters are identified; as a validation it proves nothing.",
+        )
+        for i, section in enumerate(job.measurements)
+        if section.use == "validate" and hashes[section.file] in fitted
+    ]
+
+
+def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
+    """Return the folders where the scene may look for meshes."""
+    named = [path.parent / root for root in job.robot.mesh_roots]
+    for i, (root, text) in enumerate(zip(named, job.robot.mesh_roots, strict=True)):
+        if not _is_folder(root):
+            raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
+    examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
+    return (urdf.parent, *named, *examples)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # such as a name longer than the file system takes
+        return False
+
+
+def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
+    section = job.error_model
+    try:
+        model = error_model(
+            robot,
+            offsets=section.offsets,
+            placements=section.placements,
+            dh=section.dh,
+            dh_convention=section.dh_convention,
+            dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
+            base=section.base,
+            tool=section.tool,
+            prior_length=_si(section.prior.length, "length"),
+            prior_angle=_si(section.prior.angle, "angle"),
+            base_pose=None if job.base is None else _placement(job.base),
+            tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
+        )
+        free = model.parameters()
+    except JobError as e:
+        raise JobError(f"{path}: error_model.{e}") from e
+    if not free:
+        raise JobError(f"{path}: error_model: no parameter is free; free offsets, placements, the base or the tool.")
+    return model
+
+
+def _placement(frame: FrameSection) -> Array:
+    position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
+    return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
+
+
+def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: Path) -> Measurements:
+    return read_measurements(
+        folder / section.file,
+        robot,
+        section.observes,
+        sigma=_si(section.sigma, "length"),
+        sigma_angle=_si(section.sigma_angle, "angle"),
+        instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+        columns=section.columns,
+    )
+
+
+def _instrument(section: InstrumentSection) -> LaserTracker:
+    x, y, z = (parse_quantity(text, "length", "station") for text in section.station)
+    return LaserTracker(
+        parse_quantity(section.sigma, "length", "sigma"),
+        parse_quantity(section.sigma_per_metre, "length", "sigma_per_metre"),
+        (x, y, z),
+    )
+
+
+def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
+    """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
+    position = _si(section.model_sigma, "length")
+    return (position,) if section.observes == "position" else (position, _si(section.model_sigma_angle, "angle"))
+
+
+def _si(text: str | None, dimension: Dimension) -> float | None:
+    """Return the SI value of a quantity that the schema has accepted."""
+    return None if text is None else parse_quantity(text, dimension, "job")
