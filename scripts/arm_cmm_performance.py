@@ -17,7 +17,7 @@ from calib.assessment.performance import Performance, before_and_after, read_tou
 from calib.foundations.arrays import Array
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
-from calib.job.run import load
+from calib.job.inputs import load
 from calib.presentation.performance_tables import performance_markdown, performance_table
 from calib.presentation.tables import plain
 from calib.robot.robot import Robot
