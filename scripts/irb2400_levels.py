@@ -44,8 +44,8 @@ reached 0.066 mm on average and 0.172 mm at most, from 0.420 and 1.583 mm, on 28
 Here the mechanism is a closed loop in the job, `[[robot.loop]]`; the levels are `[[levels]]` of the same job. The
 machines are simulated ([robots/irb2400](../robots/irb2400/README.md) says how) and share no code with the toolkit; {n}
 of them with different errors are averaged. Errors are of 284 poses that no level has seen, measured minus predicted,
-after base and tool are fitted again; the last rows are of the true reflector, where the nominal robot would have brought
-it.
+after base and tool are fitted again; the last rows are of the true reflector, where the nominal robot would have
+brought it.
 """
 
 

@@ -194,8 +194,8 @@ def grid_from_residuals(
     if not (partial or measured.all()):
         missing = tuple(int(i) for i in np.argwhere(~measured)[0])
         raise MeasurementError(
-            f"{where}: {np.count_nonzero(~measured)} of the {measured.size} nodes of the grid are missing, the first at "
-            f"{_node(missing, nodes, numbers, robot_readings)}."
+            f"{where}: {np.count_nonzero(~measured)} of the {measured.size} nodes of the grid are missing, the first "
+            f"at {_node(missing, nodes, numbers, robot_readings)}."
         )
     filled = errors[row_of]
     filled[~measured] = filled[tuple(_nearest_measured(measured).T)]
@@ -234,8 +234,8 @@ def _reference(readings: Array, robot_readings: Sequence[Reading], joints: Seque
             off = np.abs(readings[:, j] - middle)
             if (row := int(np.argmax(off > _OFF_GRID))) or off[0] > _OFF_GRID:
                 raise MeasurementError(
-                    f"{at[row]}: {reading.name} stands at {_said(readings[row, j], reading.dimension)} and elsewhere at "
-                    f"{_said(middle, reading.dimension)}; a joint that is not one of the grid's must stand still."
+                    f"{at[row]}: {reading.name} stands at {_said(readings[row, j], reading.dimension)} and elsewhere "
+                    f"at {_said(middle, reading.dimension)}; a joint that is not one of the grid's must stand still."
                 )
             reference[j] = middle
     return reference

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError
-from calib.robot.kinematics import MovingType, Tree
+from calib.robot.kinematics import Tree
 from calib.robot.skeleton import Skeleton, derivative, end_frame
 
 _MOST_STEPS = 30
@@ -130,7 +129,7 @@ class Closure:
         inverse, row, found = -np.linalg.inv(slope), 0, []
         for ring, by_twist in zip(self._rings, by_twists, strict=True):
             shares = inverse[:, :, row : (row := row + len(ring.closes))] @ by_twist
-            found.append((shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven)))
+            found.append(shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven))
         return np.asarray(sum(found)).reshape(*slope.shape[:2], -1)
 
     def _own(self, joint: int) -> int:
