@@ -67,6 +67,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     """Identify, and judge by the data held out."""
     try:
         fit, reports = _climb(inputs, progress)
+        grid = _grid(inputs, fit)
     except (IdentificationError, JobError) as e:
         raise type(e)(f"{inputs.path}: {e}") from e
     trace = None
@@ -75,7 +76,6 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
     progress("validating")
-    grid = _grid(inputs, fit)
     judged_sets = (
         *_judged("identification", inputs.tables("identify"), inputs.identify, fit, grid),
         *_judged("validation", inputs.tables("validate"), inputs.validate, fit, grid),

@@ -14,8 +14,8 @@ import yourdfpy
 import calib
 from calib.foundations.errors import OutputError
 from calib.job import results
-from calib.job.results import write_results
 from calib.job.inputs import load
+from calib.job.results import write_results
 from calib.job.run import Outcome
 from calib.job.run import run as identify
 from tests.identification import machines
