@@ -11,6 +11,7 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.compensation.urdf import write_urdf
 from calib.foundations.errors import (
@@ -52,6 +53,7 @@ __all__ = [
     "Robot",
     "RobotError",
     "Trace",
+    "commands",
     "dh",
     "error_model",
     "identify",

@@ -13,6 +13,8 @@ import calib
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
+from calib.compensation import commands
+from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import write_atomically
@@ -50,6 +52,10 @@ Errors = Annotated[
     Path | None,
     typer.Option("--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False),
 ]
+TargetFile = Annotated[
+    Path, typer.Argument(metavar="TARGETS", help="Joint targets, poses or positions (CSV).", show_default=False)
+]
+CommandFile = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The corrected table, to be written.")]
 DhSource = Annotated[
     Path, typer.Argument(metavar="FILE", help="A DH table (.csv) or a URDF (.urdf).", show_default=False)
 ]
@@ -129,6 +135,38 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
             ),
             *blind_lines(seen.blind_directions),
         )
+
+
+@app.command()
+def compensate(
+    results: ResultFolder,
+    targets: TargetFile,
+    out: CommandFile,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool that is to reach them.")] = "tool",
+    frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
+    what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
+    clamp: Annotated[bool, typer.Option("--clamp", help="Outside a residual grid take its nearest edge.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Correct commands: joint targets, poses or positions.
+
+    Joint targets are corrected to take the calibrated machine where the nominal one would go; poses (x, y, z, qw, qx,
+    qy, qz) and positions are reached in the robot's base frame, or the instrument's. Rows that cannot be reached are
+    left empty, with the reason.
+    """
+    if out.exists():
+        raise OutputError(f"{out}: is there already; choose another name.")
+    with progress(shown=not quiet) as say:
+        say("reading the model and the targets")
+        model = load_model(results)
+        wanted = commands.read_targets(targets, model, tool)
+        say("correcting")
+        found = commands.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
+        write_atomically(out, commands.corrected_csv(model, wanted, found))
+    if not quiet:
+        missed = len(found) - int(found.reached.sum())
+        said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
+        show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))
 
 
 @app.command()

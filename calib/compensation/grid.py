@@ -329,17 +329,21 @@ def save_grid(grid: SectorGrid, path: str | Path) -> None:
     write_atomically(Path(path), grid_bytes(grid))
 
 
-def load_grid(path: str | Path) -> SectorGrid:
+def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> SectorGrid:
     """Read a grid that :func:`save_grid` wrote; nothing in the file is ever executed.
 
-    Raises OutputError with one sentence when the file is not such a grid.
+    Raises OutputError with one sentence when the file is not such a grid, or not one of a robot with these readings.
     """
     data = read_bytes(Path(path), OutputError, _LARGEST_FILE)
     try:
-        return _grid_of(_arrays(data))
+        grid = _grid_of(_arrays(data))
     except (zipfile.BadZipFile, zlib.error, ValueError, RuntimeError, EOFError, KeyError, OSError) as e:
         reason = str(e) if isinstance(e, _NotAGridError) else "it is not a readable npz file"
         raise OutputError(f"{path}: is not a residual grid of this toolkit: {reason}.") from e
+    if robot_readings is not None and grid.readings != tuple((r.name, r.dimension) for r in robot_readings):
+        theirs, ours = (", ".join(name for name, _ in grid.readings), ", ".join(r.name for r in robot_readings))
+        raise OutputError(f"{path}: is the grid of a robot with the joints {theirs}, and this one has {ours}.")
+    return grid
 
 
 class _NotAGridError(ValueError):

@@ -228,7 +228,7 @@ def load_model(folder: str | Path) -> CalibratedModel:
         Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets)),
         read_only(model.base.placement),
         {name: read_only(tool.placement) for name, tool in model.tools.items()},
-        None if model.residual_model is None else load_grid(folder / GRID_FILE),
+        None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
     )
 
 

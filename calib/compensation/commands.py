@@ -1,0 +1,690 @@
+"""Commands out: the joint targets with which a calibrated machine goes where it should.
+
+Damped Newton steps on all rows at once, with the exact derivative of the calibrated machine's tip by its readings; the
+residual grid shifts the predicted position and changes too slowly to be differentiated. Redundant arms, and arms of
+which positions alone are asked, take the readings that change least from where they start; 1 mm counts as 1 mrad.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol, cast
+
+import numpy as np
+
+from calib.compensation.grid import Frame
+from calib.compensation.model_file import CalibratedModel
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.errors import JobError, MeasurementError, PoseError
+from calib.foundations.linear import one_thread
+from calib.foundations.units import UNITS, Dimension, Unit, unit_of
+from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
+from calib.robot.robot import Reading, TipModel
+
+PoseFrame = Literal["base", "instrument"]
+What = Literal["pose", "position"]
+
+_MOST_STEPS = 60
+_MOST_REFINEMENTS = 40
+# Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
+_GOAL = 1e-3
+# Longest step of a reading, in rad or m, so that the linear prediction means something.
+_LONGEST_STEP = 0.5
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+# Singular values below this share of the largest one are rounding, and no motion.
+_NOTHING = 1e-12
+# Below this smallest singular value, in m or rad at the tip per rad or m, a machine is called singular.
+_SINGULAR = 1e-2
+# Limits are written in degrees with few digits; this is what rounding takes.
+_LIMIT_SLACK = 1e-9
+# Null motion left, in rad or m, where a redundant arm is as near to its start as it gets.
+_NEAREST = 1e-9
+# Two answers whose distances from the start differ by less are equally near.
+_NO_NEARER = 1e-7
+# A reading that changes by more (rad or m) than any calibration error asks is worth a remark.
+_REMARKABLE = 0.1
+_STARTS = 12
+_BLOCK = 4096
+_NORM_TOLERANCE = 1e-3
+
+
+class ResidualModel(Protocol):
+    """What the calibrated model leaves unexplained: a :class:`calib.compensation.grid.SectorGrid`, or another."""
+
+    @property
+    def frame(self) -> Frame:
+        """Whose axes the vectors have: those of the base or of the tip link."""
+
+    def at(self, readings: Array, *, clamp: bool = False) -> Array:
+        """Return vectors (N, 3) in m to add to predicted positions at readings (N, nr), finite where it clamps."""
+
+    def outside(self, readings: Array) -> tuple[str, ...]:
+        """Return for every row why the model does not know it, or an empty text."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrections:
+    """Commands for N targets of a calibrated machine; every array is read-only and SI.
+
+    ``readings`` (N, nr): the corrected ones, NaN in rows that are not ``reached`` (N). ``change`` (N, nr): from where
+    the row started. ``position_error`` (N) in m and ``orientation_error`` (N) in rad: what the model predicts to be
+    left; in rows not reached, that of the nearest allowed readings found, NaN where there are none; orientations NaN
+    where positions alone are asked. ``reasons``: N texts, why a row is not reached; in a reached one a remark, or
+    nothing. ``steps`` (N): Newton steps taken.
+    """
+
+    readings: Array
+    change: Array
+    reached: BoolArray
+    position_error: Array
+    orientation_error: Array
+    reasons: tuple[str, ...]
+    steps: IntArray
+
+    def __len__(self) -> int:
+        return len(self.reached)
+
+
+def for_joint_targets(
+    model: CalibratedModel,
+    readings: Array,
+    tool: str | Sequence[str] = "tool",
+    *,
+    what: What = "pose",
+    residuals: ResidualModel | None = None,
+    clamp: bool = False,
+    tolerance: float = 1e-6,
+    tolerance_angle: float = 1e-6,
+) -> Corrections:
+    """Return the commands with which the calibrated machine goes where the nominal one would at readings (N, nr).
+
+    The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: the tool's whole pose,
+    or its position alone, as arms of fewer than six joints need. ``residuals`` are added to predicted positions;
+    where these do not reach, rows are refused, or with ``clamp`` take those at the edge, with a remark. A row is
+    reached within ``tolerance`` in m and ``tolerance_angle`` in rad.
+
+    Raises JobError when an option or an array cannot be used.
+    """
+    readings = _start(model, readings)
+    tools = _tools(model, tool, len(readings))
+    nominal = TipModel(model.robot)
+    tips, why = _rowwise(nominal.tips, readings, (4, 4))
+    reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
+    return _solve(
+        model, tips @ tools, what, readings, tools, reasons, residuals, clamp, (tolerance, tolerance_angle), _REMARKABLE
+    )
+
+
+def for_poses(
+    model: CalibratedModel,
+    poses: Array,
+    start: Array | None = None,
+    tool: str | Sequence[str] = "tool",
+    *,
+    frame: PoseFrame = "base",
+    residuals: ResidualModel | None = None,
+    clamp: bool = False,
+    tolerance: float = 1e-6,
+    tolerance_angle: float = 1e-6,
+) -> Corrections:
+    """Return the commands that bring the tool to poses (N, 4, 4), or to positions (N, 3) in any orientation.
+
+    ``frame``: whose they are, the robot's base link or the instrument that it was calibrated with. Rows start from
+    readings ``start`` (N, nr) and end in the same configuration where they can; without, from the middle of the limits
+    and then from up to eleven other places, the same ones at every call. Other options, and errors, as
+    :func:`for_joint_targets`.
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.shape[1:] not in ((4, 4), (3,)):
+        raise JobError(f"the poses have the shape {poses.shape}; allowed are (N, 4, 4), and (N, 3) for positions.")
+    if not np.isfinite(poses).all():
+        raise JobError("the poses must be finite numbers.")
+    if frame not in ("base", "instrument"):
+        raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
+    what: What = "pose"
+    if poses.ndim == 2:
+        what, poses = "position", rigid.translation(poses)
+    elif len(poses) and not _are_placements(poses):
+        raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
+    if frame == "instrument":
+        poses = rigid.inverse(model.base) @ poses
+    n, tolerances = len(poses), (tolerance, tolerance_angle)
+    tools = _tools(model, tool, n)
+    if start is not None:
+        start = _start(model, start)
+        if len(start) != n:
+            raise JobError(
+                f"there are {len(start)} rows of readings to start from and {n} poses; there must be as many."
+            )
+        return _solve(model, poses, what, start, tools, [""] * n, residuals, clamp, tolerances, np.inf)
+    found: Corrections | None = None
+    for row in _starting_places(model):
+        left = np.arange(n) if found is None else np.flatnonzero(~found.reached)
+        more = _solve(
+            model,
+            poses[left],
+            what,
+            np.broadcast_to(row, (len(left), len(row))),
+            tools[left],
+            [""] * len(left),
+            residuals,
+            clamp,
+            tolerances,
+            np.inf,
+        )
+        found = more if found is None else _better(found, more, left)
+        if found.reached.all():
+            break
+    return cast(Corrections, found)
+
+
+# ---- arguments
+
+
+def _start(model: CalibratedModel, readings: Array) -> Array:
+    readings = np.asarray(readings, dtype=np.float64)
+    k = len(model.robot.readings)
+    if readings.ndim != 2 or readings.shape[1] != k:
+        raise JobError(f"the readings have the shape {readings.shape}; allowed is (N, {k}), a column for each joint.")
+    if not np.isfinite(readings).all():
+        raise JobError("the readings must be finite numbers.")
+    return readings
+
+
+def _tools(model: CalibratedModel, tool: str | Sequence[str], n: int) -> Array:
+    """Return the tool's pose in the tip link of every row: (N, 4, 4)."""
+    names = [tool] * n if isinstance(tool, str) else list(tool)
+    if len(names) != n:
+        raise JobError(f"{len(names)} tools are named for {n} targets; there must be one, or as many.")
+    for name in {tool} if isinstance(tool, str) else dict.fromkeys(names):
+        if name not in model.tools:
+            raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(model.tools)}.")
+    return np.array([model.tools[name] for name in names]).reshape(-1, 4, 4)
+
+
+def _are_placements(poses: Array) -> bool:
+    R = poses[:, :3, :3]
+    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-6
+    return bool(orthogonal and (np.linalg.det(R) > 0.0).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
+
+
+def _starting_places(model: CalibratedModel) -> Array:
+    """Return readings (12, nr) within the limits: the middle, then others spread at random, always the same."""
+    low, high = _limits(model.robot.readings)
+    size = np.array([np.pi if reading.dimension == "angle" else 1.0 for reading in model.robot.readings])
+    low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - size, -size))
+    high = np.where(np.isfinite(high), high, low + 2.0 * size)
+    share = np.random.default_rng(0).uniform(0.1, 0.9, (_STARTS, len(low)))
+    share[0] = 0.5
+    return np.asarray(low + share * (high - low))
+
+
+def _limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
+    low = [-np.inf if reading.lower is None else reading.lower for reading in readings]
+    high = [np.inf if reading.upper is None else reading.upper for reading in readings]
+    return np.array(low), np.array(high)
+
+
+def _better(found: Corrections, more: Corrections, rows: IntArray) -> Corrections:
+    """Return the corrections with those of some rows replaced where they are reached or nearer."""
+    nearer = np.nan_to_num(more.position_error, nan=np.inf) < np.nan_to_num(found.position_error[rows], nan=np.inf)
+    take = more.reached | nearer
+    index, mine = rows[take], np.flatnonzero(take)
+
+    def merged(old: Array, new: Array) -> Array:
+        out = old.copy()
+        out[index] = new[mine]
+        return read_only_view(out)
+
+    reasons = list(found.reasons)
+    for to, n in zip(index, mine, strict=True):
+        reasons[to] = more.reasons[n]
+    steps = found.steps.copy()
+    steps[rows] += more.steps
+    return Corrections(
+        merged(found.readings, more.readings),
+        merged(found.change, more.change),
+        read_only_view(merged(found.reached.astype(np.float64), more.reached.astype(np.float64)) > 0.5),
+        merged(found.position_error, more.position_error),
+        merged(found.orientation_error, more.orientation_error),
+        tuple(reasons),
+        read_only_view(steps),
+    )
+
+
+# ---- the machine as the solver sees it
+
+
+class _Calls(Protocol):
+    def __call__(self, readings: Array, /) -> Array: ...
+
+
+def _rowwise(calls: _Calls, readings: Array, shape: tuple[int, ...]) -> tuple[Array, list[str]]:
+    """Return values (N, *shape), and why a row has none: a row whose loop does not close spoils its block alone."""
+    values, why = np.full((len(readings), *shape), np.nan), [""] * len(readings)
+    blocks = [(0, len(readings))]
+    while blocks:
+        low, high = blocks.pop()
+        if low == high:
+            continue
+        try:
+            values[low:high] = calls(readings[low:high])
+        except PoseError as e:
+            if high - low == 1:
+                why[low] = e.reason
+            else:
+                middle = (low + high) // 2
+                blocks += [(low, middle), (middle, high)]
+    return values, why
+
+
+class _Seen(NamedTuple):
+    """Gaps (N, m) to the targets in the tool's frame, in m and rad times its length; slopes (N, m, nr); why not."""
+
+    gap: Array
+    slope: Array
+    why: list[str]
+
+    @property
+    def cost(self) -> Array:
+        """Length of the gap; infinite where the machine cannot be."""
+        return np.asarray(np.where([not text for text in self.why], np.linalg.norm(self.gap, axis=1), np.inf))
+
+
+class _Machine:
+    """The calibrated machine at N targets."""
+
+    def __init__(
+        self,
+        model: CalibratedModel,
+        targets: Array,
+        what: What,
+        tools: Array,
+        residuals: ResidualModel | None,
+        length: float,
+    ) -> None:
+        self._tips, self._residuals = TipModel(model.robot, model.deviations), residuals
+        self._targets, self._tools, self._to_tool = targets, tools, rigid.adjoint(rigid.inverse(tools))
+        self.size = 3 if what == "position" else 6
+        self._weights = np.repeat((1.0, length), 3)[: self.size]
+        self._columns = len(model.robot.readings)
+
+    def look(self, rows: IntArray, q: Array) -> _Seen:
+        """Return what is seen of some rows (n) at readings (n, nr)."""
+        size = self._columns
+
+        def flat(readings: Array) -> Array:
+            tip, slope = self._tips.driven(readings)
+            return np.concatenate([tip.reshape(-1, 16), slope.reshape(-1, 6 * size)], axis=1)
+
+        values, why = _rowwise(flat, q, (16 + 6 * size,))
+        tip, slope = values[:, :16].reshape(-1, 4, 4), values[:, 16:].reshape(-1, 6, size)
+        T, target = tip @ self._tools[rows], self._targets[rows]
+        position = T[:, :3, 3]
+        if self._residuals is not None:
+            vectors = self._residuals.at(q, clamp=True)
+            if self._residuals.frame == "tip":
+                vectors = (tip[:, :3, :3] @ vectors[:, :, None])[:, :, 0]
+            position = position + vectors
+        turned = np.swapaxes(T[:, :3, :3], 1, 2)
+        gap = (turned @ (target[:, :3, 3] - position)[:, :, None])[:, :, 0]
+        if self.size == 6:
+            gap = np.concatenate([gap, rigid.log3(turned @ target[:, :3, :3])], axis=1)
+        J = (self._to_tool[rows] @ slope)[:, : self.size]
+        return _Seen(gap * self._weights, J * self._weights[:, None], why)
+
+    def errors(self, gap: Array) -> tuple[Array, Array]:
+        """Return position errors (N) in m and orientation errors (N) in rad of gaps (N, m)."""
+        gap = gap / self._weights
+        position = np.linalg.norm(gap[:, :3], axis=1)
+        angle = np.linalg.norm(gap[:, 3:], axis=1) if self.size == 6 else np.full(len(gap), np.nan)
+        return position, angle
+
+
+# ---- the solver
+
+
+def _solve(
+    model: CalibratedModel,
+    targets: Array,
+    what: What,
+    start: Array,
+    tools: Array,
+    refused: Sequence[str],
+    residuals: ResidualModel | None,
+    clamp: bool,
+    tolerances: tuple[float, float],
+    remarkable: float,
+) -> Corrections:
+    if what not in ("pose", "position"):
+        raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
+    if not all(np.isfinite(value) and value > 0.0 for value in tolerances):
+        raise JobError(f"the tolerances are {tolerances[0]} and {tolerances[1]}; allowed are positive numbers.")
+    with one_thread():
+        blocks = [
+            _solve_block(
+                model,
+                targets[n : n + _BLOCK],
+                what,
+                start[n : n + _BLOCK],
+                tools[n : n + _BLOCK],
+                refused[n : n + _BLOCK],
+                residuals,
+                clamp,
+                tolerances,
+                remarkable,
+            )
+            for n in range(0, max(len(targets), 1), _BLOCK)
+        ]
+    reached = np.concatenate([block.reached for block in blocks])
+    steps = np.concatenate([block.steps for block in blocks])
+    return Corrections(
+        read_only(np.concatenate([block.readings for block in blocks])),
+        read_only(np.concatenate([block.change for block in blocks])),
+        read_only_view(reached),
+        read_only(np.concatenate([block.position_error for block in blocks])),
+        read_only(np.concatenate([block.orientation_error for block in blocks])),
+        tuple(text for block in blocks for text in block.reasons),
+        read_only_view(steps),
+    )
+
+
+def _solve_block(
+    model: CalibratedModel,
+    targets: Array,
+    what: What,
+    start: Array,
+    tools: Array,
+    refused: Sequence[str],
+    residuals: ResidualModel | None,
+    clamp: bool,
+    tolerances: tuple[float, float],
+    remarkable: float,
+) -> Corrections:
+    readings = model.robot.readings
+    machine = _Machine(model, targets, what, tools, residuals, tolerances[0] / tolerances[1])
+    low, high = _limits(readings)
+    why = [text or _beyond(row, readings) for text, row in zip(refused, start, strict=True)]
+    tried = np.flatnonzero([not text for text in why])
+    q, steps, free = start.copy(), np.zeros(len(start), dtype=np.intp), np.ones(start.shape)
+    rows, passed = tried, dict[int, str]()
+    # A joint that would pass its limit stays there, where the others can take its part.
+    for _ in range(1 + max(0, len(readings) - machine.size)):
+        q[rows], taken, hit = _newton(machine, rows, q[rows], start[rows], free[rows], tolerances[0])
+        steps[rows] += taken
+        beyond = (q[rows] < low - _LIMIT_SLACK) | (q[rows] > high + _LIMIT_SLACK)
+        passed |= {int(n): _beyond(q[n], readings) for n in rows[beyond.any(axis=1) & hit] if n not in passed}
+        again = beyond.any(axis=1) & ((free[rows] - beyond).sum(axis=1) >= machine.size)
+        rows, beyond = rows[again], beyond[again]
+        if not len(rows):
+            break
+        free[rows] = np.where(beyond, 0.0, free[rows])
+        q[rows] = np.where(free[rows] > 0.0, start[rows], np.clip(q[rows], low, high))
+    allowed = np.clip(q, low, high)
+    seen = machine.look(np.arange(len(q)), allowed)
+    position, angle = machine.errors(seen.gap)
+    near = (position <= tolerances[0]) & ~(angle > tolerances[1])
+    for n in map(int, tried):
+        if seen.why[n]:
+            why[n] = seen.why[n]
+        elif not near[n] or _beyond(q[n], readings):
+            why[n] = f"the corrected {passed[n]}" if n in passed else _far(position[n], angle[n], seen.slope[n])
+    reached = np.array([not text for text in why], dtype=np.bool_) & near
+    if residuals is not None:
+        for n in map(int, np.flatnonzero(reached)):
+            (why[n],) = residuals.outside(q[n : n + 1])
+            if why[n] and clamp:
+                why[n] += "; the nearest known errors are taken"
+            reached[n] = clamp or not why[n]
+    change = q - start
+    for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > remarkable))):
+        j = int(np.argmax(np.abs(change[n])))
+        why[n] = "; ".join(filter(None, [why[n], f"{readings[j].name} changes by {_said(change[n, j], readings[j])}"]))
+    change[~reached] = q[~reached] = np.nan
+    return Corrections(q, change, reached, position, angle, tuple(why), steps)
+
+
+def _beyond(row: Array, readings: Sequence[Reading]) -> str:
+    for value, reading in zip(row, readings, strict=True):
+        low, high = (limits[0] for limits in _limits([reading]))
+        if not low - _LIMIT_SLACK <= value <= high + _LIMIT_SLACK:
+            return (
+                f"{reading.name} at {_said(value, reading)} is beyond its limits, "
+                f"{_said(low, reading)} and {_said(high, reading)}"
+            )
+    return ""
+
+
+def _said(value: float, reading: Reading) -> str:
+    return f"{np.degrees(value):.7g} deg" if reading.dimension == "angle" else f"{value * 1e3:.7g} mm"
+
+
+def _far(position: float, angle: float, slope: Array) -> str:
+    least = np.linalg.svd(slope, compute_uv=False)[-1] if slope.shape[1] >= slope.shape[0] else np.inf
+    turn = "" if np.isnan(angle) else f" and {angle * 1e3:.4g} mrad"
+    where = ", where the arm is singular" if least < _SINGULAR else ""
+    return f"no solution found: the nearest found is {position * 1e3:.4g} mm{turn} away{where}"
+
+
+def _newton(
+    machine: _Machine, rows: IntArray, q: Array, start: Array, free: Array, tolerance: float
+) -> tuple[Array, IntArray, BoolArray]:
+    """Return readings (n, nr) nearest to the targets of some rows, from q (n, nr), the steps taken, which are there.
+
+    Where ``free`` (n, nr) is 0 a reading stays. What the targets leave open ends nearest to ``start``.
+    """
+    q, goal = q.copy(), _GOAL * tolerance
+    steps, damping = np.zeros(len(q), dtype=np.intp), np.zeros(len(q))
+    seen = machine.look(rows, q)
+    gap, slope, cost = seen.gap.copy(), seen.slope.copy(), seen.cost
+    for _ in range(_MOST_STEPS):
+        open_ = np.flatnonzero((cost > goal) & np.isfinite(cost) & (damping < _MOST_DAMPING))
+        if not len(open_):
+            break
+        step = _step(slope[open_] * free[open_, None], gap[open_], damping[open_])[0]
+        trial = q[open_] + step
+        seen = machine.look(rows[open_], trial)
+        better = seen.cost < cost[open_]
+        to = open_[better]
+        q[to], gap[to], slope[to], cost[to] = trial[better], seen.gap[better], seen.slope[better], seen.cost[better]
+        steps[open_] += 1
+        damping[to] = np.where(damping[to] > _LEAST_DAMPING, damping[to] / 10.0, 0.0)
+        worse = open_[~better]
+        damping[worse] = np.maximum(damping[worse] * 10.0, 1e-6)
+        # Where not even rounding is left to gain, it is over.
+        damping[worse[np.abs(step[~better]).max(axis=1, initial=0.0) < 1e-13]] = _MOST_DAMPING
+    spare = free.sum(axis=1) > gap.shape[1]
+    open_ = np.flatnonzero(spare & (cost <= tolerance) & (np.abs(q - start).max(axis=1, initial=0.0) > 0.0))
+    first, hit = q.copy(), cost <= tolerance
+    for _ in range(_MOST_REFINEMENTS):
+        if not len(open_):
+            break
+        J = slope[open_] * free[open_, None]
+        step, inverse = _step(J, gap[open_], np.zeros(len(open_)))
+        away = (q[open_] - start[open_]) * free[open_]
+        null = away - (inverse @ (J @ away[:, :, None]))[:, :, 0]
+        left = (np.abs(null).max(axis=1) > _NEAREST) | (cost[open_] > goal)
+        open_, step, null = open_[left], step[left], null[left]
+        trial = q[open_] + step - _capped(null)
+        seen = machine.look(rows[open_], trial)
+        fine = np.isfinite(seen.cost)
+        open_ = open_[fine]
+        q[open_], gap[open_], slope[open_], cost[open_] = (
+            values[fine] for values in (trial, seen.gap, seen.slope, seen.cost)
+        )
+        steps[open_] += 1
+    # The way to the nearest readings is curved; where it was lost, the first ones stand.
+    lost = (cost > tolerance) | (np.linalg.norm(q - start, axis=1) > np.linalg.norm(first - start, axis=1) + _NO_NEARER)
+    hit = np.where(spare & lost, hit, cost <= tolerance)
+    q[spare & lost] = first[spare & lost]
+    return q, steps, hit
+
+
+def _step(J: Array, gap: Array, damping: Array) -> tuple[Array, Array]:
+    """Return damped least steps (n, nr) that close gaps (n, m) by slopes J (n, m, nr), and the inverses (n, nr, m)."""
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    largest = np.maximum(s[:, :1], 1e-300)
+    shares = s / largest
+    damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping[:, None]), 0.0) / largest
+    inverse = np.swapaxes(Vt, 1, 2) @ (damped[:, :, None] * np.swapaxes(U, 1, 2))
+    return _capped((inverse @ gap[:, :, None])[:, :, 0]), inverse
+
+
+def _capped(step: Array) -> Array:
+    longest = np.abs(step).max(axis=1, keepdims=True, initial=0.0)
+    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300)))
+
+
+# ---- tables
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """N targets of a table.
+
+    ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
+    (N, 3), or None for joint targets. ``tools``: N names. ``table``: as it was read.
+    """
+
+    readings: Array | None
+    poses: Array | None
+    tools: tuple[str, ...]
+    table: Table
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+def read_targets(path: str | Path, model: CalibratedModel, tool: str = "tool") -> Targets:
+    """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
+    return targets(read_table(path), model, tool)
+
+
+def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets:
+    """Return the targets of a table; which kind they are, its columns say.
+
+    With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
+    joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
+
+    Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
+    not of unit length, and when a tool is not known.
+    """
+    columns, where = table.columns, table.where
+    joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
+    position: dict[str, Dimension] = dict.fromkeys(("x", "y", "z"), "length")
+    rotation: dict[str, Dimension] = dict.fromkeys(QUATERNION_COLUMNS, "number")
+    known = {*joints, *position, *rotation, *TEXT_COLUMNS, "time"}
+    for name in columns:
+        if name not in known:
+            near = nearest(name, sorted(known - columns.keys()))
+            raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
+    posed = any(name in columns for name in (*position, *rotation))
+    wanted = [position] if posed else [joints]
+    wanted += [some for some in ([rotation, joints] if posed else []) if any(name in columns for name in some)]
+    if missing := [name for some in wanted for name in some if name not in columns]:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        raise MeasurementError(f"{where}: there is no column {listed} of the targets; the columns are {there}.")
+    start = _stacked(table, joints) if joints in wanted else None
+    poses = None
+    if posed:
+        poses = _stacked(table, position)
+        if rotation in wanted:
+            poses = read_only(rigid.placement(_rotations(table, rotation), poses))
+    tools = cast(tuple[str, ...], columns["point"].values) if "point" in columns else (tool,) * len(table)
+    for n, name in enumerate(tools):
+        if name not in model.tools:
+            raise MeasurementError(
+                f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
+                f"{', '.join(model.tools)}."
+            )
+    return Targets(start, poses, tools, table)
+
+
+def _stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
+    columns: list[Array] = []
+    for name, dimension in dimensions.items():
+        column = table.columns[name]
+        unit_of(cast(Unit, column.unit).symbol, dimension, f"{table.where}: column {name!r}", MeasurementError)
+        columns.append(cast(Array, column.values))
+    return read_only(np.stack(columns, axis=-1))
+
+
+def _rotations(table: Table, names: dict[str, Dimension]) -> Array:
+    quaternion = _stacked(table, names)
+    norm = np.linalg.norm(quaternion, axis=-1)
+    if (off := np.abs(norm - 1.0) > _NORM_TOLERANCE).any():
+        row = int(np.argmax(off))
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: the quaternion has the norm {norm[row]:.6g} where 1 is allowed, "
+            f"within {_NORM_TOLERANCE:g}; the order is qw, qx, qy, qz."
+        )
+    return rigid.rotation_of_quaternion(quaternion)
+
+
+def corrections(
+    model: CalibratedModel,
+    wanted: Targets,
+    *,
+    what: What = "pose",
+    frame: PoseFrame = "base",
+    residuals: ResidualModel | None = None,
+    clamp: bool = False,
+) -> Corrections:
+    """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
+
+    Raises MeasurementError when none of them can be reached, with the reason of the first.
+    """
+    if wanted.poses is None:
+        readings = cast(Array, wanted.readings)
+        found = for_joint_targets(model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp)
+    else:
+        poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
+        found = for_poses(model, poses, wanted.readings, wanted.tools, frame=frame, residuals=residuals, clamp=clamp)
+    if not found.reached.any():
+        table = wanted.table
+        raise MeasurementError(
+            f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
+            f"{found.reasons[0]}."
+        )
+    return found
+
+
+def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -> str:
+    """Return the table with corrected joints, in the units of its header, and what is expected of every row.
+
+    Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses
+    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty.
+    """
+    table, joints = wanted.table, {reading.name: k for k, reading in enumerate(model.robot.readings)}
+    own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
+    titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
+    titles |= {name: column.unit for name, column in table.columns.items()}
+    turned = not np.isnan(found.orientation_error).all()
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    header = [
+        name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
+    ]
+    errors = ["remaining_error [mm]", *(["remaining_turn [mrad]"] if turned else [])]
+    writer.writerow([*header, *errors, "reached", "reason"])
+    for n in range(len(found)):
+        cells: list[str] = []
+        for name, unit in titles.items():
+            if name in joints:
+                value = found.readings[n, joints[name]]
+                cells.append(_cell(value / cast(Unit, unit).factor, ".12g"))
+            else:
+                values = table.columns[name].values
+                cells.append(str(values[n]) if unit is None else _cell(float(values[n]) / unit.factor, ".12g"))
+        cells.append(_cell(found.position_error[n] * 1e3, ".6f"))
+        if turned:
+            cells.append(_cell(found.orientation_error[n] * 1e3, ".6f"))
+        writer.writerow([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
+    return text.getvalue()
+
+
+def _cell(value: float, how: str) -> str:
+    return "" if np.isnan(value) else format(float(value) + 0.0, how)

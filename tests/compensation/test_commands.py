@@ -1,0 +1,449 @@
+"""Commands: the calibrated machine, moved to corrected readings, is where the nominal one would have been."""
+
+import csv
+import tomllib
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.compensation import commands, grid
+from calib.foundations.errors import JobError, MeasurementError
+from calib.measurement.table import table_from_arrays
+from calib.robot.robot import TipModel
+from tests.identification import machines
+
+Array = NDArray[np.float64]
+
+TOOLS = {"tool": machines.pose((0.03, 0.01, 0.12), (0.2, 0.1, -0.4)), "other": machines.pose((0, 0.05, 0.05))}
+IRB = Path(__file__).parents[2] / "robots" / "irb2400"
+ARMS: dict[str, tuple[str, str]] = {
+    "ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "panda": ("example:panda_description/urdf/panda.urdf", "panda_link8"),
+    **{name: (machines.INLINE[name], "tip") for name in ("mimic", "skew", "negative", "gantry")},
+}
+
+
+def irb2400() -> calib.Robot:
+    job = tomllib.loads((IRB / "calibration.toml").read_text(encoding="utf-8"))
+    loops = [
+        calib.ClosedLoop(loop["name"], tuple(loop["frames"]), tuple(loop["closes"]), tuple(loop["passive"]))
+        for loop in job["robot"]["loop"]
+    ]
+    return calib.load_robot(IRB / "irb2400.urdf", "tool0", loops=loops)
+
+
+def robot_of(name: str) -> calib.Robot:
+    return irb2400() if name == "irb2400" else machines.load(*ARMS[name])
+
+
+def deviations(robot: calib.Robot, seed: int = 1, size: float = 1.0) -> calib.Deviations:
+    rng = np.random.default_rng(seed)
+    placements = rng.normal(scale=size * np.repeat((3e-4, 5e-4), 3), size=(len(robot.chain), 6))
+    return calib.Deviations(placements, rng.normal(scale=size * 1e-3, size=len(robot.moving)))
+
+
+def model_of(robot: calib.Robot, seed: int = 1, size: float = 1.0) -> calib.CalibratedModel:
+    base = machines.anywhere(np.random.default_rng(seed))
+    return calib.CalibratedModel(robot, deviations(robot, seed, size), base, TOOLS)
+
+
+def draw(robot: calib.Robot, n: int, seed: int = 2, share: float = 0.6) -> Array:
+    rng = np.random.default_rng(seed)
+    columns = []
+    for reading in robot.readings:
+        low, high = (
+            (-2.5 if reading.lower is None else reading.lower),
+            (2.5 if reading.upper is None else reading.upper),
+        )
+        low, high = max(low, -2.5), min(high, 2.5)
+        middle, half = (low + high) / 2, share * (high - low) / 2
+        columns.append(rng.uniform(middle - half, middle + half, n))
+    readings = np.stack(columns, axis=1)
+    if "elbow_cancel" in {joint.name for joint in robot.chain}:
+        # The parallelogram folds flat where crank and lower arm are in line.
+        readings[:, 2] = np.clip(readings[:, 2], readings[:, 1] - 0.9, readings[:, 1] + 0.9)
+        readings[:, 2] = np.clip(readings[:, 2], -1.0, 1.0)
+    return readings
+
+
+def apart(a: Array, b: Array) -> tuple[float, float]:
+    """Largest distance in m and turn in rad between placements (N, 4, 4), by scipy."""
+    turn = Rotation.from_matrix(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3]).magnitude()
+    return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max()), float(turn.max())
+
+
+def well_posed(model: calib.CalibratedModel, readings: Array) -> Array:
+    J = TipModel(model.robot, model.deviations).driven(readings)[1]
+    return readings[np.linalg.svd(J, compute_uv=False)[:, -1] > 0.03]
+
+
+# ---- the Jacobian
+
+
+@pytest.mark.parametrize("name", [*ARMS, "irb2400"])
+def test_driven_against_differences(name: str) -> None:
+    robot = robot_of(name)
+    model, readings, h = TipModel(robot, deviations(robot)), draw(robot, 20), 1e-6
+    T, J = model.driven(readings)
+    assert np.array_equal(T, model.motion(readings).placement)
+    assert J.shape == (20, 6, len(robot.readings))
+    for j in range(readings.shape[1]):
+        step = h * np.eye(readings.shape[1])[j]
+        high, low = model.tips(readings + step), model.tips(readings - step)
+        v = (np.swapaxes(T[:, :3, :3], 1, 2) @ (high - low)[:, :3, 3, None])[:, :, 0] / (2 * h)
+        w = Rotation.from_matrix(np.swapaxes(low[:, :3, :3], 1, 2) @ high[:, :3, :3]).as_rotvec() / (2 * h)
+        assert np.abs(J[:, :, j] - np.hstack([v, w])).max() < 5e-9
+
+
+# ---- joint targets
+
+
+@pytest.mark.parametrize("name", [*ARMS, "irb2400"])
+@pytest.mark.parametrize("tool", ["tool", "other"])
+def test_the_machine_goes_where_the_nominal_one_would(name: str, tool: str) -> None:
+    model = model_of(robot_of(name))
+    robot = model.robot
+    readings = well_posed(model, draw(robot, 60))
+    found = commands.for_joint_targets(model, readings, tool)
+    assert len(readings) > 10
+    assert found.reached.all(), found.reasons
+    wanted = robot.tips(readings) @ TOOLS[tool]
+    before = apart(robot.tips(readings, model.deviations) @ TOOLS[tool], wanted)
+    after = apart(robot.tips(found.readings, model.deviations) @ TOOLS[tool], wanted)
+    assert before[0] > 1e-3
+    assert after[0] < 1e-9
+    assert after[1] < 1e-9
+    assert found.position_error.max() < 1e-9
+    assert found.orientation_error.max() < 1e-9
+    assert np.array_equal(found.change, found.readings - readings)
+    assert found.steps.max() <= 8
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "mimic", "irb2400"])
+def test_no_deviations_change_nothing(name: str) -> None:
+    model = model_of(robot_of(name), size=0.0)
+    readings = draw(model.robot, 30)
+    found = commands.for_joint_targets(model, readings)
+    assert found.reached.all()
+    assert np.abs(found.readings - readings).max() < 1e-12
+    assert np.array_equal(found.steps, np.zeros(30))
+
+
+def test_tools_row_by_row() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = well_posed(model, draw(model.robot, 20))
+    names = ["tool", "other"] * (len(readings) // 2)
+    readings = readings[: len(names)]
+    mixed = commands.for_joint_targets(model, readings, names)
+    for k, name in enumerate(("tool", "other")):
+        alone = commands.for_joint_targets(model, readings, name)
+        assert np.allclose(mixed.readings[k::2], alone.readings[k::2], atol=1e-13, rtol=0)
+
+
+def test_answers_do_not_depend_on_the_other_rows() -> None:
+    model = model_of(robot_of("panda"))
+    readings = draw(model.robot, 12)
+    together = commands.for_joint_targets(model, readings)
+    alone = [commands.for_joint_targets(model, row[None]).readings[0] for row in readings]
+    assert np.allclose(together.readings, alone, atol=1e-12, rtol=0, equal_nan=True)
+
+
+def test_seven_joints_change_least() -> None:
+    model = model_of(robot_of("panda"))
+    readings = draw(model.robot, 40)
+    found = commands.for_joint_targets(model, readings)
+    J = TipModel(model.robot, model.deviations).driven(found.readings)[1]
+    null = np.linalg.svd(J)[2][:, 6]
+    assert found.reached.all()
+    # The change has no part along which the arm moves with its tool at rest.
+    assert np.abs(np.sum(null * found.change, axis=1)).max() < 1e-8
+
+
+def test_positions_alone_change_least() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = draw(model.robot, 40)
+    found = commands.for_joint_targets(model, readings, what="position")
+    assert found.reached.all()
+    assert np.isnan(found.orientation_error).all()
+    tips = model.robot.tips(found.readings, model.deviations) @ TOOLS["tool"]
+    wanted = model.robot.tips(readings) @ TOOLS["tool"]
+    assert np.abs(tips - wanted)[:, :3, 3].max() < 1e-9
+    J = TipModel(model.robot, model.deviations).driven(found.readings)[1]
+    lever = J[:, :3] + np.cross(J[:, 3:], np.broadcast_to(TOOLS["tool"][:3, 3, None], (40, 3, 6)), axis=1)
+    share = np.swapaxes(lever, 1, 2) @ np.linalg.solve(lever @ np.swapaxes(lever, 1, 2), lever)
+    assert np.abs(found.change - (share @ found.change[:, :, None])[:, :, 0]).max() < 1e-8
+    pose = commands.for_joint_targets(model, readings)
+    both = pose.reached
+    assert (np.linalg.norm(found.change, axis=1) <= np.linalg.norm(pose.change, axis=1) + 1e-9)[both].all()
+
+
+# ---- refusals
+
+
+def test_limits() -> None:
+    robot = machines.load(machines.INLINE["negative"], "tip")
+    offsets = np.zeros(6)
+    offsets[1] = 0.01
+    deviated = calib.Deviations(np.zeros((len(robot.chain), 6)), offsets)
+    model = calib.CalibratedModel(robot, deviated, np.eye(4), TOOLS)
+    inside = np.array([0.3, 0.2, 0.4, 0.1, 0.7, 0.2])
+    low, past = inside.copy(), inside.copy()
+    low[1], past[1] = -2.595, 2.9
+    found = commands.for_joint_targets(model, np.stack([inside, low, past]))
+    assert found.reached.tolist() == [True, False, False]
+    assert np.abs(found.change[0] + offsets).max() < 1e-9
+    assert found.reasons[0] == ""
+    assert found.reasons[1] == ("the corrected j2 at -149.2555 deg is beyond its limits, -148.969 deg and 160.4282 deg")
+    assert found.reasons[2].startswith("j2 at 166.1578 deg is beyond its limits")
+    assert np.isnan(found.readings[1:]).all()
+    assert 1e-3 < found.position_error[1] < 0.02
+
+
+def test_a_redundant_arm_keeps_its_limits() -> None:
+    model = model_of(robot_of("panda"))
+    readings = draw(model.robot, 30)
+    low, high = (np.array([getattr(r, side) for r in model.robot.readings]) for side in ("lower", "upper"))
+    free = commands.for_joint_targets(model, readings)
+    # One joint stands at the limit that the least change would pass; six others can do without it.
+    joint = 2
+    readings[:, joint] = np.where(free.change[:, joint] < 0.0, low[joint], high[joint])
+    found = commands.for_joint_targets(model, readings)
+    assert found.reached.mean() > 0.8
+    reached = found.readings[found.reached]
+    assert ((reached >= low - 1e-9) & (reached <= high + 1e-9)).all()
+    assert (np.abs(found.change[found.reached][:, joint]) < 1e-9).any()
+    wanted = model.robot.tips(readings[found.reached]) @ TOOLS["tool"]
+    assert max(apart(model.robot.tips(reached, model.deviations) @ TOOLS["tool"], wanted)) < 1e-9
+    for text in np.array(found.reasons)[~found.reached]:
+        assert "beyond its limits" in text
+
+
+def test_far_away_and_singular() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = well_posed(model, draw(model.robot, 9))[:3]
+    poses = model.robot.tips(readings, model.deviations) @ TOOLS["tool"]
+    poses[1, :3, 3] = 5.0, 0.0, 0.0
+    found = commands.for_poses(model, poses, readings + 0.05)
+    assert found.reached.tolist() == [True, False, True]
+    assert found.reasons[1].startswith("no solution found: the nearest found is ")
+    assert found.position_error[1] > 3.0
+    stretched = np.zeros((1, 6))
+    pushed = model.robot.tips(stretched, model.deviations) @ TOOLS["tool"]
+    pushed[:, 0, 3] += np.sign(pushed[0, 0, 3]) * 0.05
+    lost = commands.for_poses(model, pushed, stretched)
+    assert not lost.reached[0]
+    assert lost.reasons[0].endswith(" away, where the arm is singular")
+
+
+def test_a_loop_that_cannot_close_spoils_its_row_alone() -> None:
+    model = model_of(robot_of("irb2400"))
+    readings = well_posed(model, draw(model.robot, 20))
+    flat = readings.copy()
+    flat[3, 1], flat[3, 2] = -0.9, -0.9 + np.pi / 2
+    found = commands.for_joint_targets(model, flat)
+    alone = commands.for_joint_targets(model, readings)
+    others = np.arange(len(readings)) != 3
+    assert found.reached[others].all()
+    assert not found.reached[3]
+    assert "parallelogram" in found.reasons[3]
+    assert np.allclose(found.readings[others], alone.readings[others], atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda m: commands.for_joint_targets(m, np.zeros((2, 5))), "shape (2, 5)"),
+        (lambda m: commands.for_joint_targets(m, np.full((1, 6), np.nan)), "finite"),
+        (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), "no"), "there is no tool 'no'"),
+        (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), ["tool", "tool"]), "2 tools are named for 1"),
+        (
+            lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), what=cast(Any, "turn")),
+            "what shall be reached is 'turn'",
+        ),
+        (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), tolerance=0.0), "the tolerances are"),
+        (lambda m: commands.for_poses(m, np.zeros((1, 7))), "shape (1, 7)"),
+        (lambda m: commands.for_poses(m, np.full((1, 3), np.inf)), "finite"),
+        (lambda m: commands.for_poses(m, 2.0 * np.eye(4)[None]), "not all placements"),
+        (
+            lambda m: commands.for_poses(m, np.eye(4)[None], frame=cast(Any, "world")),
+            "the frame of the poses is 'world'",
+        ),
+        (lambda m: commands.for_poses(m, np.eye(4)[None], np.zeros((2, 6))), "2 rows of readings"),
+    ],
+)
+def test_options_that_cannot_be_used(call: Any, said: str) -> None:
+    with pytest.raises(JobError) as caught:
+        call(model_of(robot_of("ur10")))
+    assert said in str(caught.value)
+    assert str(caught.value).endswith(".")
+
+
+def test_no_rows() -> None:
+    model = model_of(robot_of("ur10"))
+    for found in (commands.for_joint_targets(model, np.zeros((0, 6))), commands.for_poses(model, np.zeros((0, 3)))):
+        assert len(found) == 0
+        assert found.readings.shape == (0, 6)
+
+
+# ---- poses
+
+
+@pytest.mark.parametrize("frame", ["base", "instrument"])
+@pytest.mark.parametrize("name", ["ur10", "irb2400"])
+def test_poses(name: str, frame: commands.PoseFrame) -> None:
+    model = model_of(robot_of(name))
+    readings = well_posed(model, draw(model.robot, 30))
+    poses = model.predict(readings)
+    wanted = poses if frame == "instrument" else np.linalg.inv(model.base) @ poses
+    start = readings + np.random.default_rng(5).uniform(-0.02, 0.02, readings.shape)
+    found = commands.for_poses(model, wanted, start, frame=frame)
+    assert found.reached.all(), found.reasons
+    assert max(apart(model.predict(found.readings), poses)) < 1e-8
+    assert np.abs(found.readings - readings).max() < 1e-6
+
+
+def test_without_a_start() -> None:
+    model = model_of(robot_of("ur10"))
+    poses = model.robot.tips(draw(model.robot, 40), model.deviations) @ TOOLS["tool"]
+    found = commands.for_poses(model, poses)
+    assert found.reached.mean() > 0.9
+    some = found.reached
+    assert max(apart(model.robot.tips(found.readings[some], model.deviations) @ TOOLS["tool"], poses[some])) < 1e-6
+    again = commands.for_poses(model, poses)
+    assert np.array_equal(found.readings, again.readings, equal_nan=True)
+    points = commands.for_poses(model, poses[:, :3, 3])
+    assert points.reached.all()
+
+
+# ---- residuals
+
+
+def residual_grid(robot: calib.Robot, frame: grid.Frame) -> grid.SectorGrid:
+    axes = [np.linspace(-1.0, 1.0, 5), np.linspace(-1.2, 0.8, 4)]
+    rows = np.zeros((20, len(robot.readings)))
+    rows[:, :2] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    errors = 2e-4 * np.stack([np.sin(rows[:, 0]), np.cos(rows[:, 1]), rows[:, 0] * rows[:, 1]], axis=1)
+    names = [reading.name for reading in robot.readings[:2]]
+    return grid.grid_from_residuals(rows, errors, robot.readings, names, frame)
+
+
+@pytest.mark.parametrize("frame", grid.FRAMES)
+def test_residuals_are_counted(frame: grid.Frame) -> None:
+    model = model_of(robot_of("ur10"))
+    rng = np.random.default_rng(9)
+    readings = well_posed(model, rng.uniform((-0.9, -1.1, 0.5, -1, 0.5, -1), (0.9, 0.7, 1.5, 1, 1.5, 1), (50, 6)))
+    known = residual_grid(model.robot, frame)
+    found = commands.for_joint_targets(model, readings, residuals=known)
+    assert found.reached.all(), found.reasons
+    tip = model.robot.tips(found.readings, model.deviations)
+    error = known.at(found.readings)
+    error = error if frame == "base" else np.einsum("nij,nj->ni", tip[:, :3, :3], error)
+    wanted = model.robot.tips(readings) @ TOOLS["tool"]
+    there = tip @ TOOLS["tool"]
+    assert np.abs(there[:, :3, 3] + error - wanted[:, :3, 3]).max() < 2e-9
+    assert np.abs(error).max() > 1e-4
+
+
+def test_outside_the_residuals() -> None:
+    model = model_of(robot_of("ur10"))
+    known = residual_grid(model.robot, "base")
+    readings = np.array([[0.5, 0.3, 0.9, 0.5, 0.8, 0.1], [1.2, 0.3, 0.9, 0.5, 0.8, 0.1]])
+    refused = commands.for_joint_targets(model, readings, residuals=known)
+    assert refused.reached.tolist() == [True, False]
+    assert " is outside the grid, from -57.2958 deg to 57.2958 deg" in refused.reasons[1]
+    clamped = commands.for_joint_targets(model, readings, residuals=known, clamp=True)
+    assert clamped.reached.all()
+    assert clamped.reasons[0] == ""
+    assert clamped.reasons[1].endswith("; the nearest known errors are taken")
+
+
+# ---- tables
+
+
+def panel(model: calib.CalibratedModel, readings: Array, **more: Any) -> dict[str, Any]:
+    return {f"{r.name} [deg]": np.degrees(readings[:, k]) for k, r in enumerate(model.robot.readings)} | more
+
+
+def test_joint_targets_of_a_table() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = draw(model.robot, 5)
+    readings[4] = 7.0
+    wanted = commands.targets(table_from_arrays(panel(model, readings, point=["tool", "other"] * 2 + ["tool"])), model)
+    found = commands.corrections(model, wanted)
+    lines = list(csv.reader(commands.corrected_csv(model, wanted, found).splitlines()))
+    names = [f"{r.name} [deg]" for r in model.robot.readings]
+    assert lines[0] == [*names, "point", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
+    assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
+    assert (
+        np.abs(np.radians(np.array([line[:6] for line in lines[1:5]], dtype=float)) - found.readings[:4]).max() < 1e-10
+    )
+    assert lines[5][:6] == [""] * 6
+    assert "beyond its limits" in lines[5][10]
+    assert lines[1][7] == "0.000000"
+
+
+def test_poses_of_a_table() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = well_posed(model, draw(model.robot, 8))
+    poses = model.predict(readings)
+    xyz = {f"{axis} [mm]": 1e3 * poses[:, k, 3] for k, axis in enumerate("xyz")}
+    x, y, z, w = Rotation.from_matrix(poses[:, :3, :3]).as_quat().T
+    columns = panel(model, readings + 0.01, **xyz, qw=w, qx=x, qy=y, qz=z)
+    wanted = commands.targets(table_from_arrays(columns), model)
+    found = commands.corrections(model, wanted, frame="instrument")
+    assert found.reached.all(), found.reasons
+    assert np.abs(found.readings - readings).max() < 1e-6
+    lines = commands.corrected_csv(model, wanted, found).splitlines()
+    assert lines[0].startswith("shoulder_pan_joint [deg],")
+    assert ",z [mm],qw,qx,qy,qz,remaining_error [mm],remaining_turn [mrad],reached,reason" in lines[0]
+
+
+def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
+    model = model_of(robot_of("ur10"))
+    path = tmp_path / "targets.csv"
+    path.write_text("target,x [mm],y [inch],z [m]\na,600,10,0.4\nb,9000,0,0\n", encoding="utf-8")
+    wanted = commands.read_targets(path, model)
+    found = commands.corrections(model, wanted)
+    lines = commands.corrected_csv(model, wanted, found).splitlines()
+    assert lines[0].endswith("wrist_3_joint [deg],target,x [mm],y [inch],z [m],remaining_error [mm],reached,reason")
+    assert ",a,600,10,0.4,0.000000,yes," in lines[1]
+    assert ",b,9000,0,0,7" in lines[2]
+    there = (model.robot.tips(found.readings[:1], model.deviations) @ TOOLS["tool"])[0, :3, 3]
+    assert np.abs(there - (0.6, 0.254, 0.4)).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"shoulder_pan_joint [deg]": None}, "there is no column 'shoulder_pan_joint' of the targets"),
+        (
+            {"shoulder_pan_joint [deg]": None, "shoulder_pan_join [deg]": [0.0]},
+            "column 'shoulder_pan_join' is not one of targets; near is",
+        ),
+        ({"x [mm]": [0.0]}, "there is no column 'y', 'z' of the targets"),
+        ({"x [deg]": [0.0], "y [mm]": [0.0], "z [mm]": [0.0]}, "column 'x': unit 'deg' is not a unit of length"),
+        ({"point": ["left"]}, "there is no tool 'left'; the calibrated tools are tool, other"),
+        (
+            {"x [m]": [0.0], "y [m]": [0.0], "z [m]": [0.0], "qw": [2.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]},
+            "the quaternion has the norm 2",
+        ),
+    ],
+)
+def test_tables_that_cannot_be_used(change: dict[str, Any], said: str) -> None:
+    model = model_of(robot_of("ur10"))
+    columns = panel(model, np.zeros((1, 6))) | change
+    with pytest.raises(MeasurementError) as caught:
+        commands.targets(table_from_arrays({k: v for k, v in columns.items() if v is not None}), model)
+    assert said in str(caught.value)
+
+
+def test_nothing_can_be_reached() -> None:
+    model = model_of(robot_of("ur10"))
+    wanted = commands.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
+    with pytest.raises(MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: no sol"):
+        commands.corrections(model, wanted)
