@@ -130,7 +130,7 @@ class Closure:
         for ring, by_twist in zip(self._rings, by_twists, strict=True):
             shares = inverse[:, :, row : (row := row + len(ring.closes))] @ by_twist
             found.append(shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven))
-        return np.asarray(sum(found)).reshape(*slope.shape[:2], -1)
+        return np.asarray(sum(found)).reshape(*slope.shape[:2], found[0].shape[1])
 
     def _own(self, joint: int) -> int:
         """Return which component of a twist is a joint's own motion, which commutes with a change of its placement."""

@@ -85,7 +85,7 @@ def test_sensitivity_and_performance(tmp_path: Path) -> None:
 def test_commands_are_corrected(tmp_path: Path) -> None:
     assert run("calibrate", CASE / "calibration.toml", "-o", tmp_path / "out", "-q").code == 0
     targets = tmp_path / "targets.csv"
-    rows = ["joint_1 [deg],joint_2 [deg],joint_3 [deg],joint_4 [deg],joint_5 [deg],joint_6 [deg]", "5,-30,40,20,60,10"]
+    rows = ["joint_1 [deg],joint_2 [deg],joint_3 [deg],joint_4 [deg],joint_5 [deg],joint_6 [deg]", "5,40,40,-60,60,50"]
     targets.write_text("\n".join([*rows, ""]))
     said = run("compensate", tmp_path / "out", targets, "-o", tmp_path / "corrected.csv")
     assert said.code == 0
@@ -94,7 +94,7 @@ def test_commands_are_corrected(tmp_path: Path) -> None:
     model = calib.load_model(tmp_path / "out")
     row = (tmp_path / "corrected.csv").read_text().splitlines()[1].split(",")
     corrected = np.radians(np.array(row[:6], dtype=float))
-    wanted = robot.tips(np.radians([[5.0, -30.0, 40.0, 20.0, 60.0, 10.0]])) @ model.tools["tool"]
+    wanted = robot.tips(np.radians([[5.0, 40.0, 40.0, -60.0, 60.0, 50.0]])) @ model.tools["tool"]
     np.testing.assert_allclose(model.tips(corrected[None]) @ model.tools["tool"], wanted, atol=1e-6)
     again = run("compensate", tmp_path / "out", targets, "-o", tmp_path / "corrected.csv")
     assert (again.code, again.out) == (1, "")
