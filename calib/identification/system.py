@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array
+from calib.foundations.errors import PoseError
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, Layout, Machine, machine
 from calib.identification.observations import Linearised, pose, position
@@ -141,7 +142,10 @@ def blocks(
     for start in range(0, len(data), size):
         rows = slice(start, start + size)
         tool = data.tool[rows] if len(tools) > 1 else 0
-        motion = tip.motion(data.readings[rows])
+        try:
+            motion = tip.motion(data.readings[rows])
+        except PoseError as e:
+            raise PoseError(start + e.row, e.reason) from e
         observed = _observe(data, rows, at.frames.base @ motion.placement @ tools[tool])
         # Residual per local twist of the tip link, then per local twist of every joint placement.
         by_tip = _times(observed.twist, to_tool[tool])

@@ -40,7 +40,7 @@ def load_robot(
         joint
         for loop in loops
         for link in loop.frames
-        for joint in _path(document, base, _known_link(document, link, f"loop {loop.name!r}"), f"loop {loop.name!r}")
+        for joint in _path(document, base, _known_link(document, link, f"loop {loop.name!r}:"), f"loop {loop.name!r}")
     ]
     joints = list(dict.fromkeys(joints))
     chain = _chain(joints)
@@ -135,6 +135,9 @@ def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving:
     for axis in loop.closes:
         if axis not in ("x", "y", "z"):
             raise RobotError(f"{where}: closes {axis!r}, which is not one of x, y, z.")
+    for what, given in (("closes", loop.closes), ("passive", loop.passive)):
+        if not given or len(set(given)) < len(given):
+            raise RobotError(f"{where}: {what} {list(given)} must name at least one, and each once.")
     if len(loop.closes) != len(loop.passive):
         raise RobotError(
             f"{where}: {len(loop.closes)} directions close and {len(loop.passive)} joints are passive; there must be "
@@ -156,7 +159,7 @@ def _couple(
     for name in couplings:
         if name not in (joint.name for joint in moving):
             raise RobotError(f"{document.where}: coupling of {name!r}, which is not a moving joint of the arm.")
-    rows = [_drivers(document, joint, couplings) for joint in moving]
+    rows = [_drivers(document, joint, couplings, passive) for joint in moving]
     readings: list[Reading] = []
     for joint, (multiples, _) in zip(moving, rows, strict=True):
         if joint.name in passive and set(multiples) == {joint.name}:
@@ -181,7 +184,7 @@ def _couple(
 
 
 def _drivers(
-    document: Urdf, joint: UrdfJoint, couplings: Mapping[str, Coupling], depth: int = 0
+    document: Urdf, joint: UrdfJoint, couplings: Mapping[str, Coupling], passive: Sequence[str], depth: int = 0
 ) -> tuple[dict[str, float], float]:
     """Return the multiples of readings, and the constant, that a joint's position is."""
     if joint.name in couplings:
@@ -195,7 +198,12 @@ def _drivers(
         raise RobotError(f"{document.where}: the couplings of joint {joint.name!r} run in a circle.")
     found: dict[str, float] = {}
     for name, multiple in drivers.items():
-        multiples, constant = _drivers(document, document.joint(name), couplings, depth + 1)
+        if name in passive:
+            raise RobotError(
+                f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which a loop determines and "
+                "nothing reads."
+            )
+        multiples, constant = _drivers(document, document.joint(name), couplings, passive, depth + 1)
         offset += multiple * constant
         for reading, share in multiples.items():
             found[reading] = found.get(reading, 0.0) + multiple * share

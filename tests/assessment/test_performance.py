@@ -26,8 +26,8 @@ from calib.assessment.performance import (
     volumetric_lengths,
 )
 from calib.foundations.errors import MeasurementError
-from calib.job.results import write_results
 from calib.job.inputs import load
+from calib.job.results import write_results
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.presentation.performance_tables import performance_table

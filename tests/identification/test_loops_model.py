@@ -1,0 +1,113 @@
+"""A machine with a parallelogram: how much of it positions see, and a truth that is found again."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import calib
+from calib.identification import system
+from calib.identification.machine import Frames
+from calib.identification.system import Problem
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parents[2]
+URDF = ROOT / "robots" / "irb2400" / "irb2400.urdf"
+LOOP = calib.ClosedLoop("parallelogram", ("rod_end", "rear_lever_pin"), ("x", "z"), ("elbow", "rod"))
+LINKS = ("rod_length.tz", "rear_lever_length.tx")
+CRANK = ("joint_3.tx", "joint_3.ty")
+
+
+@pytest.fixture(scope="module")
+def simulation() -> ModuleType:
+    path = ROOT / "scripts" / "simulate_irb2400.py"
+    spec = importlib.util.spec_from_file_location("simulate_irb2400_for_loops", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def commands_deg(n: int, seed: int) -> Array:
+    """Random axes (n, 6); crank and lower arm at most 60 deg off the right angle."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform([-150, -60, -60, -150, -100, -170], [150, 80, 60, 150, 100, 170], (10 * n, 6))
+    return np.round(q[np.abs(q[:, 1] - q[:, 2]) < 60.0][:n], 3)
+
+
+def measurements(robot: calib.Robot, q: Array, positions: Array) -> calib.Measurements:
+    columns: dict[str, object] = {f"joint_{k + 1} [rad]": q[:, k] for k in range(6)}
+    columns |= {f"{axis} [m]": positions[:, k] for k, axis in enumerate("xyz")}
+    return calib.read_measurements(columns, robot, sigma=1e-6)
+
+
+def jacobian(robot: calib.Robot, reflector: tuple[float, ...], **free: object) -> Array:
+    """Columns (3 N, p) of all free parameters of the nominal robot, base and tool point among them."""
+    q = np.radians(commands_deg(150, 0))
+    model = calib.error_model(robot, **free)
+    T = np.eye(4)
+    T[:3, 3] = reflector
+    parameters = model.parameters()
+    data = measurements(robot, q, np.zeros((len(q), 3)))
+    x = np.zeros(len(parameters))
+    if model.tool == "position":
+        x[-3:] = reflector
+    (J,) = system.jacobian(Problem(model, parameters, Frames(np.eye(4), T[None]), (data,)), x)
+    return J.reshape(-1, len(parameters))
+
+
+def rank(J: Array) -> int:
+    values = np.linalg.svd(J, compute_uv=False)
+    assert not np.any((values > 1e-11 * values[0]) & (values < 1e-6 * values[0]))
+    return int(np.count_nonzero(values > 1e-9 * values[0]))
+
+
+OFF_AXIS, ON_AXIS = (0.025, 0.0, 0.04955), (0.0, 0.0, 0.04955)
+
+
+@pytest.mark.parametrize(("reflector", "serial"), [(OFF_AXIS, 27), (ON_AXIS, 25)])
+def test_ranks_are_those_of_the_document(reflector: tuple[float, ...], serial: int) -> None:
+    """27 without the parallelogram, 29 with k1 and k2, 31 with the crank's coaxiality; 2 fewer on axis 6."""
+    tree, machine = calib.load_robot(URDF, "tool0"), calib.load_robot(URDF, "tool0", loops=[LOOP])
+    # elbow stays out: behind elbow_cancel it would be a third parallel axis, whose tilts are two more.
+    J = jacobian(tree, reflector, offsets="all", placements=["joint_*", "elbow_cancel"])
+    fixed = {"base": "fixed", "tool": "fixed"}
+    links, crank = (jacobian(machine, reflector, placements=chosen, **fixed) for chosen in (LINKS, CRANK))
+    assert rank(J) == serial
+    assert rank(np.hstack([J, links])) == serial + 2
+    assert rank(np.hstack([J, links, crank])) == serial + 4
+    # All lengths of the mechanism at once show no more: only differences do.
+    lengths = jacobian(machine, reflector, placements=[*LINKS, "rod_cancel.tx", "elbow_cancel.tx"], **fixed)
+    assert rank(np.hstack([J, lengths])) == serial + 2
+
+
+@pytest.mark.parametrize(("reflector", "serial"), [(OFF_AXIS, 27), (ON_AXIS, 25)])
+def test_the_jobs_selection_sees_all_of_it(reflector: tuple[float, ...], serial: int) -> None:
+    machine = calib.load_robot(URDF, "tool0", loops=[LOOP])
+    J = jacobian(machine, reflector, offsets="all", placements=["joint_*", "elbow_cancel", *LINKS])
+    assert rank(J) == serial + 4
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_a_truth_that_the_model_can_express_is_found(simulation: ModuleType, planar: bool) -> None:
+    """Where axes 2 and 3 are tilted, the script's four-bar stays planar and the URDF's does not: 0.01 um at most."""
+    true = simulation.Machine(7, wind_up=False, harmonics=False)
+    if planar:
+        straight = true.truth.dalpha * [0, 0, 1, 1, 1, 1]
+        true.truth = replace(true.truth, dalpha=straight, dbeta_2=0.0)
+    robot = calib.load_robot(URDF, "tool0", loops=[LOOP])
+    seen, unseen = commands_deg(80, 1), commands_deg(200, 2)
+    data = measurements(robot, np.radians(seen), true.tcp(seen) * 1e-3)
+    model = calib.error_model(robot, offsets="all", placements=["joint_*", "elbow_cancel", *LINKS])
+    fit = calib.identify(model, data)
+    frames = fit.machine.frames
+    tips = frames.base @ robot.tips(np.radians(unseen), fit.machine.deviations) @ frames.tools[0]
+    assert len(fit.parameters) - len(fit.blind_directions) == 31
+    assert np.abs(tips[:, :3, 3] * 1e3 - true.tcp(unseen)).max() < (1e-6 if planar else 1e-5)

@@ -1,0 +1,517 @@
+"""Closed loops: against plain trigonometry, along both chains, and every derivative against finite differences."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.compensation.model_file import model_json
+from calib.compensation.urdf import calibrated_urdf
+from calib.foundations.errors import PoseError, RobotError
+from calib.identification import system
+from calib.identification.machine import Frames
+from calib.identification.system import Problem
+from calib.robot.load import load_robot, with_document
+from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.urdf import parse_urdf
+from tests.identification import machines
+
+Array = np.ndarray
+
+
+def tree(*joints: tuple[str, ...]) -> str:
+    """A tree of links: parent, child, type, xyz and axis of every joint, which is named after its child."""
+    links = dict.fromkeys(link for parent, child, *_ in joints for link in (parent, child))
+    elements = [f'<link name="{link}"/>' for link in links]
+    for parent, child, kind, xyz, axis, *more in joints:
+        elements.append(
+            f'<joint name="{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}" rpy="{more[1] if len(more) > 1 else "0 0 0"}"/><axis xyz="{axis}"/>'
+            f"{more[0] if more else ''}{machines.LIMIT.get(kind, '')}</joint>"
+        )
+    return f'<robot name="loops">{"".join(elements)}</robot>'
+
+
+def mimic(driver: str, multiplier: float) -> str:
+    return f'<mimic joint="{driver}" multiplier="{multiplier}"/>'
+
+
+def load(text: str, tip: str, *loops: ClosedLoop, couplings: Sequence[Coupling] = ()) -> Robot:
+    return load_robot(parse_urdf(text.encode(), "loop.urdf"), tip, couplings=couplings, loops=loops)
+
+
+def four_bar_urdf(L2: float = 0.7, b: float = 0.18, c: float = 0.7, e: float = 0.18, out: float = 0.0) -> str:
+    """A palletiser's arm on a turret: lower arm up, forearm to the front, crank and rear lever to the back.
+
+    Crank and rod lie ``out`` beside the lower arm.
+    """
+    return tree(
+        ("base", "turret", "revolute", "0 0 0.3", "0 0 1"),
+        ("turret", "lower", "revolute", "0.1 0 0.2", "0 1 0"),
+        ("lower", "cancel", "revolute", f"0 0 {L2}", "0 1 0", mimic("lower", -1.0)),
+        ("cancel", "elbow", "revolute", "0 0 0", "0 1 0", mimic("crank", 1.0)),
+        ("elbow", "pin", "fixed", f"-{e} 0 0", "0 0 0"),
+        ("turret", "crank", "revolute", f"0.1 {out} 0.2", "0 1 0"),
+        ("crank", "rod_cancel", "revolute", f"-{b} 0 0", "0 1 0", mimic("crank", -1.0)),
+        ("rod_cancel", "rod", "revolute", "0 0 0", "0 1 0", mimic("lower", 1.0)),
+        ("rod", "rod_end", "fixed", f"0 0 {c}", "0 0 0"),
+        ("elbow", "roll", "revolute", "0.2 0 0.1", "1 0 0"),
+        ("roll", "tip", "revolute", "0.5 0 0", "0 1 0"),
+    )
+
+
+PARALLELOGRAM = ClosedLoop("parallelogram", ("rod_end", "pin"), ("x", "z"), ("elbow", "rod"))
+
+FIVE_BAR = tree(
+    ("base", "left", "revolute", "0 0 0.1", "0 0 1"),
+    ("left", "left_distal", "revolute", "0.2 0 0", "0 0 1"),
+    ("left_distal", "tip", "fixed", "0.3 0 0", "0 0 0"),
+    ("base", "right", "revolute", "0.25 0 0.1", "0 0 1"),
+    ("right", "right_distal", "revolute", "0.21 0 0.01", "0 0 1"),
+    ("right_distal", "right_end", "fixed", "0.29 0 0", "0 0 0"),
+)
+# No encoder turns the distal links; where the search starts, the drivers say.
+PANTOGRAPH = ClosedLoop("pantograph", ("tip", "right_end"), ("x", "y"), ("left_distal", "right_distal"))
+ELBOWS = (Coupling("left_distal", {"left": -1.0}, 0.9), Coupling("right_distal", {"right": -1.0}, 2.3))
+
+SLIDER_CRANK = tree(
+    ("base", "crank", "revolute", "0.02 0 0.05", "0 0 1"),
+    ("crank", "rod", "revolute", "0.1 0 0", "0 0 1", mimic("crank", -1.0)),
+    ("rod", "rod_end", "fixed", "0.35 0 0", "0 0 0"),
+    ("base", "slider", "prismatic", "0.4 0.03 0.05", "1 0 0"),
+    ("slider", "tip", "fixed", "0.05 0.01 0.02", "0 0 0"),
+)
+CROSSHEAD = ClosedLoop("crosshead", ("slider", "rod_end"), ("x", "y"), ("rod", "slider"))
+
+# A parallelogram whose forearm's crank drives a slider-crank on top: one loop carries the other.
+TWO_LOOPS = four_bar_urdf(out=0.08).replace(
+    "</robot>",
+    tree(
+        ("elbow", "arm_2", "revolute", "0.1 0.05 0", "0 1 0", mimic("roll", 0.5)),
+        ("arm_2", "rod_2", "revolute", "0.06 0.01 0", "0 1 0", mimic("roll", -0.5)),
+        ("rod_2", "end_2", "fixed", "0.25 0 0", "0 0 0"),
+        ("elbow", "slide_2", "prismatic", "0.42 0 0.02", "1 0 0"),
+    ).removeprefix('<robot name="loops"><link name="elbow"/>'),
+)
+SECOND = ClosedLoop("second", ("slide_2", "end_2"), ("x", "z"), ("rod_2", "slide_2"))
+
+
+def machine(name: str) -> tuple[Robot, Array]:
+    """A machine with loops, and ten rows of its readings, well off the dead centres."""
+    rng = np.random.default_rng(11)
+    if name in ("parallelogram", "out of plane", "two loops"):
+        if name == "two loops":
+            robot = load(TWO_LOOPS, "slide_2", PARALLELOGRAM, SECOND)
+        else:
+            robot = load(four_bar_urdf(out=0.08 if name == "out of plane" else 0.0), "tip", PARALLELOGRAM)
+        readings = rng.uniform(-1.0, 1.0, (10, len(robot.readings)))
+        names = [reading.name for reading in robot.readings]
+        readings[:, names.index("crank")] = readings[:, names.index("lower")] + rng.uniform(-0.7, 0.7, 10)
+        return robot, readings
+    if name == "five-bar":
+        drivers = rng.uniform([1.6, 0.7], [2.4, 1.5], (10, 2))
+        return load(FIVE_BAR, "tip", PANTOGRAPH, couplings=ELBOWS), drivers
+    assert name == "slider-crank"
+    return load(SLIDER_CRANK, "tip", CROSSHEAD), rng.uniform(-3.0, 3.0, (10, 1))
+
+
+MACHINES = ("parallelogram", "out of plane", "five-bar", "slider-crank", "two loops")
+
+
+def deviations(robot: Robot, length: float, angle: float, seed: int = 5) -> Deviations:
+    """Random deviations of every joint, also passive and fixed ones, and offsets of those that are read or coupled."""
+    rng = np.random.default_rng(seed)
+    placements = rng.uniform(-1.0, 1.0, (len(robot.chain), 6)) * np.repeat((length, angle), 3)
+    offsets = rng.uniform(-angle, angle, len(robot.moving))
+    offsets[list(robot.passive)] = 0.0
+    return Deviations(placements, offsets)
+
+
+def link(robot: Robot, name: str, readings: Array, d: Deviations | None = None) -> Array:
+    """A link's placements (N, 4, 4), walked joint by joint at the closed positions, without calib's kinematics."""
+    q = robot.joint_positions(readings, d)
+    d = d or robot.no_deviations()
+    path, at = [], name
+    while (joint := robot.urdf.parent_joint(at)) is not None:
+        path.append(joint)
+        at = joint.parent
+    T = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    for joint in reversed(path):
+        i = next(i for i, own in enumerate(robot.chain) if own.name == joint.name)
+        own, e = robot.chain[i], d.placements[i]
+        E = machines.pose(e[:3], Rotation.from_euler("XYZ", e[3:]).as_rotvec())
+        T = T @ joint.origin @ own.frame @ E @ np.linalg.inv(own.frame)
+        if own.type != "fixed":
+            travel = q[:, robot.moving.index(i), None] * joint.axis
+            T = T @ (machines.pose(travel) if own.type == "prismatic" else machines.pose(rotvec=travel))
+    return T
+
+
+def positions(robot: Robot, readings: Array) -> dict[str, Array]:
+    q = robot.joint_positions(readings)
+    return {robot.chain[i].name: q[:, j] for j, i in enumerate(robot.moving)}
+
+
+# ---- against trigonometry
+
+
+def joint_range() -> Array:
+    """Readings turret, lower, crank, roll, tip over the joint range, alpha 30..150 deg."""
+    lower = np.radians(np.linspace(-100, 110, 22))[:, None]
+    crank = lower + np.radians(np.linspace(-60, 60, 25))
+    zero = np.zeros(crank.size)
+    return np.stack([zero + 0.4, np.broadcast_to(lower, crank.shape).ravel(), crank.ravel(), zero, zero], axis=1)
+
+
+WRONG = [
+    {},
+    {"L2": 0.7021, "b": 0.1789, "c": 0.6987, "e": 0.1813},
+    {"L2": 0.69, "b": 0.185, "c": 0.7, "e": 0.178},
+    {"L2": 0.72, "b": 0.17, "c": 0.7, "e": 0.19},
+]
+
+
+@pytest.mark.parametrize("lengths", WRONG)
+def test_a_four_bar_of_any_lengths_is_that_of_the_closed_formula(lengths: dict[str, float]) -> None:
+    robot, readings = load(four_bar_urdf(**lengths), "tip", PARALLELOGRAM), joint_range()
+    L2, b, c, e = ({"L2": 0.7, "b": 0.18, "c": 0.7, "e": 0.18} | lengths).values()
+    assert [reading.name for reading in robot.readings] == ["turret", "lower", "crank", "roll", "tip"]
+    # Angles from x to z, so that a turn about y counts down.
+    phi2, psi = 0.5 * np.pi - readings[:, 1], np.pi - readings[:, 2]
+    D = b * np.stack([np.cos(psi), np.sin(psi)]) - L2 * np.stack([np.cos(phi2), np.sin(phi2)])
+    s = np.hypot(*D)
+    phi = np.arctan2(D[1], D[0]) - np.sign(np.sin(psi - phi2)) * np.arccos((s**2 + e**2 - c**2) / (2 * e * s))
+    q = positions(robot, readings)
+    found = np.pi - (q["lower"] + q["cancel"] + q["elbow"])
+    assert np.abs(np.exp(1j * found) - np.exp(1j * phi)).max() < 1e-12
+    gamma = np.arctan2(e * np.sin(phi) - D[1], e * np.cos(phi) - D[0])
+    found = 0.5 * np.pi - (q["crank"] + q["rod_cancel"] + q["rod"])
+    assert np.abs(np.exp(1j * found) - np.exp(1j * gamma)).max() < 1e-12
+
+
+@pytest.mark.parametrize("lengths", WRONG)
+def test_both_chains_of_the_four_bar_lead_to_the_same_pin(lengths: dict[str, float]) -> None:
+    """The document's 1-2'-3'-4'-3, through crank and rod, and 1-2-3, through the lower arm."""
+    robot, readings = load(four_bar_urdf(**lengths), "tip", PARALLELOGRAM), joint_range()
+    through_rod, through_arm = (link(robot, name, readings)[:, :3, 3] for name in ("rod_end", "pin"))
+    assert np.abs(through_rod - through_arm).max() < 1e-13
+
+
+def test_an_ideal_parallelogram_is_the_same_with_and_without_its_loop() -> None:
+    readings = joint_range()
+    for text, tip in ((four_bar_urdf(), "tip"), (four_bar_urdf(out=0.08), "tip")):
+        loop, serial = load(text, tip, PARALLELOGRAM), load(text, tip)
+        assert loop.readings == serial.readings
+        np.testing.assert_allclose(loop.tips(readings), serial.tips(readings), atol=1e-13)
+
+
+def test_a_five_bar_is_where_two_circles_meet() -> None:
+    robot, readings = machine("five-bar")
+    assert [reading.name for reading in robot.readings] == ["left", "right"]
+    left, right = readings.T
+    A = np.stack([0.2 * np.cos(left), 0.2 * np.sin(left)], axis=1)
+    B = np.stack([0.25 + 0.21 * np.cos(right), 0.21 * np.sin(right)], axis=1)
+    s = np.linalg.norm(B - A, axis=1)
+    along = (0.3**2 - 0.29**2 + s**2) / (2 * s)
+    e = (B - A) / s[:, None]
+    meet = A + along[:, None] * e + np.sqrt(0.3**2 - along**2)[:, None] * np.stack([-e[:, 1], e[:, 0]], axis=1)
+    tips = robot.tips(readings)
+    np.testing.assert_allclose(tips[:, :2, 3], meet, atol=1e-13)
+    np.testing.assert_allclose(tips[:, 2, 3], 0.1, atol=1e-15)
+
+
+def test_a_slider_crank_slides_as_far_as_its_rod_pushes() -> None:
+    robot, readings = machine("slider-crank")
+    assert [reading.name for reading in robot.readings] == ["crank"]
+    turn = readings[:, 0]
+    x = 0.02 + 0.1 * np.cos(turn) + np.sqrt(0.35**2 - (0.1 * np.sin(turn) - 0.03) ** 2)
+    expected = np.stack([x + 0.05, np.full(10, 0.04), np.full(10, 0.07)], axis=1)
+    np.testing.assert_allclose(robot.tips(readings)[:, :3, 3], expected, atol=1e-13)
+
+
+# ---- any loop, badly made
+
+
+@pytest.mark.parametrize("size", [1e-3, 20e-3])
+@pytest.mark.parametrize("name", MACHINES)
+def test_loops_close_in_their_directions_whatever_the_deviations(name: str, size: float) -> None:
+    robot, readings = machine(name)
+    d = deviations(robot, size, size)
+    left_open = 0.0
+    for loop in robot.closed_loops:
+        a, b = (link(robot, frame, readings, d) for frame in loop.frames)
+        gap = np.einsum("nij,ni->nj", a[:, :3, :3], b[:, :3, 3] - a[:, :3, 3])
+        assert np.abs(gap[:, ["xyz".index(axis) for axis in loop.closes]]).max() < 1e-13
+        left_open = max(left_open, np.abs(gap).max())
+    if name in ("out of plane", "two loops"):
+        assert left_open > 0.05
+    np.testing.assert_allclose(robot.tips(readings, d), link(robot, robot.tip, readings, d), atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [1e-3, 20e-3])
+@pytest.mark.parametrize("name", MACHINES)
+def test_every_column_of_the_motion_is_that_of_central_differences(name: str, size: float) -> None:
+    robot, readings = machine(name)
+    d = deviations(robot, size, size)
+    motion = robot.motion(readings, d)
+    np.testing.assert_allclose(motion.placement, robot.tips(readings, d), atol=1e-14)
+    columns = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
+    state = np.concatenate([d.placements.ravel(), d.offsets])
+    inverse, h = np.linalg.inv(motion.placement), 1e-5
+    passive = [6 * len(robot.chain) + j for j in robot.passive]
+    for k in range(len(state)):
+
+        def tips(by: float, k: int = k) -> Array:
+            x = state.copy()
+            x[k] += by
+            return robot.tips(readings, Deviations(x[: d.placements.size].reshape(-1, 6), x[d.placements.size :]))
+
+        twist = inverse @ (tips(h) - tips(-h)) / (2 * h)
+        numeric = np.stack([*twist[:, :3, 3].T, twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], axis=1)
+        if k in passive:
+            numeric[:] = 0.0  # an offset of a passive joint moves where the search starts, and nothing else
+        np.testing.assert_allclose(columns[:, :, k], numeric, atol=1e-7 * max(1.0, np.abs(numeric).max()))
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_jacobian_of_a_machine_with_loops_is_that_of_central_differences(name: str, observes: str) -> None:
+    robot, readings = machine(name)
+    rng = np.random.default_rng(3)
+    model = calib.error_model(robot, offsets="all", placements=["*"], tool="pose")
+    parameters = model.parameters()
+    x = rng.uniform(-5e-3, 5e-3, len(parameters))
+    reference = Frames(machines.anywhere(rng), machines.anywhere(rng, 0.3)[None])
+    prismatic = {r.name for r in robot.readings if r.dimension == "length"}
+    columns: dict[str, object] = {
+        f"{r.name} [{'m' if r.name in prismatic else 'rad'}]": readings[:, k] for k, r in enumerate(robot.readings)
+    }
+    columns |= {f"{axis} [m]": rng.uniform(-1, 1, len(readings)) for axis in "xyz"}
+    if observes == "pose":
+        # Near the tool, where the logarithm is smooth.
+        at = Problem(model, parameters, reference, ()).machine(x)
+        R = (at.frames.base @ robot.tips(readings, at.deviations) @ at.frames.tools[0])[:, :3, :3]
+        turned = Rotation.from_matrix(R) * Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (len(readings), 3)))
+        qx, qy, qz, qw = turned.as_quat().T
+        columns |= {"qw": qw, "qx": qx, "qy": qy, "qz": qz}
+    data = calib.read_measurements(
+        columns, robot, observes, sigma=1e-3, sigma_angle=1e-3 if observes == "pose" else None
+    )
+    found = Problem(model, parameters, reference, (data,))
+    (J,) = system.jacobian(found, x)
+    h = 1e-5
+    for k, parameter in enumerate(parameters):
+        step = h * (np.arange(len(x)) == k)
+        up, down = (system.residuals(robot, (data,), found.machine(x + s))[0] for s in (step, -step))
+        numeric = (up - down) / (2 * h)
+        assert np.abs(J[:, :, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_passive_joint_has_no_offset_but_its_driver_has(name: str) -> None:
+    robot, _ = machine(name)
+    names = {parameter.name for parameter in calib.error_model(robot, offsets="all").parameters()}
+    passive = {robot.chain[robot.moving[j]].name for j in robot.passive}
+    assert passive == {joint for loop in robot.closed_loops for joint in loop.passive}
+    moving = {robot.chain[i].name for i in robot.moving}
+    assert {n for n in names if n.endswith(".offset")} == {f"{joint}.offset" for joint in moving - passive}
+    with pytest.raises(calib.JobError, match="matches no joint of the arm"):
+        calib.error_model(robot, offsets=[next(iter(passive))])
+
+
+def test_the_offset_of_a_passive_joint_moves_nothing() -> None:
+    robot, readings = machine("out of plane")
+    d = deviations(robot, 5e-3, 5e-3)
+    offsets = d.offsets.copy()
+    offsets[list(robot.passive)] = 0.02
+    np.testing.assert_allclose(
+        robot.tips(readings, Deviations(d.placements, offsets)), robot.tips(readings, d), atol=1e-13
+    )
+
+
+def test_no_rows_are_no_trouble() -> None:
+    robot, _ = machine("two loops")
+    none = np.empty((0, len(robot.readings)))
+    assert robot.tips(none).shape == (0, 4, 4)
+    assert robot.motion(none).rates.shape == (0, 4, 6 * len(robot.chain) + len(robot.moving))
+
+
+# ---- couplings
+
+
+def test_a_coupling_with_two_drivers_is_the_counter_rotating_link() -> None:
+    direct = tree(
+        ("base", "lower", "revolute", "0.1 0 0.2", "0 1 0"),
+        ("lower", "elbow", "revolute", "0 0 0.7", "0 1 0"),
+        ("elbow", "tip", "revolute", "0.5 0 0.1", "1 0 0"),
+        ("base", "crank", "revolute", "0.1 0 0.2", "0 1 0"),
+    )
+    linked = tree(
+        ("base", "lower", "revolute", "0.1 0 0.2", "0 1 0"),
+        ("lower", "cancel", "revolute", "0 0 0.7", "0 1 0", mimic("lower", -1.0)),
+        ("cancel", "elbow", "revolute", "0 0 0", "0 1 0", mimic("crank", 1.0)),
+        ("elbow", "tip", "revolute", "0.5 0 0.1", "1 0 0"),
+        ("base", "crank", "revolute", "0.1 0 0.2", "0 1 0"),
+    )
+    a = load(direct, "tip", couplings=[Coupling("elbow", {"lower": -1.0, "crank": 1.0}, 0.2)])
+    b = load(linked, "tip")
+    assert [reading.name for reading in a.readings] == [reading.name for reading in b.readings]
+    readings = np.random.default_rng(0).uniform(-2, 2, (20, 3))
+    shifted = readings + np.array([0.0, 0.2, 0.0])
+    np.testing.assert_allclose(a.tips(readings), b.tips(shifted), atol=1e-14)
+    # The offset of the lower arm, which is on the arm, moves the elbow too.
+    offsets = [0.03, 0.0, 0.01]
+    np.testing.assert_allclose(
+        a.tips(readings, Deviations(np.zeros((3, 6)), np.array(offsets))),
+        b.tips(shifted, Deviations(np.zeros((4, 6)), np.array([0.03, 0.0, 0.0, 0.01]))),
+        atol=1e-14,
+    )
+
+
+@pytest.mark.parametrize(
+    ("couplings", "sentence"),
+    [
+        (
+            [Coupling("nowhere", {"lower": 1.0})],
+            "loop.urdf: coupling of 'nowhere', which is not a moving joint of the arm.",
+        ),
+        (
+            [Coupling("roll", {"cancel": 1.0}), Coupling("cancel", {"roll": 1.0})],
+            "loop.urdf: the couplings of joint 'cancel' run in a circle.",
+        ),
+    ],
+)
+def test_wrong_couplings_are_refused(couplings: list[Coupling], sentence: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        load(four_bar_urdf(), "tip", PARALLELOGRAM, couplings=couplings)
+    assert str(caught.value) == sentence
+
+
+# ---- what is refused
+
+
+@pytest.mark.parametrize(
+    ("loop", "sentence"),
+    [
+        (
+            ClosedLoop("p", ("rod_end", "nut"), ("x", "z"), ("elbow", "rod")),
+            "loop.urdf: loop 'p': 'nut' is not a link of the URDF; its links are base, turret, lower, cancel, elbow, "
+            "pin, crank, rod_cancel, rod, rod_end, roll, tip.",
+        ),
+        (
+            ClosedLoop("p", ("rod_end", "pin"), ("x", "z"), ("elbow", "pin")),
+            "loop.urdf: loop 'p': passive joint 'pin' is not one of the moving joints turret, lower, cancel, elbow, "
+            "roll, tip, crank, rod_cancel, rod.",
+        ),
+        (
+            ClosedLoop("p", ("rod_end", "pin"), ("x", "y", "z"), ("elbow", "rod")),
+            "loop.urdf: loop 'p': 3 directions close and 2 joints are passive; there must be as many of one as of "
+            "the other.",
+        ),
+        (
+            ClosedLoop("p", ("rod_end", "pin"), ("x", "up"), ("elbow", "rod")),  # type: ignore[arg-type]
+            "loop.urdf: loop 'p': closes 'up', which is not one of x, y, z.",
+        ),
+    ],
+)
+def test_wrong_declarations_are_refused_in_a_sentence(loop: ClosedLoop, sentence: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        load(four_bar_urdf(), "tip", loop)
+    assert str(caught.value) == sentence
+
+
+def refused(robot: Robot, readings: Array) -> PoseError:
+    with pytest.raises(PoseError) as caught:
+        robot.tips(readings)
+    return caught.value
+
+
+def test_a_dead_centre_names_its_row() -> None:
+    robot = load(four_bar_urdf(), "tip", PARALLELOGRAM)
+    readings = np.zeros((4, 5))
+    readings[2, 2] = readings[3, 2] = 0.5 * np.pi  # crank and lower arm in line
+    error = refused(robot, readings)
+    assert str(error) == "row 2: loop 'parallelogram' is at a dead centre: its joints may go two ways."
+    assert (error.row, error.reason) == (
+        2,
+        "loop 'parallelogram' is at a dead centre: its joints may go two ways",
+    )
+
+
+def test_links_that_do_not_reach_name_their_row() -> None:
+    robot = load(four_bar_urdf(c=0.72), "tip", PARALLELOGRAM)
+    readings = np.zeros((3, 5))
+    readings[1:, 2] = 1.5  # 0.525 m from the elbow to the crank's end; the rod needs 0.54
+    error = refused(robot, readings)
+    assert str(error) == "row 1: loop 'parallelogram' cannot close: its links do not reach."
+    assert error.row == 1
+
+
+def test_a_slider_that_its_rod_cannot_reach_names_its_row() -> None:
+    text = SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 -0.3 0.05"')
+    robot = load(text, "tip", CROSSHEAD)
+    assert str(refused(robot, np.array([[0.0], [-0.3], [1.4]]))) == (
+        "row 2: loop 'crosshead' cannot close: its links do not reach."
+    )
+
+
+def test_two_loops_are_named_together() -> None:
+    robot, readings = machine("two loops")
+    names = [reading.name for reading in robot.readings]
+    readings[4, names.index("crank")] = readings[4, names.index("lower")] + 0.5 * np.pi
+    assert str(refused(robot, readings)).startswith("row 4: loop 'parallelogram', 'second' is at a dead centre")
+
+
+# ---- out of the toolkit and back
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_calibrated_urdf_reads_back_as_the_calibrated_machine(name: str) -> None:
+    robot, readings = machine(name)
+    d = deviations(robot, 1e-3, 1e-3)
+    again = with_document(robot, parse_urdf(calibrated_urdf(robot, d), "calibrated.urdf"))
+    np.testing.assert_allclose(again.tips(readings), robot.tips(readings, d), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_model_file_with_loops_and_couplings_predicts_the_same(name: str, tmp_path: Path) -> None:
+    robot, readings = machine(name)
+    d = deviations(robot, 1e-3, 1e-3)
+    columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {f"{a} [m]": p for a, p in zip("xyz", robot.tips(readings, d)[:, :3, 3].T, strict=True)}
+    data = calib.read_measurements(columns, robot, sigma=1e-6)
+    model = calib.error_model(robot, offsets="all", base="fixed", tool="fixed")
+    fit = calib.identify(model, data)
+
+    (tmp_path / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (tmp_path / "nominal.urdf").write_bytes(robot.urdf.source)
+    again = calib.load_model(tmp_path)
+    assert again.robot.closed_loops == robot.closed_loops
+    assert again.robot.couplings == robot.couplings
+    np.testing.assert_allclose(again.predict(readings), machines.predicted(fit, readings), atol=1e-13)
+
+
+def test_a_joint_that_follows_a_passive_one_is_refused() -> None:
+    with pytest.raises(RobotError, match="joint 'roll' follows 'elbow', which a loop determines and nothing reads"):
+        load_robot(
+            parse_urdf(four_bar_urdf().encode(), "loop.urdf"),
+            "tip",
+            couplings=[Coupling("roll", {"elbow": 1.0})],
+            loops=[PARALLELOGRAM],
+        )
+
+
+@pytest.mark.parametrize(
+    ("closes", "passive"), [((), ()), (("x", "x"), ("elbow", "rod")), (("x", "z"), ("rod", "rod"))]
+)
+def test_a_loop_names_each_thing_once(closes: tuple[Literal["x", "z"], ...], passive: tuple[str, ...]) -> None:
+    with pytest.raises(RobotError, match="must name at least one, and each once"):
+        load_robot(
+            parse_urdf(four_bar_urdf().encode(), "loop.urdf"),
+            "tip",
+            loops=[ClosedLoop("p", ("rod_end", "pin"), closes, passive)],
+        )
