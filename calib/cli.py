@@ -13,7 +13,7 @@ import calib
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
-from calib.compensation import commands
+from calib.compensation import targets as targets_of
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
 from calib.foundations.errors import CalibError, JobError, OutputError
@@ -159,10 +159,10 @@ def compensate(
     with progress(shown=not quiet) as say:
         say("reading the model and the targets")
         model = load_model(results)
-        wanted = commands.read_targets(targets, model, tool)
+        wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
-        found = commands.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
-        write_atomically(out, commands.corrected_csv(model, wanted, found))
+        found = targets_of.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
+        write_atomically(out, targets_of.corrected_csv(model, wanted, found))
     if not quiet:
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"

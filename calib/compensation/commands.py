@@ -5,11 +5,8 @@ residual grid shifts the predicted position and changes too slowly to be differe
 which positions alone are asked, take the readings that change least from where they start; 1 mm counts as 1 mrad.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, cast
 
 import numpy as np
@@ -18,10 +15,8 @@ from calib.compensation.grid import Frame
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
-from calib.foundations.errors import JobError, MeasurementError, PoseError
+from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
-from calib.foundations.units import UNITS, Dimension, Unit, unit_of
-from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
 from calib.robot.robot import Reading, TipModel
 
 PoseFrame = Literal["base", "instrument"]
@@ -48,7 +43,6 @@ _NO_NEARER = 1e-7
 _REMARKABLE = 0.1
 _STARTS = 12
 _BLOCK = 4096
-_NORM_TOLERANCE = 1e-3
 
 
 class ResidualModel(Protocol):
@@ -536,155 +530,3 @@ def _step(J: Array, gap: Array, damping: Array) -> tuple[Array, Array]:
 def _capped(step: Array) -> Array:
     longest = np.abs(step).max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300)))
-
-
-# ---- tables
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Targets:
-    """N targets of a table.
-
-    ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
-    (N, 3), or None for joint targets. ``tools``: N names. ``table``: as it was read.
-    """
-
-    readings: Array | None
-    poses: Array | None
-    tools: tuple[str, ...]
-    table: Table
-
-    def __len__(self) -> int:
-        return len(self.table)
-
-
-def read_targets(path: str | Path, model: CalibratedModel, tool: str = "tool") -> Targets:
-    """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
-    return targets(read_table(path), model, tool)
-
-
-def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets:
-    """Return the targets of a table; which kind they are, its columns say.
-
-    With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
-    joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
-
-    Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, and when a tool is not known.
-    """
-    columns, where = table.columns, table.where
-    joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
-    position: dict[str, Dimension] = dict.fromkeys(("x", "y", "z"), "length")
-    rotation: dict[str, Dimension] = dict.fromkeys(QUATERNION_COLUMNS, "number")
-    known = {*joints, *position, *rotation, *TEXT_COLUMNS, "time"}
-    for name in columns:
-        if name not in known:
-            near = nearest(name, sorted(known - columns.keys()))
-            raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
-    posed = any(name in columns for name in (*position, *rotation))
-    wanted = [position] if posed else [joints]
-    wanted += [some for some in ([rotation, joints] if posed else []) if any(name in columns for name in some)]
-    if missing := [name for some in wanted for name in some if name not in columns]:
-        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
-        raise MeasurementError(f"{where}: there is no column {listed} of the targets; the columns are {there}.")
-    start = _stacked(table, joints) if joints in wanted else None
-    poses = None
-    if posed:
-        poses = _stacked(table, position)
-        if rotation in wanted:
-            poses = read_only(rigid.placement(_rotations(table, rotation), poses))
-    tools = cast(tuple[str, ...], columns["point"].values) if "point" in columns else (tool,) * len(table)
-    for n, name in enumerate(tools):
-        if name not in model.tools:
-            raise MeasurementError(
-                f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
-                f"{', '.join(model.tools)}."
-            )
-    return Targets(start, poses, tools, table)
-
-
-def _stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
-    columns: list[Array] = []
-    for name, dimension in dimensions.items():
-        column = table.columns[name]
-        unit_of(cast(Unit, column.unit).symbol, dimension, f"{table.where}: column {name!r}", MeasurementError)
-        columns.append(cast(Array, column.values))
-    return read_only(np.stack(columns, axis=-1))
-
-
-def _rotations(table: Table, names: dict[str, Dimension]) -> Array:
-    quaternion = _stacked(table, names)
-    norm = np.linalg.norm(quaternion, axis=-1)
-    if (off := np.abs(norm - 1.0) > _NORM_TOLERANCE).any():
-        row = int(np.argmax(off))
-        raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: the quaternion has the norm {norm[row]:.6g} where 1 is allowed, "
-            f"within {_NORM_TOLERANCE:g}; the order is qw, qx, qy, qz."
-        )
-    return rigid.rotation_of_quaternion(quaternion)
-
-
-def corrections(
-    model: CalibratedModel,
-    wanted: Targets,
-    *,
-    what: What = "pose",
-    frame: PoseFrame = "base",
-    residuals: ResidualModel | None = None,
-    clamp: bool = False,
-) -> Corrections:
-    """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
-
-    Raises MeasurementError when none of them can be reached, with the reason of the first.
-    """
-    if wanted.poses is None:
-        readings = cast(Array, wanted.readings)
-        found = for_joint_targets(model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp)
-    else:
-        poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
-        found = for_poses(model, poses, wanted.readings, wanted.tools, frame=frame, residuals=residuals, clamp=clamp)
-    if not found.reached.any():
-        table = wanted.table
-        raise MeasurementError(
-            f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
-            f"{found.reasons[0]}."
-        )
-    return found
-
-
-def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -> str:
-    """Return the table with corrected joints, in the units of its header, and what is expected of every row.
-
-    Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses
-    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty.
-    """
-    table, joints = wanted.table, {reading.name: k for k, reading in enumerate(model.robot.readings)}
-    own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
-    titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
-    titles |= {name: column.unit for name, column in table.columns.items()}
-    turned = not np.isnan(found.orientation_error).all()
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    header = [
-        name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
-    ]
-    errors = ["remaining_error [mm]", *(["remaining_turn [mrad]"] if turned else [])]
-    writer.writerow([*header, *errors, "reached", "reason"])
-    for n in range(len(found)):
-        cells: list[str] = []
-        for name, unit in titles.items():
-            if name in joints:
-                value = found.readings[n, joints[name]]
-                cells.append(_cell(value / cast(Unit, unit).factor, ".12g"))
-            else:
-                values = table.columns[name].values
-                cells.append(str(values[n]) if unit is None else _cell(float(values[n]) / unit.factor, ".12g"))
-        cells.append(_cell(found.position_error[n] * 1e3, ".6f"))
-        if turned:
-            cells.append(_cell(found.orientation_error[n] * 1e3, ".6f"))
-        writer.writerow([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
-    return text.getvalue()
-
-
-def _cell(value: float, how: str) -> str:
-    return "" if np.isnan(value) else format(float(value) + 0.0, how)

@@ -104,7 +104,7 @@ def measurements_from_table(
     _require(table, dimensions, "of a joint")
     _require(table, _POSITION, f"of the measured {kind}")
     _refuse_unknown(table, dimensions)
-    position = _stacked(table, dict.fromkeys(_POSITION, "length"))
+    position = stacked(table, dict.fromkeys(_POSITION, "length"))
     by_distance = None if instrument is None else instrument.sigma_at(position)[:, None]
     noise = [_noise(table, _SIGMAS, "length", {"sigma": sigma, "the instrument": by_distance})]
     if kind == "pose":
@@ -118,9 +118,9 @@ def measurements_from_table(
     return Measurements(
         kind=kind,
         reading_names=tuple(dimensions),
-        readings=_stacked(table, dimensions),
+        readings=stacked(table, dimensions),
         position=position,
-        orientation=_orientation(table) if kind == "pose" else None,
+        orientation=orientations(table) if kind == "pose" else None,
         sigma=read_only(np.hstack(noise)),
         tools=tools,
         tool=read_only_view(tool),
@@ -156,8 +156,8 @@ def _refuse_unknown(table: Table, readings: Iterable[str]) -> None:
             raise MeasurementError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
 
 
-def _stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
-    """Return the columns (N, k), each of which must be in a unit of its dimension."""
+def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
+    """Return columns (N, k) in SI units. Raises MeasurementError for one that is not in a unit of its dimension."""
     columns = [_numbers(table, name, dimension) for name, dimension in dimensions.items()]
     return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
 
@@ -175,14 +175,18 @@ def _words(table: Table, name: str) -> tuple[str, ...] | None:
     return None if column is None else cast(tuple[str, ...], column.values)
 
 
-def _orientation(table: Table) -> Array:
+def orientations(table: Table) -> Array:
+    """Return the rotations (N, 3, 3) of the columns qw, qx, qy, qz.
+
+    Raises MeasurementError when one is missing, or a quaternion is not of unit length.
+    """
     if any(name in table.columns for name in _EULER) and "qw" not in table.columns:
         raise MeasurementError(
             f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; "
             "convert them to quaternions qw, qx, qy, qz."
         )
     _require(table, QUATERNION_COLUMNS, "of the measured pose")
-    quaternion = _stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))
+    quaternion = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))
     norm = np.linalg.norm(quaternion, axis=-1)
     if (off := np.abs(norm - 1.0) > _NORM_TOLERANCE).any():
         row = int(np.argmax(off))
@@ -211,7 +215,7 @@ def _noise(
     values: Array | float = next(iter(given.values()), 0.0)
     for names in columns:
         _require(table, names, "of the noise")
-        values = _stacked(table, dict.fromkeys(names, dimension))
+        values = stacked(table, dict.fromkeys(names, dimension))
         if (values < 0.0).any():
             row, axis = np.argwhere(values < 0.0)[0]
             raise MeasurementError(f"{table.where}:{table.lines[row]}: column {names[axis]!r} is negative.")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.compensation import commands, grid
+from calib.compensation import commands, grid, targets
 from calib.foundations.errors import JobError, MeasurementError
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import TipModel
@@ -373,9 +373,9 @@ def test_joint_targets_of_a_table() -> None:
     model = model_of(robot_of("ur10"))
     readings = draw(model.robot, 5)
     readings[4] = 7.0
-    wanted = commands.targets(table_from_arrays(panel(model, readings, point=["tool", "other"] * 2 + ["tool"])), model)
-    found = commands.corrections(model, wanted)
-    lines = list(csv.reader(commands.corrected_csv(model, wanted, found).splitlines()))
+    wanted = targets.targets(table_from_arrays(panel(model, readings, point=["tool", "other"] * 2 + ["tool"])), model)
+    found = targets.corrections(model, wanted)
+    lines = list(csv.reader(targets.corrected_csv(model, wanted, found).splitlines()))
     names = [f"{r.name} [deg]" for r in model.robot.readings]
     assert lines[0] == [*names, "point", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
     assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
@@ -394,11 +394,11 @@ def test_poses_of_a_table() -> None:
     xyz = {f"{axis} [mm]": 1e3 * poses[:, k, 3] for k, axis in enumerate("xyz")}
     x, y, z, w = Rotation.from_matrix(poses[:, :3, :3]).as_quat().T
     columns = panel(model, readings + 0.01, **xyz, qw=w, qx=x, qy=y, qz=z)
-    wanted = commands.targets(table_from_arrays(columns), model)
-    found = commands.corrections(model, wanted, frame="instrument")
+    wanted = targets.targets(table_from_arrays(columns), model)
+    found = targets.corrections(model, wanted, frame="instrument")
     assert found.reached.all(), found.reasons
     assert np.abs(found.readings - readings).max() < 1e-6
-    lines = commands.corrected_csv(model, wanted, found).splitlines()
+    lines = targets.corrected_csv(model, wanted, found).splitlines()
     assert lines[0].startswith("shoulder_pan_joint [deg],")
     assert ",z [mm],qw,qx,qy,qz,remaining_error [mm],remaining_turn [mrad],reached,reason" in lines[0]
 
@@ -407,9 +407,9 @@ def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
     model = model_of(robot_of("ur10"))
     path = tmp_path / "targets.csv"
     path.write_text("target,x [mm],y [inch],z [m]\na,600,10,0.4\nb,9000,0,0\n", encoding="utf-8")
-    wanted = commands.read_targets(path, model)
-    found = commands.corrections(model, wanted)
-    lines = commands.corrected_csv(model, wanted, found).splitlines()
+    wanted = targets.read_targets(path, model)
+    found = targets.corrections(model, wanted)
+    lines = targets.corrected_csv(model, wanted, found).splitlines()
     assert lines[0].endswith("wrist_3_joint [deg],target,x [mm],y [inch],z [m],remaining_error [mm],reached,reason")
     assert ",a,600,10,0.4,0.000000,yes," in lines[1]
     assert ",b,9000,0,0,7" in lines[2]
@@ -438,12 +438,12 @@ def test_tables_that_cannot_be_used(change: dict[str, Any], said: str) -> None:
     model = model_of(robot_of("ur10"))
     columns = panel(model, np.zeros((1, 6))) | change
     with pytest.raises(MeasurementError) as caught:
-        commands.targets(table_from_arrays({k: v for k, v in columns.items() if v is not None}), model)
+        targets.targets(table_from_arrays({k: v for k, v in columns.items() if v is not None}), model)
     assert said in str(caught.value)
 
 
 def test_nothing_can_be_reached() -> None:
     model = model_of(robot_of("ur10"))
-    wanted = commands.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
+    wanted = targets.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
     with pytest.raises(MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: no sol"):
-        commands.corrections(model, wanted)
+        targets.corrections(model, wanted)

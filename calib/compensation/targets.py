@@ -1,0 +1,146 @@
+"""Targets of a calibrated machine as tables: joint targets, poses or positions in, corrected commands out."""
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from calib.compensation.commands import Corrections, PoseFrame, ResidualModel, What, for_joint_targets, for_poses
+from calib.compensation.model_file import CalibratedModel
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import UNITS, Dimension, Unit
+from calib.measurement.measurements import orientations, stacked
+from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """N targets of a table.
+
+    ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
+    (N, 3), or None for joint targets. ``tools``: N names. ``table``: as it was read.
+    """
+
+    readings: Array | None
+    poses: Array | None
+    tools: tuple[str, ...]
+    table: Table
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+def read_targets(path: str | Path, model: CalibratedModel, tool: str = "tool") -> Targets:
+    """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
+    return targets(read_table(path), model, tool)
+
+
+def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets:
+    """Return the targets of a table; which kind they are, its columns say.
+
+    With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
+    joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
+
+    Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
+    not of unit length, and when a tool is not known.
+    """
+    columns, where = table.columns, table.where
+    joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
+    position: dict[str, Dimension] = dict.fromkeys(("x", "y", "z"), "length")
+    rotation: dict[str, Dimension] = dict.fromkeys(QUATERNION_COLUMNS, "number")
+    known = {*joints, *position, *rotation, *TEXT_COLUMNS, "time"}
+    for name in columns:
+        if name not in known:
+            near = nearest(name, sorted(known - columns.keys()))
+            raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
+    posed = any(name in columns for name in (*position, *rotation))
+    wanted = [position] if posed else [joints]
+    wanted += [some for some in ([rotation, joints] if posed else []) if any(name in columns for name in some)]
+    if missing := [name for some in wanted for name in some if name not in columns]:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        raise MeasurementError(f"{where}: there is no column {listed} of the targets; the columns are {there}.")
+    start = stacked(table, joints) if joints in wanted else None
+    poses = None
+    if posed:
+        poses = stacked(table, position)
+        if rotation in wanted:
+            poses = read_only(rigid.placement(orientations(table), poses))
+    tools = cast(tuple[str, ...], columns["point"].values) if "point" in columns else (tool,) * len(table)
+    for n, name in enumerate(tools):
+        if name not in model.tools:
+            raise MeasurementError(
+                f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
+                f"{', '.join(model.tools)}."
+            )
+    return Targets(start, poses, tools, table)
+
+
+def corrections(
+    model: CalibratedModel,
+    wanted: Targets,
+    *,
+    what: What = "pose",
+    frame: PoseFrame = "base",
+    residuals: ResidualModel | None = None,
+    clamp: bool = False,
+) -> Corrections:
+    """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
+
+    Raises MeasurementError when none of them can be reached, with the reason of the first.
+    """
+    if wanted.poses is None:
+        readings = cast(Array, wanted.readings)
+        found = for_joint_targets(model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp)
+    else:
+        poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
+        found = for_poses(model, poses, wanted.readings, wanted.tools, frame=frame, residuals=residuals, clamp=clamp)
+    if not found.reached.any():
+        table = wanted.table
+        raise MeasurementError(
+            f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
+            f"{found.reasons[0]}."
+        )
+    return found
+
+
+def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -> str:
+    """Return the table with corrected joints, in the units of its header, and what is expected of every row.
+
+    Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses
+    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty.
+    """
+    table, joints = wanted.table, {reading.name: k for k, reading in enumerate(model.robot.readings)}
+    own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
+    titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
+    titles |= {name: column.unit for name, column in table.columns.items()}
+    turned = not np.isnan(found.orientation_error).all()
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    header = [
+        name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
+    ]
+    errors = ["remaining_error [mm]", *(["remaining_turn [mrad]"] if turned else [])]
+    writer.writerow([*header, *errors, "reached", "reason"])
+    for n in range(len(found)):
+        cells: list[str] = []
+        for name, unit in titles.items():
+            if name in joints:
+                value = found.readings[n, joints[name]]
+                cells.append(_cell(value / cast(Unit, unit).factor, ".12g"))
+            else:
+                values = table.columns[name].values
+                cells.append(str(values[n]) if unit is None else _cell(float(values[n]) / unit.factor, ".12g"))
+        cells.append(_cell(found.position_error[n] * 1e3, ".6f"))
+        if turned:
+            cells.append(_cell(found.orientation_error[n] * 1e3, ".6f"))
+        writer.writerow([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
+    return text.getvalue()
+
+
+def _cell(value: float, how: str) -> str:
+    return "" if np.isnan(value) else format(float(value) + 0.0, how)
