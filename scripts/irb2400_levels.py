@@ -13,6 +13,8 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -160,6 +162,29 @@ def covered(seeds: int) -> NDArray[np.int_]:
     return inside
 
 
+def draw(rows: list[tuple[str, float, float]], file: Path) -> None:
+    """Draw mean and maximum of every stage as a bar and a tick, on a logarithmic axis, to the same bytes every time."""
+    shown = [row for row in rows if "poses" not in row[0]][::-1]
+    figure = Figure(figsize=(7.2, 0.42 * len(shown) + 1.0), layout="constrained")
+    axes = figure.add_subplot()
+    places = range(len(shown))
+    axes.barh(places, [mean for _, mean, _ in shown], height=0.6, color="#0d6b78", label="mean")
+    axes.plot([largest for *_, largest in shown], places, "|", markersize=12, color="black", label="largest")
+    for place, (_, mean, largest) in zip(places, shown, strict=True):
+        axes.text(1.12 * largest, place, f"{mean:.3f} / {largest:.3f}", va="center", fontsize=8)
+    axes.set_yticks(places, [name for name, *_ in shown], fontsize=8)
+    axes.set_xscale("log")
+    axes.set_xlim(0.02, 6.0)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("error at poses that no level has seen [mm]")
+    axes.set_axisbelow(True)
+    axes.grid(axis="x", color="#d9d9d9", linewidth=0.8)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.legend(loc="center right", frameon=False, fontsize=8)
+    with rc_context({"svg.hashsalt": "irb2400", "svg.fonttype": "none"}):
+        figure.savefig(file, metadata={"Date": None})
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=10, help="number of machines (default: 10)")
@@ -184,7 +209,9 @@ def main() -> int:
     )
     print(said)
     if arguments.markdown is not None:
-        lines = [PAGE.format(n=len(studies)), "| stage | mean [mm] | max [mm] |", "|---|--:|--:|"]
+        draw(rows, arguments.markdown.parent / "figures" / "irb2400_levels.svg")
+        figure = "![Mean and largest error after each level](figures/irb2400_levels.svg)"
+        lines = [PAGE.format(n=len(studies)), figure, "", "| stage | mean [mm] | max [mm] |", "|---|--:|--:|"]
         lines += [
             f"| {name} | {mean:.3f} | {largest:.3f} |" for name, mean, largest in rows if mean and "poses" not in name
         ]
