@@ -11,7 +11,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
-from calib.robot.load import with_document
+from calib.robot.load import load_robot, with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
 from calib.robot.urdf_writer import splice_origins
@@ -58,6 +58,23 @@ def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     if not difference < _ROUNDING:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
     return document
+
+
+def lost_in_urdf(robot: Robot, deviations: Deviations, readings: Array) -> float:
+    """Return the rms distance in m at the tip, at readings (N, nr), that the calibrated URDF alone is off.
+
+    A URDF holds neither closed loops nor couplings of several drivers; whoever reads it follows its mimic joints. 0
+    where it holds all, and nan where its joints do not even take the same readings.
+    """
+    if not (robot.loops or robot.couplings):
+        return 0.0
+    plain = load_robot(parse_urdf(calibrated_urdf(robot, deviations), robot.urdf.where), robot.tip, robot.base)
+    names = [reading.name for reading in robot.readings]
+    if any(reading.name not in names for reading in plain.readings):
+        return float("nan")
+    taken = readings[:, [names.index(reading.name) for reading in plain.readings]]
+    apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
 def write_urdf(fit: Fit, path: str | Path) -> None:

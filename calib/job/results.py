@@ -147,6 +147,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             use: {when: _by_quantity(figures) for when, figures in by_when.items()}
             for use, by_when in outcome.metrics.items()
         },
+        "lost_in_urdf": None if np.isnan(outcome.lost_in_urdf) else outcome.lost_in_urdf,
         "rank": fit.rank,
         "usable_rank": fit.usable_rank,
         "blind": {

@@ -11,6 +11,7 @@ from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
 from calib.compensation.grid import Frame as GridFrame
 from calib.compensation.grid import SectorGrid, grid_from_residuals
+from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.units import parse_quantity
@@ -50,7 +51,8 @@ class Outcome:
 
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
     ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
-    should not be trusted. ``levels`` and ``trace``: on the way to the fit.
+    should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
+    the calibrated URDF alone is off, as it holds no closed loops.
     """
 
     inputs: Inputs
@@ -61,6 +63,7 @@ class Outcome:
     trace: Trace | None = None
     levels: tuple[LevelReport, ...] = ()
     grid: SectorGrid | None = None
+    lost_in_urdf: float = 0.0
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
@@ -101,6 +104,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace,
         reports,
         grid,
+        lost_in_urdf(fit.robot, fit.deviations, np.concatenate([judged.data.readings for judged in judged_sets])),
     )
 
 

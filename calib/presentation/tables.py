@@ -120,6 +120,14 @@ def verdict(fit: Fit, doubts: Sequence[str] = ()) -> list[Text]:
     return lines
 
 
+def lost_lines(lost: float) -> list[Text]:
+    """Return what a person must know who takes the calibrated URDF alone, where it cannot hold the machine."""
+    if lost == 0.0:
+        return []
+    off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
+    return [Text(f"A URDF holds no closed loops: calibrated.urdf alone {off}. model.json holds all.")]
+
+
 def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:
     """Return the blind directions under their number; nothing where there are none."""
     if not blind:
