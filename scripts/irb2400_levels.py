@@ -63,7 +63,8 @@ def lengths(fit: calib.Fit, data: calib.Measurements, grid: SectorGrid | None = 
     """Return the errors (N,) in mm of a fit, or of a fit and a grid in its base's axes."""
     (r,) = residuals_of(fit, [data], fit.machine)
     if grid is not None:
-        r = r - np.nan_to_num(grid.at(data.readings)) @ fit.machine.frames.base[:3, :3].T
+        tips = fit.robot.tips(data.readings, fit.deviations)
+        r = r - grid.shifts(fit.machine.frames.base, tips, data.readings)
     return np.asarray(1e3 * np.linalg.norm(r, axis=1))
 
 

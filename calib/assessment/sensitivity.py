@@ -128,14 +128,14 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     motion = np.linalg.norm(J, axis=1)
     scaled = J.reshape(-1, len(parameters)) * scales(parameters)
     seen = identifiability.directions(scaled)
-    kept = identifiability.minimal_set(scaled, seen.rank, identifiability.preference(parameters))
+    _, blind = identifiability.told(scaled, seen.rank, parameters)
     return Sensitivity(
         parameters,
         len(J),
         read_only(np.sqrt(np.mean(motion**2, axis=0))),
         read_only(np.max(motion, axis=0)),
         seen.rank,
-        identifiability.blind_directions(seen.hidden(seen.rank), parameters, kept),
+        blind,
     )
 
 

@@ -71,6 +71,14 @@ class SectorGrid:
         values = np.asarray(RegularGridInterpolator(self.axes, self.errors)(inside))
         return values if clamp else np.where(self._covered(readings)[:, None], values, np.nan)
 
+    def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
+        """Return the error vectors (N, 3) in the axes of the instrument; 0 in rows where the grid has no values.
+
+        ``base`` (4, 4) is the robot's in the instrument's frame; ``tips`` (N, 4, 4): tip link in the base link.
+        """
+        axes = axes_of(self.frame, base, tips)
+        return np.asarray((axes @ np.nan_to_num(self.at(readings))[:, :, None])[:, :, 0])
+
     def at_by_distance(self, readings: Array) -> Array:
         """Return the error vectors (N, 3) as :meth:`at`, by weights 1 / distance^2 of the corners of each cell.
 
@@ -126,6 +134,12 @@ class SectorGrid:
         )
         low, high = (np.stack([axis[lower[:, k] + i] for k, axis in enumerate(self.axes)], axis=1) for i in (0, 1))
         return _Cells(lower, (points - low) / (high - low))
+
+
+def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
+    """Return the axes (N, 3, 3) of a grid's frame in the instrument's; arguments as for :meth:`SectorGrid.shifts`."""
+    turned = base[:3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
+    return np.broadcast_to(turned, (len(tips), 3, 3))
 
 
 def _within(values: Array, axis: Array) -> BoolArray:

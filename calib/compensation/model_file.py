@@ -142,8 +142,7 @@ class CalibratedModel:
         tips = self.tips(readings)
         placed = np.asarray(self.base @ tips @ self.tools[tool])
         if self.grid is not None:
-            axes = self.base[:3, :3] if self.grid.frame == "base" else (self.base @ tips)[:, :3, :3]
-            placed[:, :3, 3] += (axes @ np.nan_to_num(self.grid.at(readings))[:, :, None])[:, :, 0]
+            placed[:, :3, 3] += self.grid.shifts(self.base, tips, readings)
         return placed
 
 

@@ -130,6 +130,15 @@ class BlindDirection:
         return f"{own} cannot be told from {', '.join(others[:_MOST_NAMED]) + more if others else 'no change at all'}."
 
 
+def told(rows: Array, rank: int, parameters: Sequence[Parameter]) -> tuple[tuple[int, ...], tuple[BlindDirection, ...]]:
+    """Return a minimal set of ``rank`` parameters, and the blind directions that the others are in.
+
+    ``rows`` (q, p): scaled Jacobian or its triangle, at a point where shares are simple, such as the nominal robot.
+    """
+    kept = minimal_set(rows, rank, preference(parameters))
+    return kept, blind_directions(directions(rows).hidden(rank), parameters, kept)
+
+
 def blind_directions(blind: Array, parameters: Sequence[Parameter], kept: Sequence[int]) -> tuple[BlindDirection, ...]:
     """Return the blind space (p, k), scaled, as directions that a person can read; ``kept`` is a minimal set."""
     dropped = [k for k in range(len(blind)) if k not in kept]

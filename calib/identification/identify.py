@@ -74,10 +74,8 @@ def _identify(
     problem = Problem(model, parameters, reference, sets, deviations)
     found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    at_start = identifiability.directions(found.start)
-    told = min(found.directions.usable, at_start.rank)
-    kept = identifiability.minimal_set(found.start, told, identifiability.preference(parameters))
-    directions = identifiability.blind_directions(at_start.hidden(told), parameters, kept)
+    usable = min(found.directions.usable, identifiability.directions(found.start).rank)
+    kept, directions = identifiability.told(found.start, usable, parameters)
     if blind == "refuse" and directions:
         many = "1 direction" if len(directions) == 1 else f"{len(directions)} directions"
         raise IdentificationError(f"the data are blind in {many}; the first: {directions[0]}")

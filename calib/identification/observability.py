@@ -43,12 +43,12 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     rows = np.concatenate([triangle[:, :-1] for triangle in evaluate(problem, ones, x).triangles])
     directions = identifiability.directions(rows)
     rank = directions.rank
-    kept = identifiability.minimal_set(rows, rank, identifiability.preference(parameters))
+    _, blind = identifiability.told(rows, rank, parameters)
     seen = directions.singular_values[:rank]
     return Observability(
         parameters,
         sum(data.sigma.size for data in sets),
         rank,
         float(seen[0] / seen[-1]) if rank else float("nan"),
-        identifiability.blind_directions(directions.hidden(rank), parameters, kept),
+        blind,
     )

@@ -88,7 +88,7 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
         z * s,
         (A @ A.T) * s[:, None] * s,
         identifiability.directions(state.data[:, :-1]),
-        identifiability.directions(np.concatenate([state.data, state.priors])[:, :-1]).hidden(state.rank),
+        state.unseen,
         np.concatenate([triangle[:, :-1] / f for triangle, f in zip(first.triangles, factors, strict=True)]),
         state.variances,
         state.redundancies,
@@ -101,15 +101,16 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
 class _State(NamedTuple):
     """The system at one point: whitened ``[J r]`` of data and priors, inner constraints, and the noise that fits them.
 
-    ``rank``: number of directions that data and priors see; inner constraints close the rest. ``spread`` (p, q + k) is
-    the inverse that maps residuals of data, priors and constraints to parameters. ``settled``: the rows of this
-    evaluation were weighted by the sigmas that its residuals show.
+    ``rank``: number of directions that data and priors see; inner constraints close the rest, ``unseen`` (p, k).
+    ``spread`` (p, q + k) is the inverse that maps residuals of data, priors and constraints to parameters. ``settled``:
+    the rows of this evaluation were weighted by the sigmas that its residuals show.
     """
 
     data: Array
     priors: Array
     gauge: Array
     rank: int
+    unseen: Array
     spread: Array
     variances: tuple[float, ...]
     sigmas: tuple[Array, ...]
@@ -153,7 +154,7 @@ class _State(NamedTuple):
             change, factors = float(np.max(np.abs(np.log(new / factors)))), new
             if change < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
                 break
-        return cls(data, priors, gauge, seen, spread, v, sigmas, redundancies, settled)
+        return cls(data, priors, gauge, seen, directions.hidden(seen), spread, v, sigmas, redundancies, settled)
 
 
 class _Evaluator:

@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
-from calib.compensation.grid import Frame as GridFrame
-from calib.compensation.grid import SectorGrid, grid_from_residuals
+from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError
@@ -162,7 +161,8 @@ def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
     if section is None:
         return None
     errors = [r[:, :3] for r in residuals_of(fit, inputs.nodes, fit.machine)]
-    axes = [_axes(fit, data, section.frame) for data in inputs.nodes]
+    base = fit.machine.frames.base
+    axes = [axes_of(section.frame, base, fit.robot.tips(data.readings, fit.deviations)) for data in inputs.nodes]
     return grid_from_residuals(
         np.concatenate([data.readings for data in inputs.nodes]),
         np.concatenate([(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]),
@@ -173,14 +173,6 @@ def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
         where=inputs.nodes[0].where,
         lines=inputs.nodes[0].lines if len(inputs.nodes) == 1 else None,
     )
-
-
-def _axes(fit: Fit, data: Measurements, frame: GridFrame) -> Array:
-    """Return the axes (N, 3, 3) of a grid's frame in the instrument's frame, at every row."""
-    base = fit.machine.frames.base
-    if frame == "base":
-        return np.broadcast_to(base[:3, :3], (len(data), 3, 3))
-    return np.asarray((base @ fit.robot.tips(data.readings, fit.deviations))[:, :3, :3])
 
 
 def _judged(
@@ -194,8 +186,9 @@ def _judged(
     for file, data, b, a in zip(files, sets, before, after, strict=True):
         if grid is not None:
             a = a.copy()  # noqa: PLW2901
-            shift = _axes(fit, data, grid.frame) @ np.nan_to_num(grid.at(data.readings))[:, :, None]
-            a[:, :3] -= shift[:, :, 0]
+            a[:, :3] -= grid.shifts(
+                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations), data.readings
+            )
         yield JudgedSet(use, file, data, b, a)
 
 
