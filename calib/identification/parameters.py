@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 
-ParameterKind = Literal["offset", "placement", "base", "tool"]
+ParameterKind = Literal["offset", "placement", "base", "tool", "target"]
 
 # What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
