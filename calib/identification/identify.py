@@ -65,7 +65,7 @@ def _identify(
     variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
     aligned = start_frames(model, sets)
-    bare = replace(model, offsets=(), placements=())
+    bare = replace(model, offsets=(), placements=(), terms=())
     before = Problem(bare, bare.parameters(sets[0].tools), aligned, sets)
     start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
     nominal = before.machine(np.zeros(0) if start is None else start.x)

@@ -1,7 +1,8 @@
 """The machine for given values of its parameters.
 
-The state of a machine is one vector: six deviations of every chain joint, the joint offsets, six values for the pose
-of the base in the instrument's frame, six for the pose of every tool in the tip link. Parameters are entries of it.
+The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the amounts of the joint
+terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip link.
+Parameters are entries of it.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,8 @@ class Layout:
 
     def __init__(self, robot: Robot) -> None:
         self.offsets = 6 * len(robot.chain)
-        self.base = self.offsets + len(robot.moving)
+        self.terms = self.offsets + len(robot.moving)
+        self.base = self.terms + len(robot.terms)
         self.tools = self.base + 6
 
 
@@ -70,7 +72,10 @@ def machine(
     twists[:, :3, :3] = np.swapaxes(rotations, -1, -2)
     placements = state[: layout.offsets].reshape(-1, 6)
     return Machine(
-        Deviations(placements, state[layout.offsets : layout.base]), Frames(poses[0], poses[1:]), twists[0], twists[1:]
+        Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
+        Frames(poses[0], poses[1:]),
+        twists[0],
+        twists[1:],
     )
 
 
@@ -85,7 +90,7 @@ def values_at(
 def _reference_state(layout: Layout, reference: Frames, held: Deviations | None) -> Array:
     state = np.zeros(layout.tools + 6 * len(reference.tools))
     if held is not None:
-        state[: layout.offsets], state[layout.offsets : layout.base] = held.placements.ravel(), held.offsets
+        state[: layout.base] = np.concatenate([held.placements.ravel(), held.offsets, held.terms])
     frames = state[layout.base :].reshape(-1, 6)
     frames[0, :3] = reference.base[:3, 3]
     frames[1:, :3] = reference.tools[:, :3, 3]

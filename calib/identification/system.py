@@ -131,7 +131,7 @@ def blocks(
     robot, tools = problem.model.robot, at.frames.tools
     layout = Layout(robot)
     S = directions(problem.parameters, layout.tools + 6 * len(tools)) * units
-    of_robot, of_tools = S[: layout.base], S[layout.tools :].reshape(len(tools), 6, -1)
+    of_robot, of_tools = S[: layout.terms], S[layout.tools :].reshape(len(tools), 6, -1)
     tip = TipModel(robot, at.deviations)
     joints = tip.joints @ of_robot
     joints[:6] += tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
@@ -153,6 +153,8 @@ def blocks(
         J += _times(observed.twist, by_tool[tool])
         if robot.loops:
             J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
+        if robot.terms:
+            J += _times(by_tip @ motion.by_terms, S[layout.terms : layout.base])
         yield rows, observed, J
 
 

@@ -51,7 +51,7 @@ class Outcome:
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
     ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
     should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
-    the calibrated URDF alone is off, as it holds no closed loops.
+    the calibrated URDF alone is off, as it holds neither closed loops nor joint terms.
     """
 
     inputs: Inputs

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.joint_terms import HIGHEST_ORDER
 
 _LARGEST_JOB = 1_000_000
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
@@ -81,6 +82,12 @@ def _iterations(value: object) -> object:
     return value
 
 
+def _orders(value: object) -> object:
+    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
+        raise ValueError(f"{_shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
+    return value
+
+
 def _this_schema(value: object) -> object:
     # As Python has it, 1 == 1.0 == True.
     if type(value) is not int or value != 1:
@@ -140,10 +147,11 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that the robot's parameters are expected to have."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of harmonics."""
 
     length: PositiveLength | None = None
     angle: PositiveAngle | None = None
+    harmonics: PositiveAngle | None = None
 
 
 class ErrorModelSection(_Section):
@@ -154,6 +162,9 @@ class ErrorModelSection(_Section):
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: PositiveAngle = "0.01 rad"
+    gain: Selection = "none"
+    harmonics: Selection = "none"
+    harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()

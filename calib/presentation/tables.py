@@ -15,8 +15,8 @@ from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 
 WIDTH = 80
-# What is shown of a length in m and an angle in rad.
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+# What is shown of a length in m, an angle in rad, and amounts of joint terms.
+_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "1": (1e6, "ppm")}
 
 
 def table(fit: Fit) -> str:
@@ -125,7 +125,7 @@ def lost_lines(lost: float) -> list[Text]:
     if lost == 0.0:
         return []
     off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
-    return [Text(f"A URDF holds no closed loops: calibrated.urdf alone {off}. model.json holds all.")]
+    return [Text(f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.")]
 
 
 def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:
