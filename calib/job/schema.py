@@ -162,6 +162,7 @@ class ErrorModelSection(_Section):
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: PositiveAngle = "0.01 rad"
+    terms: Literal["given", "auto"] = "given"
     gain: Selection = "none"
     harmonics: Selection = "none"
     harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
@@ -312,6 +313,10 @@ def _contradictions(job: Job) -> Iterator[str]:
             for key in ("model_sigma", "model_sigma_angle"):
                 if getattr(section, key) is not None:
                     yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+    if job.error_model.terms == "auto":
+        for key in ("gain", "harmonics"):
+            if getattr(job.error_model, key) != "none":
+                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     if job.base is not None and job.error_model.base != "fixed":

@@ -10,6 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
@@ -67,6 +68,28 @@ def level_table(levels: Sequence[tuple[str, int, int, Mapping[str, Metrics]]]) -
         for m in figures.values():
             factor, unit = _SHOWN[m.unit]
             out.add_row(name, str(free), str(rank), *(f"{v * factor:.4f}" for v in (m.mean, m.rms, m.max)), unit)
+    return out
+
+
+def choice_table(choice: Choice) -> Table:
+    """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
+    start, steps = choice.steps[0].held_out.rms, choice.steps
+    least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
+    out = _table(
+        "Joint terms by what held-out data say",
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+    )
+    out.add_column("step", justify="right")
+    out.add_column("enters", overflow="fold")
+    for name in ("held out", "std. error", "rms [mm]"):
+        out.add_column(name, justify="right")
+    out.add_column("taken")
+    for k in dict.fromkeys((*range(choice.taken + 1), least)):
+        step = steps[k]
+        name = "geometry alone" if step.added is None else step.added.name
+        figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
+        said = "yes" if k <= choice.taken else "no: the least"
+        out.add_row(str(k), name, *figures, f"{step.position * 1e3:.4f}", said)
     return out
 
 

@@ -109,6 +109,8 @@ CASES: dict[str, Edit] = {
     "harmonics of order zero": job(('base = "pose"', 'base = "pose"\nharmonics = "all"\nharmonic_orders = [0]')),
     "harmonics of no order": job(('base = "pose"', 'base = "pose"\nharmonics = "all"\nharmonic_orders = []')),
     "harmonics of an unknown joint": job(('base = "pose"', 'base = "pose"\nharmonics = ["joint_9"]')),
+    "terms chosen twice": job(('base = "pose"', 'base = "pose"\nterms = "auto"\ngain = ["joint_2"]')),
+    "terms misspelt": job(('base = "pose"', 'base = "pose"\nterms = "automatic"')),
     "gain misspelt": job(('base = "pose"', 'base = "pose"\ngains = "all"')),
     "prior negative": job(('tool = "position"', 'prior = { length = "-1 mm" }\ntool = "position"')),
     "prior misspelt": job(('tool = "position"', 'prior = { lenght = "1 mm" }\ntool = "position"')),
