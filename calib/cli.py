@@ -26,7 +26,7 @@ from calib.presentation.console import literal, progress, sentence, show, show_e
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
-from calib.presentation.tables import blind_lines, error_table, level_table, lost_lines, verdict
+from calib.presentation.tables import blind_lines, choice_table, error_table, level_table, lost_lines, verdict
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
@@ -97,6 +97,7 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
             error_table(outcome.metrics),
             *([] if outcome.trace is None else [literal(str(outcome.trace))]),
             *([level_table([(e.name, e.free, e.rank, e.metrics) for e in outcome.levels])] if outcome.levels else []),
+            *([] if outcome.choice is None else [choice_table(outcome.choice)]),
             *verdict(outcome.fit, outcome.doubts),
             *lost_lines(outcome.lost_in_urdf),
             sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),

@@ -1,8 +1,8 @@
 """The machine for given values of its parameters.
 
-The state of a machine is one vector: six deviations of every chain joint, the joint offsets, six values for the pose
-of the base in the instrument's frame, six for the pose of every tool in the tip link, six for every target in the
-instrument's frame, one for every unknown length. Parameters are entries of it.
+The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the amounts of the joint
+terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip link,
+six for every target in the instrument's frame, one for every unknown length. Parameters are entries of it.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,8 @@ class Layout:
 
     def __init__(self, robot: Robot, tools: int = 0, targets: int = 0, lengths: int = 0) -> None:
         self.offsets = 6 * len(robot.chain)
-        self.base = self.offsets + len(robot.moving)
+        self.terms = self.offsets + len(robot.moving)
+        self.base = self.terms + len(robot.terms)
         self.tools = self.base + 6
         self.targets = self.tools + 6 * tools
         self.lengths = self.targets + 6 * targets
@@ -92,7 +93,7 @@ def machine(
     targets = _turns(reference.targets) @ deviation.motion(moved)
     placements = state[: layout.offsets].reshape(-1, 6)
     return Machine(
-        Deviations(placements, state[layout.offsets : layout.base]),
+        Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
         Frames(poses[0], poses[1:], targets, state[layout.lengths :]),
         twists[0],
         twists[1:],
@@ -111,7 +112,7 @@ def values_at(
 def _reference_state(layout: Layout, reference: Frames, held: Deviations | None) -> Array:
     state = np.zeros(layout.size)
     if held is not None:
-        state[: layout.offsets], state[layout.offsets : layout.base] = held.placements.ravel(), held.offsets
+        state[: layout.base] = np.concatenate([held.placements.ravel(), held.offsets, held.terms])
     frames = state[layout.base : layout.targets].reshape(-1, 6)
     frames[:, :3] = np.concatenate([reference.base[None], reference.tools])[:, :3, 3]
     targets = state[layout.targets : layout.lengths].reshape(-1, 6)

@@ -145,6 +145,7 @@ def _ordinary(model: ErrorModel) -> ErrorModel:
         model,
         offsets=tuple(model.robot.chain[i].name for i in model.robot.moving),
         placements=(),
+        terms=(),
         prior_angle=_ORDINARY_ANGLE,
         prior_length=_ORDINARY_LENGTH,
     )

@@ -221,7 +221,7 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     robot, frames = problem.model.robot, at.frames
     layout = Layout.of(robot, frames)
     S = directions(problem.parameters, layout.size) * units
-    of_robot, of_tools = S[: layout.base], S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
+    of_robot, of_tools = S[: layout.terms], S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
     tip = TipModel(robot, at.deviations)
     joints = tip.joints @ of_robot
     joints[:6] += tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
@@ -237,6 +237,8 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
         J += _times(twist, by_tool[tool])
         if robot.loops:
             J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
+        if robot.terms:
+            J += _times(by_tip @ motion.by_terms, S[layout.terms : layout.base])
         return J
 
     def tool_of(numbers: IntArray) -> IntArray | int:

@@ -108,8 +108,8 @@ def total_differential(
     an estimate repeats, and after ``most`` iterations. Base and tools that are free start where the nominal robot
     explains the measurements best.
 
-    Raises JobError for an option that cannot be used or a model with priors, MeasurementError when the measurements are
-    not positions of this robot, IdentificationError when they cannot determine the parameters.
+    Raises JobError for an option that cannot be used or a model with priors or joint terms, MeasurementError when the
+    measurements are not positions of this robot, IdentificationError when they cannot determine the parameters.
     """
     if not (np.isfinite(stop) and stop >= 0.0):
         raise JobError(f"stop: {stop!r} is not a length in m from 0.")
@@ -147,6 +147,8 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     if any(parameter.prior is not None for parameter in parameters):
         raise JobError("the total differential knows no priors; leave them out or use identify.")
+    if model.terms:
+        raise JobError("the total differential knows no joint terms; leave them out or use identify.")
     points = sum(len(data) for data in sets)
     if 3 * points <= len(parameters):
         raise IdentificationError(

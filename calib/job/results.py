@@ -187,6 +187,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}
             for level in outcome.levels
         ],
+        "choice": None if outcome.choice is None else outcome.choice.records(),
         "trace": None
         if outcome.trace is None
         else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},

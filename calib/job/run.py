@@ -2,17 +2,18 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
 from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
-from calib.foundations.errors import IdentificationError, JobError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
@@ -51,7 +52,8 @@ class Outcome:
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
     ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
     should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
-    the calibrated URDF alone is off, as it holds no closed loops.
+    the calibrated URDF alone is off, as it holds neither closed loops nor joint terms. ``choice``: of the joint terms,
+    where the job leaves it to the tool; ``inputs.model`` then has them.
     """
 
     inputs: Inputs
@@ -63,11 +65,15 @@ class Outcome:
     levels: tuple[LevelReport, ...] = ()
     grid: SectorGrid | None = None
     lost_in_urdf: float = 0.0
+    choice: Choice | None = None
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     """Identify, and judge by the data held out."""
     try:
+        choice = _choose(inputs, progress)
+        if choice is not None:
+            inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
         grid = _grid(inputs, fit)
     except (IdentificationError, JobError) as e:
@@ -104,7 +110,22 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         reports,
         grid,
         lost_in_urdf(fit.robot, fit.deviations, np.concatenate([judged.data.readings for judged in judged_sets])),
+        choice,
     )
+
+
+def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
+    """Choose joint terms from all that is to be identified from, where the job leaves it to the tool."""
+    section = inputs.job.error_model
+    if section.terms != "auto":
+        return None
+    prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
+    try:
+        return choose_terms(
+            inputs.model, inputs.identify, prior=prior, model_sigmas=_flat(inputs.model_sigmas), progress=progress
+        )
+    except MeasurementError as e:
+        raise MeasurementError(f"{inputs.path}: error_model.terms: {e}") from e
 
 
 def _follow(inputs: Inputs) -> Trace:

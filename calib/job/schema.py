@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.joint_terms import HIGHEST_ORDER
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.measurement.kinds import Kind
@@ -90,6 +91,12 @@ def _iterations(value: object) -> object:
     return value
 
 
+def _orders(value: object) -> object:
+    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
+        raise ValueError(f"{_shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
+    return value
+
+
 def _this_schema(value: object) -> object:
     # As Python has it, 1 == 1.0 == True.
     if type(value) is not int or value != 1:
@@ -152,10 +159,11 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that the robot's parameters are expected to have."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of harmonics."""
 
     length: PositiveLength | None = None
     angle: PositiveAngle | None = None
+    harmonics: PositiveAngle | None = None
 
 
 class ErrorModelSection(_Section):
@@ -166,6 +174,10 @@ class ErrorModelSection(_Section):
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: PositiveAngle = "0.01 rad"
+    terms: Literal["given", "auto"] = "given"
+    gain: Selection = "none"
+    harmonics: Selection = "none"
+    harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -351,6 +363,10 @@ def _contradictions(job: Job) -> Iterator[str]:
                     yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
         if section.use != "identify" and section.loss != "linear":
             yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+    if job.error_model.terms == "auto":
+        for key in ("gain", "harmonics"):
+            if getattr(job.error_model, key) != "none":
+                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     for name, target in job.targets.items():

@@ -10,13 +10,14 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 
 WIDTH = 80
-# What is shown of a length in m and an angle in rad.
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+# What is shown of a length in m, an angle in rad, and amounts of joint terms.
+_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "1": (1e6, "ppm")}
 
 
 def table(fit: Fit) -> str:
@@ -75,6 +76,28 @@ def level_table(levels: Sequence[tuple[str, int, int, Mapping[str, Metrics]]]) -
     return out
 
 
+def choice_table(choice: Choice) -> Table:
+    """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
+    start, steps = choice.steps[0].held_out.rms, choice.steps
+    least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
+    out = _table(
+        "Joint terms by what held-out data say",
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+    )
+    out.add_column("step", justify="right")
+    out.add_column("enters", overflow="fold")
+    for name in ("held out", "std. error", "rms [mm]"):
+        out.add_column(name, justify="right")
+    out.add_column("taken")
+    for k in dict.fromkeys((*range(choice.taken + 1), least)):
+        step = steps[k]
+        name = "geometry alone" if step.added is None else step.added.name
+        figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
+        said = "yes" if k <= choice.taken else "no: the least"
+        out.add_row(str(k), name, *figures, f"{step.position * 1e3:.4f}", said)
+    return out
+
+
 def parameter_table(fit: Fit) -> Table:
     """Return all parameters with values, sigmas and flags, in mm and degrees."""
     out = _table("Parameters")
@@ -130,7 +153,7 @@ def lost_lines(lost: float) -> list[Text]:
     if lost == 0.0:
         return []
     off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
-    return [Text(f"A URDF holds no closed loops: calibrated.urdf alone {off}. model.json holds all.")]
+    return [Text(f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.")]
 
 
 def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:

@@ -112,7 +112,7 @@ class DhFrames:
                 E = rigid.inverse(joint.frame) @ E @ joint.frame
                 # Rx Ry Rz of some angles is the inverse of roll, pitch, yaw of the opposite ones.
                 found[k] = np.concatenate([E[:3, 3], -rigid.rpy_of(E[:3, :3].T)])
-        return Deviations(read_only(found), deviations.offsets)
+        return Deviations(read_only(found), deviations.offsets, deviations.terms)
 
     def _split(self, placements: Array) -> tuple[dict[tuple[str, str], float], Array]:
         """Return the changes of the table that deviations (n, 6) are, and what these hold besides."""
