@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from calib.assessment.advice import blind_advice
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
@@ -84,6 +85,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
+        advised = [a.sentence for a in blind_advice(inputs.model, inputs.identify, seen.blind_directions)]
     if as_json:
         contents = {
             "schema": 1,
@@ -92,7 +94,9 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
             "measured_numbers": seen.numbers,
             "rank": seen.rank,
             "condition": seen.condition if seen.rank else None,
+            "indices": seen.indices,
             "blind_directions": [str(direction) for direction in seen.blind_directions],
+            "advice": advised,
         }
         write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
     elif not quiet:
@@ -103,7 +107,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
                 f"{seen.numbers} measured numbers see {seen.rank} of {len(seen.parameters)} parameters "
                 f"(condition {seen.condition:.3g})."
             ),
-            *blind_lines(seen.blind_directions),
+            *blind_lines(advised),
         )
 
 
