@@ -10,12 +10,15 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.grid import SectorGrid, load_grid
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
+from calib.identification.machine import Frames
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.transmission import JointTerm, TermKind
@@ -138,7 +141,8 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``grid``: errors of tool positions that the rest leaves, over joint space, or None.
+    ``grid``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of
+    it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
     """
 
     robot: Robot
@@ -146,6 +150,7 @@ class CalibratedModel:
     base: Array
     tools: Mapping[str, Array]
     grid: SectorGrid | None = None
+    uncertainty: Uncertainty | None = None
 
     def tips(self, readings: Array) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
@@ -248,12 +253,22 @@ def load_model(folder: str | Path) -> CalibratedModel:
         raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
     amounts = [term.amount for term in model.terms]
+    robot = replace(robot, terms=terms)
+    deviations = Deviations(
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+    )
+    base = read_only(model.base.placement)
+    tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    doubts = folder / UNCERTAINTY_FILE
+    known = doubts.is_file() and bool(tools)
+    frames = Frames(base, np.stack(list(tools.values()))) if known else None
     return CalibratedModel(
-        replace(robot, terms=terms),
-        Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)),
-        read_only(model.base.placement),
-        {name: read_only(tool.placement) for name, tool in model.tools.items()},
+        robot,
+        deviations,
+        base,
+        tools,
         None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
+        None if frames is None else load_uncertainty(doubts, robot, deviations, frames, tuple(tools)),
     )
 
 

@@ -15,9 +15,12 @@ from typing import Any
 import numpy as np
 
 import calib
+from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
+from calib.assessment.uncertainty import uncertainty_of
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
@@ -37,7 +40,16 @@ JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
 DH_FILE = "calibrated_dh.csv"
-_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
+_ALWAYS = (
+    CALIBRATED_FILE,
+    NOMINAL_FILE,
+    JOB_FILE,
+    MODEL_FILE,
+    RESULT_FILE,
+    RESIDUAL_FILE,
+    SCENE_FILE,
+    UNCERTAINTY_FILE,
+)
 _RESULTS = (*_ALWAYS, DH_FILE, GRID_FILE)
 _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
@@ -106,6 +118,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         NOMINAL_FILE: robot.urdf.source,
         JOB_FILE: resolved(outcome.inputs),
         MODEL_FILE: model_json(fit, with_grid=outcome.grid is not None),
+        UNCERTAINTY_FILE: uncertainty_json(uncertainty_of(fit)),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
@@ -163,6 +176,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
                 for direction in fit.blind_directions
             ],
         },
+        "advice": [advised.sentence for advised in advice(fit)],
         "parameters": fit.records(),
         "covariance": fit.covariance.tolist(),
         "singular_values": fit.singular_values.tolist(),

@@ -156,7 +156,7 @@ def lost_lines(lost: float) -> list[Text]:
     return [Text(f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.")]
 
 
-def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:
+def blind_lines(blind: Sequence[BlindDirection | str], most: int | None = None) -> list[RenderableType]:
     """Return the blind directions under their number; nothing where there are none."""
     if not blind:
         return []

@@ -22,7 +22,16 @@ from tests.identification import machines
 from tests.identification.machines import Array
 from tests.job.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
 
-FILES = ["calibrated.urdf", "job.json", "model.json", "nominal.urdf", "residuals.csv", "result.json", "scene.html"]
+FILES = [
+    "calibrated.urdf",
+    "job.json",
+    "model.json",
+    "nominal.urdf",
+    "residuals.csv",
+    "result.json",
+    "scene.html",
+    "uncertainty.json",
+]
 
 
 @pytest.fixture(scope="module")
