@@ -5,16 +5,13 @@ import io
 import json
 import math
 import os
-import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import calib
 from calib.assessment.metrics import Metrics
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
@@ -26,8 +23,12 @@ from calib.foundations.files import previous_folder, read_bytes, replace_folder
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
+from calib.job.report import report_of
 from calib.job.run import Outcome, resolved
+from calib.job.versions import versions
 from calib.measurement.measurements import Measurements
+from calib.presentation.report.markdown import render_markdown
+from calib.presentation.report.page import render_page
 from calib.presentation.scene import Scene, render_scene
 from calib.robot import dh
 
@@ -36,12 +37,14 @@ CALIBRATED_FILE = "calibrated.urdf"
 JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
+REPORT_FILE = "report.html"
+MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
-_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
-_RESULTS = (*_ALWAYS, DH_FILE, GRID_FILE)
+_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE)
+_TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
+_RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
-_LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -97,6 +100,8 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     calibrated = calibrated_urdf(robot, fit.deviations)
     progress("drawing the scene")
     scene = render_scene(_scene(outcome, calibrated))
+    progress("writing the report")
+    report = report_of(outcome)
     files: dict[str, bytes | str] = {
         CALIBRATED_FILE: calibrated,
         NOMINAL_FILE: robot.urdf.source,
@@ -105,6 +110,8 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
+        REPORT_FILE: render_page(report),
+        MARKDOWN_FILE: render_markdown(report),
         **_dh_table(fit),
         **({} if outcome.grid is None else {GRID_FILE: grid_bytes(outcome.grid)}),
     }
@@ -185,11 +192,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
         "trace": None
         if outcome.trace is None
         else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
-        "versions": {
-            "calib": calib.__version__,
-            "python": platform.python_version(),
-            **{name: _version(name) for name in _LIBRARIES},
-        },
+        "versions": versions(),
         "inputs": dict(outcome.inputs.hashes),
     }
     plain: dict[str, Any] = _strict(contents)
@@ -203,13 +206,6 @@ def _strict(value: Any) -> Any:
     if isinstance(value, list):
         return list(map(_strict, value))
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:  # conda and system packages know it by another name
-        return None
 
 
 def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
