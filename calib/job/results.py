@@ -16,7 +16,6 @@ from calib.assessment.metrics import Metrics
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
 from calib.compensation.urdf import calibrated_urdf
-from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
@@ -25,11 +24,12 @@ from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
 from calib.job.report import report_of
 from calib.job.run import Outcome, resolved
+from calib.job.scene import scene_of
 from calib.job.versions import versions
 from calib.measurement.measurements import Measurements
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
-from calib.presentation.scene import Scene, render_scene
+from calib.presentation.scene import render_scene
 from calib.robot import dh
 
 RESULT_FILE = "result.json"
@@ -99,7 +99,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     progress("writing the calibrated URDF")
     calibrated = calibrated_urdf(robot, fit.deviations)
     progress("drawing the scene")
-    scene = render_scene(_scene(outcome, calibrated))
+    scene = render_scene(scene_of(outcome))
     progress("writing the report")
     report = report_of(outcome)
     files: dict[str, bytes | str] = {
@@ -233,28 +233,6 @@ def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[
         yield [str(line), data.tools[data.tool[n]], *lengths, *angles]
 
 
-def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
-    fit, robot = outcome.fit, outcome.fit.robot
-    measured = np.concatenate([judged.data.position for judged in outcome.sets])
-    shown = fit.measurements[0].readings[:1]
-    tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations)[0]
-    return Scene(
-        title=f"{robot.urdf.name or robot.urdf.where}: calibration",
-        urdf=calibrated,
-        mesh_roots=outcome.inputs.mesh_roots,
-        joint_positions=dict(zip((reading.name for reading in robot.readings), map(float, shown[0]), strict=True)),
-        T_world_base=fit.machine.frames.base @ _base_in_root(fit),
-        tool_points={
-            name: (tip @ tool)[:3, 3]
-            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
-        },
-        tip=robot.tip,
-        measured=measured,
-        before=measured - np.concatenate([judged.before[:, :3] for judged in outcome.sets]),
-        after=measured - np.concatenate([judged.after[:, :3] for judged in outcome.sets]),
-    )
-
-
 def _dh_table(fit: Fit) -> dict[str, str]:
     """Return the corrected DH table, where DH parameters are free and a table can hold the arm."""
     if fit.model.dh is None:
@@ -263,18 +241,3 @@ def _dh_table(fit: Fit) -> dict[str, str]:
         return {DH_FILE: dh.write_dh(corrected_dh(fit.model, fit.machine.deviations))}
     except (JobError, RobotError):
         return {}
-
-
-def _base_in_root(fit: Fit) -> Array:
-    """Return the root link of the URDF in the arm's base link, joints between them at zero."""
-    robot = fit.robot
-    if robot.base == robot.urdf.root:
-        return np.eye(4)
-    T = np.eye(4)
-    link = robot.base
-    while link != robot.urdf.root:
-        joint = robot.urdf.parent_joint(link)
-        assert joint is not None, "every link but the root has a parent"
-        T = joint.origin @ T
-        link = joint.parent
-    return rigid.inverse(T)

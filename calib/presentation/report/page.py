@@ -4,7 +4,7 @@ from importlib.resources import files
 
 from calib.presentation.report.document import Report
 
-_TEMPLATE = "page.html.jinja"
+_TEMPLATE = "pages/report.html.jinja"
 
 
 def render_page(report: Report) -> str:
@@ -12,5 +12,5 @@ def render_page(report: Report) -> str:
     from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - calib must not load it on import
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files(__package__).joinpath(_TEMPLATE).read_text(encoding="utf-8"))
+    template = environment.from_string(files("calib.presentation").joinpath(_TEMPLATE).read_text(encoding="utf-8"))
     return template.render(report=report) + "\n"
