@@ -225,7 +225,7 @@ def _kind(joint: str) -> str:
 
 
 def _edges(errors: Array) -> Array:
-    """Return the limits (len(SCALE) + 1,) in mm between the colours of errors (N,) in mm, each as many times the last."""
+    """Return the limits (n + 1,) in mm between the n colours of errors (N,) in mm, each as many times the last."""
     positive = errors[errors > 1e3 * _ROUNDING]
     if not positive.size:
         return np.linspace(0.0, 1.0, len(SCALE) + 1)
