@@ -35,13 +35,14 @@ from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
 from calib.job.inputs import load
+from calib.job.report import report_of
 from calib.job.results import refuse_folder, result_json, robot_errors, write_results
 from calib.job.run import run
-from calib.presentation.console import literal, progress, sentence, show, warning, write
+from calib.presentation.console import brief, progress, sentence, show, warning, write
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
-from calib.presentation.tables import blind_lines, choice_table, error_table, level_table, lost_lines, verdict
+from calib.presentation.tables import blind_lines
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
@@ -63,14 +64,8 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
         write(result_json(outcome))
     elif not quiet:
         show(
-            *(warning(finding.sentence) for finding in inputs.findings),
-            error_table(outcome.metrics),
-            *([] if outcome.trace is None else [literal(str(outcome.trace))]),
-            *([level_table([(e.name, e.free, e.rank, e.metrics) for e in outcome.levels])] if outcome.levels else []),
-            *([] if outcome.choice is None else [choice_table(outcome.choice)]),
-            *verdict(outcome.fit, outcome.doubts),
-            *lost_lines(outcome.lost_in_urdf),
-            sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
+            *brief(report_of(outcome)),
+            sentence(f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json."),
         )
     if outcome.doubts:
         raise typer.Exit(NOT_TRUSTED)
