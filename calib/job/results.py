@@ -19,7 +19,6 @@ from calib.assessment.metrics import Metrics
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
 from calib.compensation.urdf import calibrated_urdf
-from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
@@ -247,7 +246,7 @@ def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
         urdf=calibrated,
         mesh_roots=outcome.inputs.mesh_roots,
         joint_positions=dict(zip((reading.name for reading in robot.readings), map(float, shown[0]), strict=True)),
-        T_world_base=fit.machine.frames.base @ _base_in_root(fit),
+        T_world_base=fit.machine.frames.base @ robot.root_in_base,
         tool_points={
             name: (tip @ tool)[:3, 3]
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
@@ -267,18 +266,3 @@ def _dh_table(fit: Fit) -> dict[str, str]:
         return {DH_FILE: dh.write_dh(corrected_dh(fit.model, fit.machine.deviations))}
     except (JobError, RobotError):
         return {}
-
-
-def _base_in_root(fit: Fit) -> Array:
-    """Return the root link of the URDF in the arm's base link, joints between them at zero."""
-    robot = fit.robot
-    if robot.base == robot.urdf.root:
-        return np.eye(4)
-    T = np.eye(4)
-    link = robot.base
-    while link != robot.urdf.root:
-        joint = robot.urdf.parent_joint(link)
-        assert joint is not None, "every link but the root has a parent"
-        T = joint.origin @ T
-        link = joint.parent
-    return rigid.inverse(T)
