@@ -27,8 +27,8 @@ from calib.presentation.cell_scene import cell_scene
 from calib.presentation.console import literal, progress, sentence, show, show_error, warning, write
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
-from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.scene import render_scene
+from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import blind_lines, error_table, level_table, lost_lines, verdict
 from calib.robot import dh
 from calib.robot.dh.table import Convention

@@ -3,11 +3,11 @@
     python scripts/positioner_camera_job.py <positioner_camera folder> <output folder> [--seed 0]
     calib calibrate <output folder>/calibration.toml -o out/
 
-Data: ROS-Industrial, github.com/ros-industrial/industrial_calibration (Apache-2.0), examples/data/kinematic_calibration:
-a fixed camera saw the pose of a target on the table of a part positioner at 205 pairs of joint values. A random quarter
-of the rows is held out: the first quarter of numpy's default_rng(seed).permutation. The nominal machine is the authors'
-DH table, Rz(q + theta) Tz(d) Tx(a) Rx(alpha): (d 0, theta 0, a 0, alpha -90 deg), (d -0.475, theta -90 deg, a 0,
-alpha 0). Their file is YAML of the plainest kind and is read line by line.
+Data: ROS-Industrial, github.com/ros-industrial/industrial_calibration (Apache-2.0), examples/data/
+kinematic_calibration: a fixed camera saw the pose of a target on the table of a part positioner at 205 pairs of joint
+values. A random quarter of the rows is held out: the first quarter of numpy's default_rng(seed).permutation. The
+nominal machine is the authors' DH table, Rz(q + theta) Tz(d) Tx(a) Rx(alpha): (d 0, theta 0, a 0, alpha -90 deg), (d
+-0.475, theta -90 deg, a 0, alpha 0). Their file is YAML of the plainest kind and is read line by line.
 """
 
 import argparse

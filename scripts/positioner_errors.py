@@ -59,14 +59,21 @@ to be expected of the axis.
 ## What touched points determine
 
 The lines of the axes and the marks, no more: 4 numbers for a revolute axis, 2 (a direction) for a prismatic one, 3 for
-a mark. Two revolute axes and one mark are 11 numbers. Where the frames' origins sit on the axes, and how they are turned
-about them, is convention: the closed form lets the x axes point at the mark; the engine leaves them nearest to the
-nominal URDF. No place of a table point depends on it. The parameters are named after the URDF's joints, and those that
-the convention moves have no sigma; `blind = "minimal"` frees exactly as many as the data see.
+a mark. Two revolute axes and one mark are 11 numbers. Where the frames' origins sit on the axes, and how they are
+turned about them, is convention: the closed form lets the x axes point at the mark; the engine leaves them nearest to
+the nominal URDF. No place of a table point depends on it. The parameters are named after the URDF's joints, and those
+that the convention moves have no sigma; `blind = "minimal"` frees exactly as many as the data see.
 
 Turntables, tracks, and positioners with three axes are the same: `calib.positioner.circle_point_analysis` finds every
 axis from sweeps of one joint at a time, with radial and axial residuals as a check of each, and
 `calib.positioner.axes_robot` makes a machine of them where no URDF is at hand.
+
+## In one cell
+
+What touched the marks may be an arm whose joint readings are the measurement (`kind = "arm"` in
+[the job](formats.md)); the tip of its spike comes first, by pivoting (`calib.positioner.pivot`). The base that is found
+is then the positioner's place in the arm's base, and `calib cell` writes one URDF of both. Two arms that touch the same
+points stand to each other as `calib.positioner.relative_base` says, with covariance and residuals.
 """
 
 REAL = """
@@ -146,13 +153,13 @@ class Row:
     published: float
 
 
-def closed(readings: Array, touched: Array, zero: Array, q: Array) -> tuple[Array, float]:
+def closed(_: Array, touched: Array, zero: Array, q: Array) -> tuple[Array, float]:
     """Predictions of the closed form; it foretells nothing."""
     return positioner.five_point(*touched).points(zero, q[:, 0], q[:, 1]), float("nan")
 
 
 def fitted(readings: Array, touched: Array, zero: Array, q: Array) -> tuple[Array, float]:
-    """Predictions of the least-squares fit that begins with the machine as it was designed, and the rms it foretells."""
+    """Predictions of the least-squares fit, begun with the machine as designed, and the rms it foretells."""
     columns = {"tilt [rad]": readings[:, 0], "rotary [rad]": readings[:, 1]}
     columns |= {f"{axis} [m]": touched[:, k] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, DESIGNED, sigma=NOISE)
@@ -203,7 +210,7 @@ def study(row: Row, trials: int, seed: int = 1) -> tuple[float, float]:
 
 
 def splits(folder: Path) -> Array:
-    """Held-out errors (10, 4) of a real positioner: rms in mm and mean in deg, before and after the placement is free."""
+    """Held-out errors (10, 4) of a real positioner: rms in mm, mean in deg, without and with a free placement."""
     columns = camera.read(folder)
     robot = calib.load_robot(parse_urdf(camera.URDF.encode(), "positioner.urdf"), "target_mount")
     model = calib.error_model(robot, placements=["joint_2"], tool="pose")
@@ -245,9 +252,7 @@ def main() -> int:
     titles = ("touched, and how evaluated", "rms [mm]", "foretold [mm]", "published [mm]")
     rows: list[tuple[str, ...]] = [*expected_rows(arguments.trials)]
     tables = [(titles, rows)]
-    page = PAGE.format(
-        points=TABLE_POINTS, trials=arguments.trials, noise=1e3 * NOISE, expected=markdown(titles, rows)
-    )
+    page = PAGE.format(points=TABLE_POINTS, trials=arguments.trials, noise=1e3 * NOISE, expected=markdown(titles, rows))
     if arguments.camera is not None:
         try:
             found = splits(arguments.camera)
@@ -258,7 +263,10 @@ def main() -> int:
         order = found[:, [0, 2, 1, 3]]
         rows = [
             (name, *(f"{value:.3f}" for value in values))
-            for name, values in [*((str(k + 1), values) for k, values in enumerate(order)), ("mean", order.mean(axis=0))]
+            for name, values in [
+                *((str(k + 1), values) for k, values in enumerate(order)),
+                ("mean", order.mean(axis=0)),
+            ]
         ]
         tables.append((titles, rows))
         better = int(np.count_nonzero(found[:, 2] < found[:, 0]))

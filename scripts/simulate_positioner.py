@@ -162,6 +162,33 @@ def text(seed: int, says: str, header: list[str], lines: list[str]) -> str:
     return "\n".join([origin, f"# {says}", ", ".join(header), *lines, ""])
 
 
+def truth_text(seed: int) -> str:
+    def listed(values: tuple[float, ...]) -> str:
+        return f"[{', '.join(map(repr, values))}]"
+
+    lines = [
+        f"# The simulated positioner and robot: scripts/simulate_positioner.py, seed {seed}.",
+        "# Axes are z of their frames. The tilt axis' frame is turned by R(rotation) Q in the robot's base, the rotary",
+        "# axis' one by Q R(rotation) in the tilting frame; R of a rotation vector, Q takes x, y, z to y, z, x.",
+        f"seed = {seed}",
+        f"sigma_mm = {NOISE}",
+        f"sigma_pivot_mm = {SEAT}",
+        f"spike_on_flange_mm = {listed(SPIKE)}",
+        "",
+        "[tilt]",
+        f"translation_mm = {listed(BASE_PLACE)}",
+        f"rotation_rad = {listed(BASE_TURN)}",
+        "",
+        "[rotary]",
+        f"translation_mm = {listed(ROTARY_PLACE)}",
+        f"rotation_rad = {listed(ROTARY_TURN)}",
+        "",
+        "[marks_on_table_mm]",
+        *(f"{name} = {listed(mark)}" for name, mark in MARKS.items()),
+    ]
+    return "\n".join([*lines, ""])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     case = Path(__file__).resolve().parents[1] / "robots" / "positioner"
@@ -195,6 +222,7 @@ def main() -> None:
             rows(drawn, [names[k % len(names)] for k in range(VALIDATED)], rng),
         ),
     }
+    texts["truth.toml"] = truth_text(seed)
     arguments.output.mkdir(parents=True, exist_ok=True)
     for name, contents in texts.items():
         (arguments.output / name).write_text(contents, encoding="utf-8", newline="\n")

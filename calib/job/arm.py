@@ -19,7 +19,7 @@ from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
 from calib.measurement.checks import Finding, check
 from calib.measurement.measurements import Measurements, measurements_from_table, stacked
-from calib.measurement.table import Column, Table, read_table
+from calib.measurement.table import Column, read_table
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.sources import EXAMPLE, resolve
@@ -103,9 +103,7 @@ def _pivoted(arm: Arm, file: str, folder: Path) -> Arm:
                 f"{arm.sigma * 1e3:.3g} mm.",
             )
         )
-    return replace(
-        arm, point=found.tool_point, files={**arm.files, file: folder / file}, findings=tuple(findings)
-    )
+    return replace(arm, point=found.tool_point, files={**arm.files, file: folder / file}, findings=tuple(findings))
 
 
 def touched(path: Path, arm: Arm, robot: Robot, columns: Mapping[str, str]) -> tuple[Measurements, tuple[Finding, ...]]:

@@ -171,7 +171,8 @@ class InstrumentSection(_Section):
     """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate.
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
-    its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of touches.
+    its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
+    touches.
     """
 
     kind: Literal["laser_tracker", "arm"]
@@ -300,9 +301,9 @@ def _contradictions(job: Job) -> Iterator[str]:
         yield from _instrument_contradictions(_dotted(("instruments", name)), instrument)
     for i, section in enumerate(job.measurements):
         at = f"measurements[{i}]"
-        if section.instrument in job.instruments and job.instruments[section.instrument].kind == "arm":
-            if section.observes != "position":
-                yield f'{at}.observes: an arm that touches sees positions only; write "position".'
+        measured_by = job.instruments.get(section.instrument or "")
+        if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
+            yield f'{at}.observes: an arm that touches sees positions only; write "position".'
         if section.instrument is not None and section.instrument not in job.instruments:
             known = ", ".join(map(repr, job.instruments)) or "none"
             yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."

@@ -62,7 +62,7 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
         mount = f"{prefix}_{mount}"
     xyz, rpy = numbers(placement[:3, 3]), numbers(rpy_of(placement[:3, :3]))
     fixed = (
-        f"\n  <joint name={quoteattr(mount)} type=\"fixed\">"
+        f'\n  <joint name={quoteattr(mount)} type="fixed">'
         f"\n    <parent link={quoteattr(parent)}/>"
         f"\n    <child link={quoteattr(links[second.root])}/>"
         f'\n    <origin xyz="{xyz}" rpy="{rpy}"/>'

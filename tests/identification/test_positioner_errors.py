@@ -1,4 +1,4 @@
-"""The table of expected errors is reproduced, its page holds what the script found, and a real positioner gets better."""
+"""The table of expected errors is reproduced, its page holds what the script found, a real positioner gets better."""
 
 import importlib
 import os
