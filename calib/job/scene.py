@@ -7,7 +7,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
 from calib.job.run import JudgedSet, Outcome
 from calib.measurement.kinds import size
-from calib.presentation.arm import Arm, arm_of, root_in_base
+from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Scene, magnification
 from calib.robot.robot import Deviations
 
@@ -18,7 +18,7 @@ def scene_of(outcome: Outcome) -> Scene:
     A socket's point is where the calibrated robot says it is; tables of lengths and heights have no points to draw.
     """
     fit, robot = outcome.fit, outcome.fit.robot
-    root = root_in_base(robot)
+    root = robot.root_in_base
     sets = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
     points = [_points(outcome, judged) for judged in sets]
     readings = np.concatenate([judged.data.readings for judged in sets or outcome.sets])

@@ -61,18 +61,6 @@ def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
     return found
 
 
-def root_in_base(robot: Robot) -> Array:
-    """Return the root link of the URDF in the arm's base link (4, 4), joints between them at zero."""
-    T = np.eye(4)
-    link = robot.base
-    while link != robot.urdf.root:
-        joint = robot.urdf.parent_joint(link)
-        assert joint is not None, "every link but the root has a parent"
-        T = joint.origin @ T
-        link = joint.parent
-    return rigid.inverse(T)
-
-
 def _following(urdf: Urdf, joint: UrdfJoint, column: dict[str, int], positions: Array, known: list[int]) -> Array:
     """Return the positions (N,) of a joint that is not on the arm: those of its driver, or 0."""
     if joint.mimic is None:

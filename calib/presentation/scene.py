@@ -429,7 +429,7 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
         for name, e in zip(("before", "after"), errors, strict=True)
-        if n
+        if n and any(map(np.any, errors))
     ]
     return {
         "n": n,

@@ -157,6 +157,14 @@ class Robot:
         )
         return lengths + travel
 
+    @property
+    def root_in_base(self) -> Array:
+        """The root link of the URDF (4, 4) in the arm's base link, with joints between them at zero."""
+        T, link = np.eye(4), self.base
+        while (joint := self.urdf.parent_joint(link)) is not None:
+            T, link = joint.origin @ T, joint.parent
+        return rigid.inverse(T)
+
     def no_deviations(self) -> Deviations:
         """Return the deviations of the nominal machine: zeros."""
         return Deviations(
