@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
@@ -28,6 +29,7 @@ from calib.identification.parameters import scales
 from calib.identification.system import Problem, blocks
 from calib.identification.weights import sigmas_of
 from calib.measurement.measurements import Measurements
+from calib.robot.joint_terms import weights_of
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
 
@@ -103,10 +105,20 @@ class Choice:
 
 
 def candidates(robot: Robot, orders: Iterable[int] = ORDERS) -> tuple[Candidate, ...]:
-    """Return what may enter: of every reading its gain and, where it turns, every order."""
+    """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
+
+    Masses that the URDF states in a way that cannot be used are as good as none.
+    """
     found: list[Candidate] = []
+    weighed = True
+    try:
+        weights_of(robot)
+    except RobotError:
+        weighed = False
     for reading in robot.readings:
         found.append(Candidate((JointTerm(reading.name, "gain"),)))
+        if weighed:
+            found.append(Candidate((JointTerm(reading.name, "elastic"),)))
         if reading.dimension == "angle":
             found += [Candidate(harmonic(reading.name, order)) for order in orders]
     return tuple(found)
@@ -133,7 +145,7 @@ def choose_terms(
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas)
         group = groups(geometric.measurements)
         fold = folds(group, count)
-        chosen_from = candidates(model.robot) if offered is None else tuple(offered)
+        chosen_from = candidates(model.urdf_robot) if offered is None else tuple(offered)
         system = _System(geometric, chosen_from, prior)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)

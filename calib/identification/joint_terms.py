@@ -1,16 +1,21 @@
 """Which joint terms a model frees, and how large they ordinarily are."""
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 
 from calib.foundations.errors import JobError
 from calib.robot.robot import Robot
-from calib.robot.transmission import JointTerm, TermKind
+from calib.robot.transmission import JointTerm, TermUnit
 
 HIGHEST_ORDER = 1000
 
-# Amounts that surprise nobody, in SI units: a tenth of a per mille of scale, and 20'' of a harmonic.
-ORDINARY: Mapping[TermKind, float] = MappingProxyType({"gain": 1e-3, "cos": 1e-4, "sin": 1e-4})
+# Amounts that surprise nobody, in SI units: a per mille of scale, 20'' of a harmonic, 100 Nm that wind a drive up by a
+# milliradian, 10 kN that press a spindle in by a millimetre.
+_ORDINARY = {"1": 1e-3, "rad": 1e-4, "rad/Nm": 1e-5, "m/N": 1e-7}
+
+
+def ordinary(unit: TermUnit) -> float:
+    """Return the size of an amount that surprises nobody."""
+    return _ORDINARY[unit]
 
 
 def harmonic(reading: str, order: int) -> tuple[JointTerm, JointTerm]:
@@ -19,7 +24,7 @@ def harmonic(reading: str, order: int) -> tuple[JointTerm, JointTerm]:
 
 
 def terms_of(
-    robot: Robot, gain: Sequence[str], harmonics: Sequence[str], orders: Sequence[int]
+    robot: Robot, gain: Sequence[str], harmonics: Sequence[str], orders: Sequence[int], elastic: Sequence[str]
 ) -> tuple[JointTerm, ...]:
     """Return the terms of the named readings, reading by reading.
 
@@ -36,4 +41,6 @@ def terms_of(
             if reading.dimension == "length":
                 raise JobError(f"harmonics: {reading.name!r} slides, and harmonics are of angles.")
             found += [term for order in sorted(set(orders)) for term in harmonic(reading.name, order)]
+        if reading.name in elastic:
+            found.append(JointTerm(reading.name, "elastic"))
     return tuple(found)

@@ -14,11 +14,12 @@ from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.sanity import signatures
-from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
+from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, PayloadSection, read_job
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
@@ -135,7 +136,14 @@ def _robot(job: Job, urdf: Path) -> Robot:
         section.base,
         couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+        gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
+        payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _payload(section: PayloadSection) -> Payload:
+    x, y, z = (parse_quantity(text, "length", "robot.payload") for text in section.position)
+    return Payload(parse_quantity(section.mass, "mass", "robot.payload"), (x, y, z))
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -229,6 +237,7 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             gain=section.gain,
             harmonics=section.harmonics,
             harmonic_orders=section.harmonic_orders,
+            elastic=section.elastic,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),

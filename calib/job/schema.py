@@ -32,7 +32,7 @@ def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any
 
     def checked(text: object) -> object:
         if not isinstance(text, str):
-            example = {"length": "0.02 mm"}.get(dimension, "0.01 deg")
+            example = {"length": "0.02 mm", "mass": "5 kg", "acceleration": "9.81 m/s2"}.get(dimension, "0.01 deg")
             raise ValueError(f"{_shown(text)} is not a text with a number and a unit, like {example!r}.")
         try:
             value = parse_quantity(text, dimension, "")
@@ -103,6 +103,12 @@ AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
 Position = Annotated[tuple[Length, Length, Length], BeforeValidator(_list_of(3, "three lengths x, y, z"))]
+MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
+Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]
+Gravity = Annotated[
+    tuple[Acceleration, Acceleration, Acceleration],
+    BeforeValidator(_list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
+]
 Quaternion = Annotated[
     tuple[float, float, float, float],
     BeforeValidator(_list_of(4, "four numbers w, x, y, z")),
@@ -135,13 +141,25 @@ class LoopSection(_Section):
     passive: tuple[Name, ...] = Field(min_length=1)
 
 
+class PayloadSection(_Section):
+    """``payload`` of ``[robot]``: what the tip link carries."""
+
+    mass: MassFromZero
+    position: Position = ("0 m", "0 m", "0 m")
+
+
 class RobotSection(_Section):
-    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes."""
+    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes.
+
+    ``gravity`` in the base link, and ``payload``, matter where drives give way.
+    """
 
     urdf: Name
     tip: str | None = None
     base: str | None = None
     mesh_roots: tuple[Name, ...] = ()
+    gravity: Gravity = ("0 m/s2", "0 m/s2", "-9.80665 m/s2")
+    payload: PayloadSection | None = None
     coupling: tuple[CouplingSection, ...] = ()
     loop: tuple[LoopSection, ...] = ()
 
@@ -166,6 +184,7 @@ class ErrorModelSection(_Section):
     gain: Selection = "none"
     harmonics: Selection = "none"
     harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
+    elastic: Selection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -252,6 +271,7 @@ _HEADERS: dict[type[BaseModel], str] = {
     RobotSection: "[robot]",
     ErrorModelSection: "[error_model]",
     PriorSection: "prior of [error_model]",
+    PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
     InstrumentSection: "[instruments.NAME]",
     MeasurementsSection: "[[measurements]]",
@@ -314,7 +334,7 @@ def _contradictions(job: Job) -> Iterator[str]:
                 if getattr(section, key) is not None:
                     yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
     if job.error_model.terms == "auto":
-        for key in ("gain", "harmonics"):
+        for key in ("gain", "harmonics", "elastic"):
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):

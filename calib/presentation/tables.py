@@ -17,7 +17,13 @@ from calib.identification.identifiability import BlindDirection
 
 WIDTH = 80
 # What is shown of a length in m, an angle in rad, and amounts of joint terms.
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "1": (1e6, "ppm")}
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "1": (1e6, "ppm"),
+    "rad/Nm": (1e6, "urad/Nm"),
+    "m/N": (1e6, "um/N"),
+}
 
 
 def table(fit: Fit) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
@@ -111,7 +112,8 @@ class Robot:
     index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
-    ``terms``: what the readings go through before they are coupled.
+    ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
+    ``gravity`` (m/s^2) in the base link; ``payload``: what the tip link carries.
     """
 
     urdf: Urdf
@@ -127,6 +129,9 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     closed_loops: tuple[ClosedLoop, ...] = ()
     terms: tuple[JointTerm, ...] = ()
+    weights: Weights | None = None
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: Payload | None = None
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -191,12 +196,13 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
         d = deviations or robot.no_deviations()
-        s = skeleton(_segments(robot), d.placements)
+        s = skeleton(segments(robot), d.placements)
         self._robot, self._offsets = robot, robot.offset_coupling @ d.offsets
         self._kinematics = Kinematics(s.tree, [end_frame(s, robot.tip_joint)])
         self._closure = Closure(s, robot.loops) if robot.loops else None
         names = [reading.name for reading in robot.readings]
-        self._terms = Transmission(robot.terms, names, d.terms) if robot.terms else None
+        holding = None if robot.weights is None else Holding(robot.weights)
+        self._terms = Transmission(robot.terms, names, d.terms, holding) if robot.terms else None
         joints, tail = derivative(s, robot.tip_joint)
         by_offset = np.zeros((len(joints), len(robot.moving)))
         for j, kind in enumerate(robot.moving_types):
@@ -209,7 +215,7 @@ class TipModel:
 
     def joint_positions(self, readings: Array) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        moved = readings if self._terms is None else self._terms.moved(readings, self._terms.bases(readings))
+        moved = readings if self._terms is None else self._terms.moved(readings)
         q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
@@ -256,7 +262,8 @@ class TipModel:
         return np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
 
 
-def _segments(robot: Robot) -> list[Segment]:
+def segments(robot: Robot) -> list[Segment]:
+    """Return the chain as segments of a skeleton."""
     numbers = {i: j for j, i in enumerate(robot.moving)}
     return [
         Segment(numbers.get(i), joint.type, joint.parent, joint.placement, joint.frame)
