@@ -79,8 +79,8 @@ class Transmission:
     def slopes(self, readings: Array) -> Array:
         """Return how fast every moved reading follows itself (N, nr): 1 and the slopes of its gain and harmonics.
 
-        Without that of wind-up, which changes slowly with the pose: where drives are soft, by some 1e-3 of the motion. A
-        search that is steered by these slopes takes a step more for it.
+        Without that of wind-up, which changes slowly with the pose: by some 1e-3 of the motion where drives are soft. A
+        search that these slopes steer takes a step more for it.
         """
         phase = readings[:, self.reading] * self._orders
         found = np.zeros_like(phase)
