@@ -11,7 +11,7 @@ A parameter without a prior of its own is held by a weak one, as wide as what co
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from calib.identification.identify import identify
 from calib.identification.joint_terms import harmonic
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.system import Problem, blocks
+from calib.identification.start import posed
+from calib.identification.system import blocks, evaluate
 from calib.identification.weights import sigmas_of
 from calib.measurement.measurements import Measurements
 from calib.robot.joint_terms import weights_of
@@ -184,14 +185,17 @@ class _System:
         terms = [term for candidate in offered for term in candidate.terms]
         full = _with_prior(geometric.model, terms, prior)
         sets = geometric.measurements
-        parameters = full.parameters(sets[0].tools)
-        names = [parameter.name for parameter in parameters]
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
-        self._problem = Problem(full, parameters, frames, sets, held)
+        self._problem = replace(posed(full, sets), reference=frames, held=held)
+        parameters = self._problem.parameters
+        names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
-        variances = [noise.model**2 for noise in geometric.noise]
-        self._sigmas = sigmas_of(Problem(full, parameters, frames, sets), variances)
+        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise])
+        # What is known without any row: relations between targets, and that a size which nothing tells stays.
+        found = evaluate(self._problem, self._sigmas, self._x)
+        rows = np.concatenate([found.relations, np.pad(found.size.T / USABLE, ((0, 0), (0, 1)))])
+        self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
         with_prior = np.array([parameter.prior is not None for parameter in parameters])
@@ -204,9 +208,9 @@ class _System:
         problem = self._problem
         at, units = problem.machine(self._x), scales(problem.parameters)
         for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
-            for rows, observed, J in blocks(problem, data, at, units):
-                whole = np.concatenate([J, observed.residual[:, :, None]], axis=2)
-                yield i, rows, sigma[rows], whole / sigma[rows, :, None]
+            for block in blocks(problem, data, at, units):
+                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
+                yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
 
     def grams(self, fold: IntArray) -> Array:
         """Return the Gram matrix of ``[J r]`` (p + 1, p + 1) of the rows of every fold."""
@@ -222,7 +226,7 @@ class _System:
     def way(self, gram: Array) -> _Way:
         """Return the way that rows with this Gram matrix (p + 1, p + 1) go: all candidates, the most helpful first."""
         p = len(gram) - 1
-        tableau = gram[:p].copy()
+        tableau = gram[:p] + self._known[:p]
         tableau[range(p), range(p)] += self._priors
         tableau[:, p] += self._priors * self._pull
         _pivot(tableau, self._geometry)

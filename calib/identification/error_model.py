@@ -15,6 +15,8 @@ from calib.foundations.errors import JobError, RobotError
 from calib.identification.joint_terms import ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
+from calib.identification.relations import Relation
+from calib.identification.targets import Target
 from calib.robot import deviation
 from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
 from calib.robot.dh.table import NUMBERS, Convention, DhTable
@@ -36,6 +38,7 @@ class ErrorModel:
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
     ``terms``: names of those joint terms of the robot that are free; ``term_priors``: standard deviations, by name, of
     those with a prior. ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
     robot: Robot
@@ -48,6 +51,8 @@ class ErrorModel:
     base_pose: Array = field(default_factory=lambda: read_only(np.eye(4)))
     tool_poses: Mapping[str, Array] = field(default_factory=dict)
     dh: DhFrames | None = None
+    targets: Mapping[str, Target] = field(default_factory=dict)
+    relations: tuple[Relation, ...] = ()
     terms: tuple[str, ...] = ()
     term_priors: Mapping[str, float] = field(default_factory=dict)
 
@@ -89,8 +94,7 @@ class ErrorModel:
             for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
                 free(f"{prefix}.{component}", "tool", (layout.tools + 6 * t + k, 1.0), length=k < 3)
         names = [parameter.name for parameter in found]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise JobError(f"the parameter name {twice[0]!r} means two things: a joint may not be called base or tool.")
         return tuple(found)
 
@@ -127,6 +131,8 @@ def error_model(
     prior_harmonics: float | None = None,
     base_pose: npt.ArrayLike | None = None,
     tool_poses: Mapping[str, npt.ArrayLike] | None = None,
+    targets: Mapping[str, Target] | None = None,
+    relations: Sequence[Relation] = (),
 ) -> ErrorModel:
     """Say which parameters of ``robot`` are unknown.
 
@@ -142,9 +148,12 @@ def error_model(
     cosine and sine of all ``harmonic_orders``, whose compliance under gravity is unknown. Masses for the last are those
     of the URDF, and RobotError says what is wrong with them. Without a prior of their own (``prior_harmonics``, rad)
     amounts of terms have none.
-    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4).
+    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
+    nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
     a point); the only tool is called "tool". No start value is needed for what is free.
+    ``targets``: what is known of sockets, anchors, balls and planes by name; others are found. ``relations``: what is
+    known between targets.
     ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every offset and placement.
 
     Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
@@ -213,6 +222,8 @@ def error_model(
         read_only(np.eye(4)) if base_pose is None else _given_pose(base_pose, "base_pose"),
         {name: _given_pose(value, f"tool {name!r}") for name, value in (tool_poses or {}).items()},
         frames,
+        dict(targets or {}),
+        tuple(relations),
     )
     if prior_harmonics is None:
         return with_terms(model, terms)

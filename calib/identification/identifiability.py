@@ -82,8 +82,11 @@ def blind_parameters(blind: Array) -> BoolArray:
 
 
 def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
-    """Return the order in which a minimal set prefers parameters: base, tool, offsets, placements, joint terms."""
-    rank = {"base": 0, "tool": 1, "offset": 2, "placement": 3, "term": 4}
+    """Return the order in which a minimal set prefers parameters.
+
+    Targets, which nobody knows beforehand, then base, tool, offsets, placements from the base on, joint terms.
+    """
+    rank = {"target": 0, "base": 1, "tool": 2, "offset": 3, "placement": 4, "term": 5}
     return tuple(sorted(range(len(parameters)), key=lambda k: (rank[parameters[k].kind], k)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.robot.transmission import TermUnit
 
-ParameterKind = Literal["offset", "placement", "term", "base", "tool"]
+ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
 ParameterUnit = Literal["m", "rad"] | TermUnit
 
 # What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.

@@ -22,10 +22,9 @@ from calib.foundations.units import UNITS
 from calib.identification import system
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
-from calib.identification.identify import with_common_tools
 from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
-from calib.identification.start import start_frames
+from calib.identification.start import posed
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
 
@@ -142,8 +141,8 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
             raise MeasurementError(
                 f"{data.where}: observes {data.kind}, and the total differential is of positions; use identify."
             )
-    sets = with_common_tools(model, sets)
-    parameters = model.parameters(sets[0].tools)
+    problem = posed(model, sets)
+    parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     if any(parameter.prior is not None for parameter in parameters):
@@ -156,7 +155,7 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
             f"{points} points give {3 * points} equations for {len(parameters)} parameters; "
             f"at least {len(parameters) // 3 + 1} points are needed."
         )
-    return Problem(model, parameters, start_frames(model, sets), sets)
+    return problem
 
 
 def _misses(problem: Problem, x: Array) -> Array:

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,7 +27,7 @@ from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
 from calib.job.run import Outcome, resolved
-from calib.measurement.measurements import Measurements
+from calib.measurement.kinds import Kind, size
 from calib.presentation.scene import Scene, render_scene
 from calib.robot import dh
 
@@ -39,6 +39,10 @@ SCENE_FILE = "scene.html"
 DH_FILE = "calibrated_dh.csv"
 _ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
 _RESULTS = (*_ALWAYS, DH_FILE, GRID_FILE)
+_OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+_OF_LENGTHS = ("error [mm]",)
+_OF_PIXELS = ("u [px]", "v [px]")
+_RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
@@ -126,7 +130,8 @@ def robot_errors(folder: Path) -> dict[str, float]:
         found = {str(record["name"]): float(record["value"]) for record in records}
     except (ValueError, TypeError, KeyError, RecursionError) as e:
         raise OutputError(f"{path}: is not a result of this tool.") from e
-    return {name: value for name, value in found.items() if name.partition(".")[0] not in ("base", "tool")}
+    of_set_up = ("base", "tool", "target", "length")
+    return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
 def result_json(outcome: Outcome) -> str:
@@ -218,29 +223,52 @@ def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
 
 
 def residual_table(outcome: Outcome) -> str:
-    """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm and degrees."""
+    """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm, degrees and pixels.
+
+    A point's error has three components, that of a length, a height or an indicator one, called its ``error``.
+    """
+    columns = [
+        title
+        for titles in _RESIDUAL_COLUMNS
+        if titles is _OF_POSES or any(_columns_of(judged.data.kind) is titles for judged in outcome.sets)
+        for title in titles
+    ]
     whens = ("before", "after")
-    columns = [f"{when}_{axis} [mm]" for when in whens for axis in "xyz"]
-    columns += [f"{when}_{axis} [deg]" for when in whens for axis in ("rx", "ry", "rz")]
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["use", "file", "line", "point", *columns])
+    # The unit stands last in a title, so that columns of one unit follow one another.
+    titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
+    writer = csv.DictWriter(text, ["use", "file", "line", "point", *titles], restval="", lineterminator="\n")
+    writer.writeheader()
     for judged in outcome.sets:
-        rows = _residual_rows(judged.data, judged.before, judged.after)
-        writer.writerows([judged.use, judged.file, *row] for row in rows)
+        data, own = judged.data, _columns_of(judged.data.kind)
+        for n, line in enumerate(data.lines):
+            row: dict[str, object] = {
+                "use": judged.use,
+                "file": judged.file,
+                "line": line,
+                "point": data.tools[data.tool[n]],
+            }
+            for when, r in zip(whens, (judged.before, judged.after), strict=True):
+                row |= {f"{when}_{title}": _shown(value, title) for title, value in zip(own, r[n], strict=False)}
+            writer.writerow(row)
     return text.getvalue()
 
 
-def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[list[str]]:
-    for n, line in enumerate(data.lines):
-        lengths = [f"{value * 1e3:.6f}" for r in (before, after) for value in r[n, :3]]
-        angles = [f"{np.degrees(value):.7f}" for r in (before, after) for value in r[n, 3:]] or [""] * 6
-        yield [str(line), data.tools[data.tool[n]], *lengths, *angles]
+def _columns_of(kind: Kind) -> tuple[str, ...]:
+    return {1: _OF_LENGTHS, 2: _OF_PIXELS}.get(size(kind), _OF_POSES)
+
+
+def _shown(value: float, title: str) -> str:
+    if "[mm]" in title:
+        return f"{value * 1e3:.6f}"
+    return f"{np.degrees(value):.7f}" if "[deg]" in title else f"{value:.5f}"
 
 
 def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
     fit, robot = outcome.fit, outcome.fit.robot
-    measured = np.concatenate([judged.data.position for judged in outcome.sets])
+    # Where nothing but a point was measured, it and its errors can be drawn.
+    seen = [(judged, judged.data.position) for judged in outcome.sets if judged.data.position is not None]
+    measured = np.concatenate([np.zeros((0, 3)), *(position for _, position in seen)])
     shown = fit.measurements[0].readings[:1]
     tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations)[0]
     return Scene(
@@ -255,8 +283,8 @@ def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
         },
         tip=robot.tip,
         measured=measured,
-        before=measured - np.concatenate([judged.before[:, :3] for judged in outcome.sets]),
-        after=measured - np.concatenate([judged.after[:, :3] for judged in outcome.sets]),
+        before=measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged, _ in seen)]),
+        after=measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged, _ in seen)]),
     )
 
 

@@ -90,8 +90,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     )
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
-            "before": metrics([judged.before for judged in judged_sets if judged.use == use]),
-            "after": metrics([judged.after for judged in judged_sets if judged.use == use]),
+            "before": metrics((judged.data.kind, judged.before) for judged in judged_sets if judged.use == use),
+            "after": metrics((judged.data.kind, judged.after) for judged in judged_sets if judged.use == use),
         }
         for use in dict.fromkeys(judged.use for judged in judged_sets)
     }
@@ -152,9 +152,10 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     policy = inputs.job.error_model.blind
     if not inputs.job.levels:
         progress("identifying")
-        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=_flat(inputs.model_sigmas)), ()
-    sigmas = zip(inputs.identify, inputs.model_sigmas, strict=True)
-    by_file = dict(zip(inputs.tables("identify"), sigmas, strict=True))
+        sigmas = _flat(inputs.model_sigmas)
+        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses), ()
+    given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
+    by_file = dict(zip(inputs.tables("identify"), given, strict=True))
     fit: Fit | None = None
     reports: list[LevelReport] = []
     for level in inputs.job.levels:
@@ -164,11 +165,12 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
         chosen = [by_file[file] for file in level.measurements or by_file]
         fit = identify(
             inputs.model,
-            [data for data, _ in chosen],
+            [data for data, _, _ in chosen],
             free=level.free,
             start=fit,
             blind=policy,
-            model_sigmas=_flat(group for _, group in chosen),
+            model_sigmas=_flat(group for _, group, _ in chosen),
+            losses=[loss for _, _, loss in chosen],
         )
         reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
     if fit is None:
@@ -205,7 +207,7 @@ def _judged(
 ) -> Iterator[JudgedSet]:
     before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
     for file, data, b, a in zip(files, sets, before, after, strict=True):
-        if grid is not None:
+        if grid is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
             a[:, :3] -= grid.shifts(
                 fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations), data.readings
@@ -221,7 +223,9 @@ def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
     frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
     judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
-    return metrics(residuals_of(judged, inputs.validate or inputs.identify, judged.machine))
+    sets = inputs.validate or inputs.identify
+    found = residuals_of(judged, sets, judged.machine)
+    return metrics((data.kind, r) for data, r in zip(sets, found, strict=True))
 
 
 def resolved(inputs: Inputs) -> str:

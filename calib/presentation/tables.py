@@ -28,7 +28,12 @@ _SHOWN = {
 
 def table(fit: Fit) -> str:
     """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
-    figures = {"identification": {"before": metrics(fit.nominal_residuals), "after": metrics(fit.residuals)}}
+    figures = {
+        "identification": {
+            when: metrics((data.kind, r) for data, r in zip(fit.measurements, residuals, strict=True))
+            for when, residuals in (("before", fit.nominal_residuals), ("after", fit.residuals))
+        }
+    }
     return plain(Group(error_table(figures), parameter_table(fit), *verdict(fit)))
 
 
