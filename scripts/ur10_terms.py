@@ -100,10 +100,8 @@ def evidence(choice: Choice) -> list[str]:
         step = choice.steps[k]
         name = "geometry alone" if step.added is None else step.added.name
         taken = "yes" if k <= choice.taken else "no: the least"
-        figures = (
-            f"{step.held_out.rms / start:.3f} | {step.held_out.standard_error / start:.3f} | {1e3 * step.position:.3f}"
-        )
-        lines.append(f"| {k} | {name} | {figures} | {taken} |")
+        figures = step.held_out.rms / start, step.held_out.standard_error / start, 1e3 * step.rms["position"]
+        lines.append(f"| {k} | {name} | {' | '.join(f'{value:.3f}' for value in figures)} | {taken} |")
     return lines
 
 

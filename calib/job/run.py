@@ -122,7 +122,12 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
     prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
     try:
         return choose_terms(
-            inputs.model, inputs.identify, prior=prior, model_sigmas=_flat(inputs.model_sigmas), progress=progress
+            inputs.model,
+            inputs.identify,
+            prior=prior,
+            model_sigmas=_flat(inputs.model_sigmas),
+            losses=inputs.losses,
+            progress=progress,
         )
     except MeasurementError as e:
         raise MeasurementError(f"{inputs.path}: error_model.terms: {e}") from e

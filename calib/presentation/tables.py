@@ -14,6 +14,7 @@ from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
+from calib.measurement.kinds import QUANTITIES
 
 WIDTH = 80
 # What is shown of a length in m, an angle in rad, and amounts of joint terms.
@@ -92,7 +93,9 @@ def choice_table(choice: Choice) -> Table:
     )
     out.add_column("step", justify="right")
     out.add_column("enters", overflow="fold")
-    for name in ("held out", "std. error", "rms [mm]"):
+    quantity = next(iter(steps[0].rms))
+    factor, unit = next(_SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
+    for name in ("held out", "std. error", f"rms [{unit}]"):
         out.add_column(name, justify="right")
     out.add_column("taken")
     for k in dict.fromkeys((*range(choice.taken + 1), least)):
@@ -100,7 +103,7 @@ def choice_table(choice: Choice) -> Table:
         name = "geometry alone" if step.added is None else step.added.name
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
         said = "yes" if k <= choice.taken else "no: the least"
-        out.add_row(str(k), name, *figures, f"{step.position * 1e3:.4f}", said)
+        out.add_row(str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)
     return out
 
 
