@@ -32,6 +32,7 @@ from calib.identification.system import blocks, evaluate
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
 from calib.robot.joint_terms import weights_of
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
@@ -105,10 +106,14 @@ class Choice:
         ]
 
 
-def candidates(robot: Robot, orders: Iterable[int] = ORDERS) -> tuple[Candidate, ...]:
+def candidates(
+    robot: Robot, measurements: Sequence[Measurements] = (), orders: Iterable[int] = ORDERS
+) -> tuple[Candidate, ...]:
     """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
 
-    Masses that the URDF states in a way that cannot be used are as good as none.
+    Beside these the gap of its gears where it was reached from both sides in ``measurements``, and what it owes to the
+    temperature where that is told and changes. Masses that the URDF states in a way that cannot be used are as good as
+    none.
     """
     found: list[Candidate] = []
     weighed = True
@@ -116,8 +121,14 @@ def candidates(robot: Robot, orders: Iterable[int] = ORDERS) -> tuple[Candidate,
         weights_of(robot)
     except RobotError:
         weighed = False
-    for reading in robot.readings:
+    told = joined([data.conditions for data in measurements])
+    warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
+    for k, reading in enumerate(robot.readings):
         found.append(Candidate((JointTerm(reading.name, "gain"),)))
+        if warms:
+            found.append(Candidate((JointTerm(reading.name, "thermal"),)))
+        if told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, k].tolist()):
+            found.append(Candidate((JointTerm(reading.name, "backlash"),)))
         if weighed:
             found.append(Candidate((JointTerm(reading.name, "elastic"),)))
         if reading.dimension == "angle":
@@ -147,7 +158,7 @@ def choose_terms(
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         group = groups(geometric.measurements)
         fold = folds(group, count)
-        chosen_from = candidates(model.urdf_robot) if offered is None else tuple(offered)
+        chosen_from = candidates(model.urdf_robot, geometric.measurements) if offered is None else tuple(offered)
         system = _System(geometric, chosen_from, prior, losses)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)

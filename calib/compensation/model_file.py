@@ -16,6 +16,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
@@ -158,16 +159,19 @@ class CalibratedModel:
     tools: Mapping[str, Array]
     grid: SectorGrid | None = None
 
-    def tips(self, readings: Array) -> Array:
-        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
-        return self.robot.tips(readings, self.deviations)
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-    def predict(self, readings: Array, tool: str = "tool") -> Array:
+        Raises RobotError for a joint term that needs ``conditions`` which are not given.
+        """
+        return self.robot.tips(readings, self.deviations, conditions)
+
+    def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
         The grid, where there is one, shifts positions; outside of it, where it has no values, nothing is added.
         """
-        tips = self.tips(readings)
+        tips = self.tips(readings, conditions)
         placed = np.asarray(self.base @ tips @ self.tools[tool])
         if self.grid is not None:
             placed[:, :3, 3] += self.grid.shifts(self.base, tips, readings)

@@ -257,6 +257,8 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             harmonics=section.harmonics,
             harmonic_orders=section.harmonic_orders,
             elastic=section.elastic,
+            backlash=section.backlash,
+            thermal=section.thermal,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
@@ -305,6 +307,7 @@ def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: 
         sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
         offset=section.length_offset,
+        in_order=section.in_order,
         columns=section.columns,
     )
 

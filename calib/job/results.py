@@ -270,7 +270,8 @@ def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
     seen = [(judged, judged.data.position) for judged in outcome.sets if judged.data.position is not None]
     measured = np.concatenate([np.zeros((0, 3)), *(position for _, position in seen)])
     shown = fit.measurements[0].readings[:1]
-    tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations)[0]
+    conditions = fit.measurements[0].conditions.subset(slice(1))
+    tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations, conditions)[0]
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=calibrated,

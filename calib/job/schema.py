@@ -197,6 +197,8 @@ class ErrorModelSection(_Section):
     harmonics: Selection = "none"
     harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
     elastic: Selection = "none"
+    backlash: Selection = "none"
+    thermal: Selection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -286,6 +288,7 @@ class MeasurementsSection(_Section):
     model_sigma: LengthFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
+    in_order: bool = False
     columns: dict[str, str] = Field(default_factory=dict)
 
 
@@ -384,7 +387,7 @@ def _contradictions(job: Job) -> Iterator[str]:
         if section.use != "identify" and section.loss != "linear":
             yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
     if job.error_model.terms == "auto":
-        for key in ("gain", "harmonics", "elastic"):
+        for key in ("gain", "harmonics", "elastic", "backlash", "thermal"):
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
@@ -441,6 +444,7 @@ def _sentence(error: ValidationError) -> str:
     expected = {
         "string_type": "a text",
         "float_type": "a number",
+        "bool_type": "true or false",
         "finite_number": "a finite number",
         "tuple_type": "a list",
         "model_type": "a section with keys",

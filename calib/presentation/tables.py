@@ -24,6 +24,8 @@ _SHOWN = {
     "1": (1e6, "ppm"),
     "rad/Nm": (1e6, "urad/Nm"),
     "m/N": (1e6, "um/N"),
+    "rad/K": (1e6, "urad/K"),
+    "m/K": (1e6, "um/K"),
 }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
@@ -170,20 +171,27 @@ class Robot:
             read_only(np.zeros(len(self.terms))),
         )
 
-    def joint_positions(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def joint_positions(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close.
+        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
+        rows do not have.
         """
-        return TipModel(self, deviations).joint_positions(readings)
+        return TipModel(self, deviations).joint_positions(readings, conditions)
 
-    def tips(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def tips(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).tips(readings)
+        return TipModel(self, deviations).tips(readings, conditions)
 
-    def motion(self, readings: Array, deviations: Deviations | None = None) -> TipMotion:
+    def motion(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).motion(readings)
+        return TipModel(self, deviations).motion(readings, conditions)
 
 
 class TipModel:
@@ -213,19 +221,19 @@ class TipModel:
         self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
         self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[0]))
 
-    def joint_positions(self, readings: Array) -> Array:
+    def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        moved = readings if self._terms is None else self._terms.moved(readings)
+        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
         q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
-    def tips(self, readings: Array) -> Array:
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
-        return self._kinematics.placements(self.joint_positions(readings))[0]
+        return self._kinematics.placements(self.joint_positions(readings, conditions))[0]
 
-    def motion(self, readings: Array) -> TipMotion:
+    def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
         by_passive = tip.by_joint(self._robot.moving_types, self._robot.passive)
         if self._closure is None:
@@ -234,16 +242,18 @@ class TipModel:
             rates = self._closure.rates(q, self._robot.offset_coupling)
         by_terms = np.zeros((len(q), 6, 0))
         if self._terms is not None:
-            by_terms = self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings)[:, None]
+            by_terms = (
+                self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings, conditions)[:, None]
+            )
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
-    def driven(self, readings: Array) -> tuple[Array, Array]:
+    def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
 
         At readings (N, nr): joints move by their coupling, passive ones as their loops make them follow. Raises as
         joint_positions does.
         """
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
         by_reading = self._by_reading(q, tip)
         if self._terms is not None:

@@ -6,18 +6,22 @@ joints. The bases depend on the row alone and not on what is identified, so that
     gain     u                         the reading's scale
     cos_k    cos k u,  sin_k  sin k u  encoder eccentricity (k = 1, 2), gear teeth and wave generators (more)
     elastic  -tau                      the drive gives way to what it holds against gravity, at nominal geometry
+    backlash the side of approach      half the gap of the gears, on which side the reading was reached from
+    thermal  T - 20 degC               the zero wanders as the machine warms up
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.errors import RobotError
+from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 
-TermKind = Literal["gain", "cos", "sin", "elastic"]
-TermUnit = Literal["rad", "1", "rad/Nm", "m/N"]
+TermKind = Literal["gain", "cos", "sin", "elastic", "backlash", "thermal"]
+TermUnit = Literal["rad", "m", "1", "rad/Nm", "m/N", "rad/K", "m/K"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +39,23 @@ class JointTerm:
 
     def unit(self, dimension: Literal["angle", "length"]) -> TermUnit:
         """Return the unit of its amount, for a reading of this dimension."""
+        angle = dimension == "angle"
         if self.kind == "elastic":
-            return "rad/Nm" if dimension == "angle" else "m/N"
-        return "1" if self.kind == "gain" else "rad"
+            return "rad/Nm" if angle else "m/N"
+        if self.kind == "thermal":
+            return "rad/K" if angle else "m/K"
+        return "1" if self.kind == "gain" else "rad" if angle else "m"
+
+
+def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Conditions) -> tuple[str, str] | None:
+    """Return the first term that needs a condition which rows do not have, and the column that would; else None."""
+    approach, number = conditions.approach, {name: k for k, name in enumerate(readings)}
+    for term in terms:
+        if term.kind == "thermal" and conditions.temperature is None:
+            return term.name, "temperature"
+        if term.kind == "backlash" and (approach is None or np.isnan(approach[:, number[term.reading]]).any()):
+            return term.name, f"direction_{term.reading}"
+    return None
 
 
 class Transmission:
@@ -57,11 +75,17 @@ class Transmission:
         self._amounts = np.zeros((len(terms), len(readings)))
         self._amounts[np.arange(len(terms)), self.reading] = amounts
         self._orders = np.array([term.order for term in terms], dtype=np.float64)
-        self._of = {kind: np.array([term.kind == kind for term in terms]) for kind in ("gain", "cos", "sin", "elastic")}
+        self._of = {kind: np.array([term.kind == kind for term in terms]) for kind in get_args(TermKind)}
+        self._terms, self._readings = tuple(terms), tuple(readings)
         self._holding = holding
 
-    def bases(self, readings: Array) -> Array:
-        """Return the bases (N, nt) at readings (N, nr), in rad or m per unit of each amount."""
+    def bases(self, readings: Array, conditions: Conditions) -> Array:
+        """Return the bases (N, nt) at readings (N, nr), in rad or m per unit of each amount.
+
+        Raises RobotError for a term that needs a condition which the rows do not have.
+        """
+        if missing := lacking(self._terms, self._readings, conditions):
+            raise RobotError(f"{missing[0]} needs to be told {missing[1]!r} of every row.")
         found = readings[:, self.reading]
         phase = found * self._orders
         cos, sin, elastic = self._of["cos"], self._of["sin"], self._of["elastic"]
@@ -70,11 +94,17 @@ class Transmission:
             if self._holding is None:
                 raise TypeError("a robot with joints that give way has weights")
             found[:, elastic] = -self._holding(readings)[:, self.reading[elastic]]
+        if conditions.approach is not None:
+            found[:, self._of["backlash"]] = conditions.approach[:, self.reading[self._of["backlash"]]]
+        if conditions.temperature is not None:
+            found[:, self._of["thermal"]] = (conditions.temperature - REFERENCE_TEMPERATURE)[:, None]
         return found
 
-    def moved(self, readings: Array) -> Array:
-        """Return the readings (N, nr) with what the terms add to them."""
-        return np.asarray(readings + self.bases(readings) @ self._amounts) if self._amounts.any() else readings
+    def moved(self, readings: Array, conditions: Conditions) -> Array:
+        """Return the readings (N, nr) with what the terms add to them. Raises as bases does, unless all is zero."""
+        if not self._amounts.any():
+            return readings
+        return np.asarray(readings + self.bases(readings, conditions) @ self._amounts)
 
     def slopes(self, readings: Array) -> Array:
         """Return how fast every moved reading follows itself (N, nr): 1 and the slopes of its gain and harmonics.

@@ -140,3 +140,25 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
     found = for_joint_targets(model, u)
     assert found.reached.all(), found.reasons
     np.testing.assert_allclose(model.tips(found.readings), loaded.tips(u), rtol=0, atol=2e-6)
+
+
+def test_gaps_lie_within_their_intervals(simulation: ModuleType, robot: calib.Robot) -> None:
+    """The script's axes stand two half gaps back where they were reached from the other side."""
+    model = calib.error_model(robot, **GEOMETRY, backlash="all")
+    inside = 0
+    for seed in range(21, 27):
+        machine = simulation.Machine(seed, wind_up=False, harmonics=False)
+        commands = simulation.poses(seed)["harmonics"]
+        rng = np.random.default_rng(seed)
+        sides = rng.choice([-1.0, 1.0], (len(commands), 6))
+        columns: dict[str, object] = {f"joint_{k + 1} [deg]": commands[:, k] for k in range(6)}
+        measured = machine.measure(commands, rng, sides)
+        columns |= {f"{axis} [mm]": measured[:, k] for k, axis in enumerate("xyz")}
+        columns |= {f"direction_joint_{k + 1}": ["+" if s > 0.0 else "-" for s in sides[:, k]] for k in range(6)}
+        fit = calib.identify(model, calib.read_measurements(columns, robot))
+        names = [parameter.name for parameter in fit.parameters]
+        for k, truth in enumerate(machine.truth.half_gaps):
+            sigma = fit.sigmas[names.index(f"joint_{k + 1}.backlash")]
+            inside += abs(fit.value(f"joint_{k + 1}.backlash") - truth) < 1.96 * sigma
+        assert fit.sigmas[names.index("joint_2.backlash")] < 4e-6
+    assert inside >= 31
