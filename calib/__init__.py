@@ -11,6 +11,7 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.assessment.choice import choose_terms
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.compensation.urdf import write_urdf
@@ -32,6 +33,7 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.presentation.tables import table
 from calib.robot import dh
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 
@@ -51,9 +53,11 @@ __all__ = [
     "MeasurementError",
     "Measurements",
     "OutputError",
+    "Payload",
     "Robot",
     "RobotError",
     "Trace",
+    "choose_terms",
     "commands",
     "dh",
     "error_model",

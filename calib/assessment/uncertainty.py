@@ -21,6 +21,7 @@ from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements, unmeasured
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot
 
 # Directions of the covariance below this share of the largest are rounding.
@@ -211,7 +212,10 @@ def uncertainty_map(
         found.append(tool_uncertainty(uncertainty, chunk, tool, base=base))
         progress(sum(len(f.unseen) for f in found), samples)
     k = _tool_number(uncertainty, tool)
-    tips = uncertainty.robot.tips(readings, uncertainty.machine.deviations) @ uncertainty.machine.frames.tools[k]
+    tips = (
+        uncertainty.robot.tips(readings, uncertainty.machine.deviations, ordinary(readings))
+        @ uncertainty.machine.frames.tools[k]
+    )
     return UncertaintyMap(
         read_only(readings),
         read_only(tips[:, :3, 3]),
@@ -283,7 +287,8 @@ def _sqrt_motion(
         for j, column in enumerate(columns.T)
     )
     model = ErrorModel(robot, (), (), "pose", "pose")
-    placed = machine.frames.base @ robot.tips(readings, machine.deviations) @ machine.frames.tools[number]
+    usual = ordinary(readings)
+    placed = machine.frames.base @ robot.tips(readings, machine.deviations, usual) @ machine.frames.tools[number]
     data = unmeasured(
         [reading.name for reading in robot.readings],
         readings,
@@ -291,6 +296,7 @@ def _sqrt_motion(
         placed[:, :3, :3],
         tools=uncertainty.tools,
         tool=number,
+        conditions=usual,
         where="prediction",
     )
     problem = Problem(model, parameters, machine.frames, (data,))

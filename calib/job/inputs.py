@@ -23,6 +23,7 @@ from calib.job.schema import (
     InstrumentSection,
     Job,
     MeasurementsSection,
+    PayloadSection,
     RelationSection,
     TargetSection,
     read_job,
@@ -33,6 +34,7 @@ from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.deviation import axis_frame
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
@@ -162,7 +164,14 @@ def _robot(job: Job, urdf: Path) -> Robot:
         section.base,
         couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+        gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
+        payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _payload(section: PayloadSection) -> Payload:
+    x, y, z = (parse_quantity(text, "length", "robot.payload") for text in section.position)
+    return Payload(parse_quantity(section.mass, "mass", "robot.payload"), (x, y, z))
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -256,6 +265,9 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             gain=section.gain,
             harmonics=section.harmonics,
             harmonic_orders=section.harmonic_orders,
+            elastic=section.elastic,
+            backlash=section.backlash,
+            thermal=section.thermal,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
@@ -325,6 +337,7 @@ def _measurements(
         sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
         offset=section.length_offset,
+        in_order=section.in_order,
         columns=section.columns,
     )
 
