@@ -11,6 +11,9 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.assessment.advice import advice
+from calib.assessment.bootstrap import bootstrap
+from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.compensation.urdf import write_urdf
@@ -53,14 +56,20 @@ __all__ = [
     "Robot",
     "RobotError",
     "Trace",
+    "advice",
+    "bootstrap",
     "commands",
     "dh",
     "error_model",
     "identify",
     "load_model",
     "load_robot",
+    "outside_identified",
     "read_measurements",
     "table",
+    "tool_uncertainty",
     "total_differential",
+    "uncertainty_map",
+    "uncertainty_of",
     "write_urdf",
 ]

@@ -7,6 +7,7 @@ import typer
 
 import calib
 from calib.cli import commands as commands
+from calib.cli import plan as plan
 from calib.cli.options import BAD_INPUT, app
 from calib.foundations.errors import CalibError
 from calib.presentation.console import show_error

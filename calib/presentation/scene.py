@@ -26,7 +26,6 @@ from calib.presentation.meshes import (
     Triangles,
     balls,
     creased,
-    find_mesh,
     joined,
     moved,
     primitive,
@@ -34,6 +33,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.robot.sources import find_mesh
 
 # Okabe and Ito's vermillion and blue: told apart by every kind of colour vision, and in grey.
 BEFORE: Rgb = (0.835, 0.369, 0.0)

@@ -15,8 +15,9 @@ import pytest
 
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, placement, rotation_about
-from calib.presentation.meshes import balls, find_mesh, read_mesh, simplified, sticks
+from calib.presentation.meshes import balls, read_mesh, simplified, sticks
 from calib.presentation.scene import Scene, magnification, render_scene
+from calib.robot.sources import find_mesh
 
 RED = (1.0, 0.0, 0.0)
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
