@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
@@ -100,15 +100,9 @@ def bootstrap(
 
 def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
     """Return the rows of every pose: those of one ``group``, or, without groups, those with the same readings."""
-    keys: Sequence[object] = (
-        [tuple(row) for row in np.round(data.readings / _SAME_POSE).astype(np.int64)]
-        if data.group is None
-        else data.group
-    )
-    found: dict[object, list[int]] = {}
-    for n, key in enumerate(keys):
-        found.setdefault(key, []).append(n)
-    return tuple(np.array(rows, dtype=np.intp) for rows in found.values())
+    if data.group is not None:
+        return tuple(rows_by_word(data.group).values())
+    return tuple(rows_by_word(map(tuple, np.round(data.readings / _SAME_POSE).astype(np.int64).tolist())).values())
 
 
 def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> IntArray:

@@ -239,15 +239,16 @@ class _State(NamedTuple):
         S = AP @ np.swapaxes(s.A, 1, 2) + np.eye(m)
         if s.criterion == "D":
             return np.asarray(np.linalg.slogdet(S)[1])
-        # P' = P - K A P and X' = X + K (H - A X), with K = P A^T S^-1.
-        K = np.asarray(np.linalg.solve(S, AP), dtype=np.float64)  # transposed, (N, m, r)
-        KC = (_flat(K) @ s.C).reshape(N, m, r)
-        gain = np.sum(KC * AP, axis=(1, 2))
+        # P' = P - K A P and X' = X + K (H - A X), with K = P A^T S^-1; all of it in matrices of m rows.
+        S_inverse = np.linalg.inv(S)
+        W = (_flat(AP) @ s.C).reshape(N, m, r) @ np.swapaxes(AP, 1, 2)
+        gain = np.sum(S_inverse * W, axis=(1, 2))
         if s.H.shape[2]:
-            E = s.H - (_flat(s.A) @ self.X).reshape(N, m, self.X.shape[1])
-            toward = (_flat(K) @ (s.C @ self.X - s.C_misfit)).reshape(N, m, self.X.shape[1])
-            gain = gain - 2.0 * np.sum(E * toward, axis=(1, 2))
-            gain -= np.sum((KC @ np.swapaxes(K, 1, 2)) * (E @ np.swapaxes(E, 1, 2)), axis=(1, 2))
+            h = s.H.shape[2]
+            E = s.H - (_flat(s.A) @ self.X).reshape(N, m, h)
+            toward = (_flat(AP) @ (s.C @ self.X - s.C_misfit)).reshape(N, m, h)
+            gain = gain - 2.0 * np.sum(E * (S_inverse @ toward), axis=(1, 2))
+            gain -= np.sum((S_inverse @ W @ S_inverse) * (E @ np.swapaxes(E, 1, 2)), axis=(1, 2))
         return np.asarray(gain)
 
 

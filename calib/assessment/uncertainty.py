@@ -150,7 +150,7 @@ def tool_uncertainty(
     tool itself, else those of the arm alone, at the tool's place. Raises MeasurementError for an unknown tool, or
     readings that are not the robot's.
     """
-    J, r = _sqrt_motion(uncertainty, _readings(uncertainty, readings), tool, base=base, tool_pose=tool_pose)
+    J, r = tool_motions(uncertainty, _readings(uncertainty, readings), tool, base=base, tool_pose=tool_pose)
     seen, unseen = J[:, :, :r], J[:, :, r:]
     sizes = np.sqrt(
         np.stack([np.sum(unseen[:, :3] ** 2, axis=(1, 2)), np.sum(unseen[:, 3:] ** 2, axis=(1, 2))], axis=1)
@@ -169,7 +169,7 @@ def common_errors(uncertainty: Uncertainty, data: Measurements) -> Array:
     for k, tool in enumerate(data.tools):
         rows = np.flatnonzero(data.tool == k)
         if len(rows):
-            J, r = _sqrt_motion(uncertainty, data.readings[rows], tool, base=True, tool_pose=True)
+            J, r = tool_motions(uncertainty, data.readings[rows], tool, base=True, tool_pose=True)
             found[rows] = J[:, :size, :r]
     return found
 
@@ -264,10 +264,13 @@ def _level(fit: Fit, quantity: str) -> NoiseLevel | None:
     return NoiseLevel(model, total, float(freedom.sum()) if model > 0.0 else float("inf"))
 
 
-def _sqrt_motion(
-    uncertainty: Uncertainty, readings: Array, tool: str, *, base: bool, tool_pose: bool
+def tool_motions(
+    uncertainty: Uncertainty, readings: Array, tool: str, *, base: bool = True, tool_pose: bool = True
 ) -> tuple[Array, int]:
-    """Return the motions (N, 6, r + k) of the tool for every column of ``factor`` and ``unseen``, and r."""
+    """Return the motions (N, 6, r + k) of the tool for every column of ``factor`` and ``unseen``, and r.
+
+    Arguments and axes as of :func:`tool_uncertainty`.
+    """
     robot, machine = uncertainty.robot, uncertainty.machine
     layout, number = Layout(robot), _tool_number(uncertainty, tool)
     columns = np.hstack([uncertainty.factor, uncertainty.unseen])

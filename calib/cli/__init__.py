@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 import calib
+from calib.cli import acceptance as acceptance
 from calib.cli import commands as commands
 from calib.cli import plan as plan
 from calib.cli.options import BAD_INPUT, app
