@@ -11,8 +11,10 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.assessment.acceptance import verify
 from calib.assessment.advice import advice
 from calib.assessment.bootstrap import bootstrap
+from calib.assessment.drift import compare
 from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
@@ -59,6 +61,7 @@ __all__ = [
     "advice",
     "bootstrap",
     "commands",
+    "compare",
     "dh",
     "error_model",
     "identify",
@@ -71,5 +74,6 @@ __all__ = [
     "total_differential",
     "uncertainty_map",
     "uncertainty_of",
+    "verify",
     "write_urdf",
 ]
