@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.assessment.design import Rows
-from calib.assessment.uncertainty import joint_limits
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.errors import JobError
@@ -17,6 +16,7 @@ from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Kind, Measurements
 from calib.robot.collision import SelfCollision
 from calib.robot.robot import Robot, TipModel
+from calib.robot.sampling import closing, joint_limits
 
 # What kinematic models leave out comes from eccentric encoders and gears and from gravity, mostly once a turn. On a
 # real UR10 (docs/pose_choice.md) second harmonics beside the first made the choice no better.
@@ -152,6 +152,9 @@ def possible(
     inside = np.all(unlimited | ((readings >= limits[:, 0] - 1e-9) & (readings <= limits[:, 1] + 1e-9)), axis=1)
     rejected = {"outside the joints' limits": int(np.count_nonzero(~inside))}
     kept = readings[inside]
+    closes = closing(robot, kept)
+    rejected["with a loop that does not close"] = int(np.count_nonzero(~closes))
+    kept = kept[closes]
     if sight is not None and len(kept):
         tips = frames.base @ robot.tips(kept)
         facing, within = sight.sees(tips, (tips @ frames.tools[0])[:, :3, 3])

@@ -58,7 +58,8 @@ class Space:
 
     ``A`` (N, m, r) and ``H`` (N, m, h): rows of the candidates. ``given`` (r, r) and ``given_misfit`` (r, h): of the
     poses measured already, and of priors. ``C`` (r, r), ``C_misfit`` (r, h) and ``misfit``: means over the working
-    poses of B^T B, B^T H and tr H^T H. ``V`` (p, r): the directions. ``criterion``: A is I with C = 1.
+    poses of B^T B, B^T H and tr H^T H. ``V`` (p, r): the directions, of which poses alone see ``seen``, and priors the
+    rest. ``criterion``: A is I with C = 1.
     """
 
     A: Array
@@ -69,12 +70,8 @@ class Space:
     C_misfit: Array
     misfit: float
     V: Array
+    seen: int
     criterion: Criterion
-
-    @property
-    def rank(self) -> int:
-        """Number of directions that the candidates see."""
-        return int(self.V.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,8 +108,8 @@ def space(
     p = J.shape[2]
     known = np.diag(np.zeros(p) if prior is None else prior**-2.0)
     before = [] if given is None else [_flat(given.of_parameters)]
-    stacked = np.concatenate([_flat(J), *before, np.sqrt(known)])
-    directions = identifiability.directions(linear.triangle(stacked))
+    of_poses = linear.triangle(np.concatenate([_flat(J), *before]))
+    directions = identifiability.directions(np.concatenate([of_poses, np.sqrt(known)]))
     V = directions.vectors[:, : directions.usable]
     if not V.shape[1]:
         raise JobError("the candidates see no parameter.")
@@ -131,7 +128,7 @@ def space(
     M = M + _NOTHING_KNOWN * typical * np.eye(V.shape[1])
     H = candidates.of_misfit if criterion == "I" else np.zeros((*J.shape[:2], 0))
     G, C_misfit = (G, C_misfit) if criterion == "I" else (G[:, :0], C_misfit[:, :0])
-    return Space(A, H, M, G, C, C_misfit, misfit, V, criterion)
+    return Space(A, H, M, G, C, C_misfit, misfit, V, identifiability.directions(of_poses).usable, criterion)
 
 
 def value_of(s: Space, chosen: Sequence[int]) -> float:

@@ -14,10 +14,10 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.identification.alignment import Known, Rows, align
-from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.robot.deviation import COMPONENTS
 from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import random_readings
 
 CONFIDENCE = 0.95
 # As in calib.identification.identifiability: an unseen direction that moves an entry by less has no part in it.
@@ -79,7 +79,7 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
     if set(old.tools).isdisjoint(new.tools):
         raise MeasurementError(f"the two calibrations have no tool in common: {old.tools} and {new.tools}.")
     names, units = _entries(robot)
-    count = Layout(robot).base
+    count = len(names)
     free_old, free_new = (_free(u, count) for u in (old, new))
     difference = _state(new.machine.deviations) - _state(old.machine.deviations)
     C = old.factor[:count] @ old.factor[:count].T + new.factor[:count] @ new.factor[:count].T
@@ -166,8 +166,8 @@ def _common_readings(old: Uncertainty, new: Uncertainty, seed: int) -> Array:
     low = np.maximum(old.identified[:, 0], new.identified[:, 0])
     high = np.minimum(old.identified[:, 1], new.identified[:, 1])
     # Where the two have no range in common, that of the new one.
-    low, high = (np.where(low <= high, bound, new.identified[:, k]) for k, bound in enumerate((low, high)))
-    return np.random.default_rng(seed).uniform(low, high, (_SAMPLES, len(low)))
+    apart = (low > high)[:, None]
+    return random_readings(old.robot, _SAMPLES, np.where(apart, new.identified, np.stack([low, high], axis=1)), seed)
 
 
 def _by_entry(u: Uncertainty, readings: Array, count: int) -> Array:

@@ -87,7 +87,7 @@ def plan(
         floor = design.parts_of(by_error, range(len(candidates)))[1]
         forecasts = tuple(
             _forecast(judged, by_error, floor, n, found.chosen if n == count else None, seed)
-            for n in _counts(count, len(candidates), 0 if given is not None else -(-judged.rank // 3) + 1)
+            for n in _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
         )
         random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
         enough = None if target is None else _enough(by_error, floor, target)
@@ -95,7 +95,7 @@ def plan(
         read_only(candidates[list(_near_each_other(candidates, found.chosen))]),
         _near_each_other(candidates, found.chosen),
         len(model.parameters()),
-        judged.rank,
+        judged.seen,
         forecasts,
         _indices(judged, found.chosen),
         {name: float(np.median([r[name] for r in random])) for name in random[0]},
@@ -150,8 +150,9 @@ def _enough(s: Space, floor: float, target: float) -> int | None:
 
 def _indices(s: Space, chosen: Sequence[int]) -> dict[str, float]:
     """Return O1 to O5 of poses, in the directions that all candidates see; of whitened rows."""
-    A = s.A[list(chosen)].reshape(-1, s.rank)
-    return indices(np.asarray(np.linalg.svd(A, compute_uv=False), dtype=np.float64), len(chosen))
+    A = s.A[list(chosen)]
+    values = np.linalg.svd(A.reshape(-1, A.shape[2]), compute_uv=False)[: s.seen]
+    return indices(np.asarray(values, dtype=np.float64), len(chosen))
 
 
 def _root(square: float) -> float:

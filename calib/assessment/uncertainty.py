@@ -21,6 +21,7 @@ from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import random_readings
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -61,7 +62,8 @@ class Uncertainty:
     @property
     def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
-        return min(level.degrees_of_freedom for level in (self.position, self.orientation) if level is not None)
+        levels = (self.position, self.orientation)
+        return min((level.degrees_of_freedom for level in levels if level is not None), default=float("inf"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,8 +204,7 @@ def uncertainty_map(
 
     Joints without limits turn once. ``progress`` is told how many of how many are done.
     """
-    bounds = joint_limits(uncertainty.robot) if limits is None else limits
-    readings = np.random.default_rng(seed).uniform(bounds[:, 0], bounds[:, 1], (samples, len(bounds)))
+    readings = random_readings(uncertainty.robot, samples, limits, seed)
     found: list[ToolUncertainty] = []
     for chunk in np.array_split(readings, max(samples // 500, 1)):
         found.append(tool_uncertainty(uncertainty, chunk, tool, base=base))
@@ -215,20 +216,6 @@ def uncertainty_map(
         read_only(tips[:, :3, 3]),
         read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
         read_only(np.concatenate([f.unseen for f in found])),
-    )
-
-
-def joint_limits(robot: Robot) -> Array:
-    """Return the limits (nr, 2) of the readings; a joint without turns once, or slides a metre to either side."""
-    turn = {"angle": np.pi, "length": 1.0}
-    return np.array(
-        [
-            (
-                -turn[reading.dimension] if reading.lower is None else reading.lower,
-                turn[reading.dimension] if reading.upper is None else reading.upper,
-            )
-            for reading in robot.readings
-        ]
     )
 
 

@@ -18,6 +18,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import RobotError
 from calib.robot.robot import Robot
+from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
 
 _LARGEST_MESH = 200_000_000
@@ -124,11 +125,7 @@ def self_collision(
     if not shapes:
         return None
     if readings is None:
-        rng = np.random.default_rng(0)
-        limits = [(r.lower, r.upper) for r in robot.readings]
-        low = np.array([-np.pi if lower is None else lower for lower, _ in limits])
-        high = np.array([np.pi if upper is None else upper for _, upper in limits])
-        readings = rng.uniform(low, high, (_SAMPLES, len(limits)))
+        readings = random_readings(robot, _SAMPLES)
     return SelfCollision(robot, shapes, notes).without_lasting(readings)
 
 

@@ -84,6 +84,10 @@ def test_priors_stand_in_for_poses() -> None:
     s = space(candidates, "A", working, prior=prior)
     A = candidates.of_parameters[0]
     assert value_of(s, (0,)) == pytest.approx(np.trace(np.linalg.inv(A.T @ A + np.diag(prior**-2.0))), rel=1e-4)
+    # What priors alone know is judged too, but nothing that poses see.
+    blind = Rows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
+    known = space(blind, "A", working, prior=prior)
+    assert (known.seen, known.V.shape[1]) == (3, 4)
 
 
 def test_the_order_of_candidates_and_unseen_parameters_change_nothing() -> None:
@@ -98,7 +102,7 @@ def test_the_order_of_candidates_and_unseen_parameters_change_nothing() -> None:
         for r in (candidates, working)
     )
     doubled = space(next(wider), "I", next(wider))
-    assert doubled.rank == s.rank == 4
+    assert doubled.seen == s.seen == 4
     assert value_of(doubled, (0, 1, 2, 3)) == pytest.approx(value_of(s, (0, 1, 2, 3)), rel=1e-6)
 
 
@@ -134,7 +138,7 @@ def spaced(criterion: Criterion, n: int, misfit: float = 0.0) -> Space:
 def test_thirty_of_three_hundred_beat_random_designs(criterion: Criterion, misfit: float) -> None:
     """Against 500 here; scripts/pose_choice.py takes 10 000."""
     s = spaced(criterion, 300, misfit)
-    assert s.rank == 27
+    assert s.seen == 27
     found, random = choose(s, 30), random_values(s, 30, 500)
     assert found.value > random.max() if criterion == "D" else found.value < random.min()
 
@@ -172,7 +176,7 @@ def test_poses_bring_six_numbers() -> None:
     found = rows(model, setup, q)
     assert found.of_parameters.shape == (40, 6, 48)
     assert found.of_misfit.shape == (40, 6, 12)
-    assert space(found, "D").rank == 30
+    assert space(found, "D").seen == 30
 
 
 @pytest.mark.parametrize("field", ["sigma", "misfit"])

@@ -9,10 +9,10 @@ import pytest
 import calib
 from calib.assessment.candidates import Setup, Sight, possible, random_candidates
 from calib.assessment.planning import Plan, plan
-from calib.assessment.uncertainty import joint_limits
 from calib.foundations import rigid
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
+from calib.robot.sampling import joint_limits
 from tests.identification import machines
 from tests.identification.machines import anywhere, pose
 from tests.job.cases import CASE, copy_case, run

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.uncertainty import (
     common_errors,
-    joint_limits,
     outside_identified,
     squared_bound,
     tool_uncertainty,
@@ -23,6 +22,7 @@ from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
+from calib.robot.sampling import joint_limits
 from tests.identification import machines
 from tests.identification.machines import Array, Machine, anywhere, pose
 
