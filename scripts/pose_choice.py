@@ -95,7 +95,7 @@ def real(robot: calib.Robot, dataset: Path, splits: int, sets: int) -> list[str]
         f"readings alone. mm, held-out rows; random: medians of {sets} sets. Split 0 is that of",
         "scripts/ur10_leica_job.py. Random sets of 45 have nearly the largest error that all rows leave: the last",
         "column is what could be gained. Where all rows leave 1.7 mm or more, it is one of three rows known as wrong",
-        "(534, 856, 857: see scripts/ur10_leica_job.py), and no choice of poses makes it smaller.",
+        "(534, 856, 857: see scripts/ur10_leica_job.py), and says little about the choice of poses.",
         "",
         "| split | 30 random, mean | 30 chosen, mean | 45 random, max | 30 chosen, max | all rows, max |",
         "|--:|--:|--:|--:|--:|--:|",

@@ -48,10 +48,11 @@ def verify_command(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Verify a calibrated machine by new measurements, ten points or more.
+    """Verify a calibrated machine by new measurements.
 
-    It passes when every error is within the limit, where one is given, and the errors together are no larger than the
-    stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad input, 2 wrong usage, 3 failed.
+    Ten points or more are enough. It passes when every error is within the limit, where one is given, and the errors
+    together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
+    input, 2 wrong usage, 3 failed.
     """
     with progress(shown=not (quiet or as_json)) as say:
         say("reading the model and the measurements")
@@ -105,7 +106,10 @@ def _plain(judgement: Judgement) -> dict[str, Any]:
 def compare_command(
     old: Annotated[Path, _OLD], new: Annotated[Path, _LATER], as_json: Json = False, quiet: Quiet = False
 ) -> None:
-    """Compare two calibrations of one machine: what has moved by more than chance, and what it does at the tip."""
+    """Compare two calibrations of one machine.
+
+    What has moved by more than chance explains, and what it does at the tip.
+    """
     with progress(shown=not (quiet or as_json)) as say:
         say("reading both models")
         before, after = (_doubts(load_model(folder), folder) for folder in (old, new))
@@ -154,7 +158,10 @@ def uncertainty(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure the calibrated machine is of its tool, over the workspace, in the robot's base."""
+    """Show how sure a calibrated machine is of its tool.
+
+    Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
+    """
     if out is not None and out.exists():
         raise OutputError(f"{out}: is there already; choose another name.")
     with progress(shown=not (quiet or as_json)) as say:
