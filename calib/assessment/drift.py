@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions, tool_uncertainty
+from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.identification.alignment import Known, Rows, align
+from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.robot.deviation import COMPONENTS
 from calib.robot.robot import Deviations, Robot
@@ -51,7 +52,8 @@ class Comparison:
     ``changes``: of parameters that both have seen by themselves. ``statistic`` follows chi-square (F, with estimated
     noise) with ``degrees_of_freedom``; ``probability`` of a larger one if nothing has moved; both None where the two
     free different parameters. ``tip_rms``, ``tip_max``: in m, of the tool over the poses that both were identified in,
-    the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties explain there.
+    the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
+    explain of that.
     """
 
     changes: tuple[Change, ...]
@@ -110,9 +112,9 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
         if freedom:
             tail = stats.chi2.sf(statistic, freedom) if np.isinf(nu) else stats.f.sf(statistic / freedom, freedom, nu)
             probability = float(tail)
-    errors = _at_tip(old, new, readings)
     tool = next(name for name in old.tools if name in new.tools)
-    stated = sum(tool_uncertainty(u, readings, tool, base=False).position ** 2 for u in (old, new))
+    errors = _at_tip(old, new, readings, tool)
+    stated = _stated(old, readings, tool) + _stated(new, readings, tool)
     return Comparison(
         tuple(changes),
         statistic,
@@ -120,7 +122,7 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
         probability,
         float(np.sqrt(np.mean(errors**2))),
         float(errors.max()),
-        float(np.sqrt(np.mean(stated))),
+        float(np.sqrt(stated)),
     )
 
 
@@ -167,7 +169,8 @@ def _common_readings(old: Uncertainty, new: Uncertainty, seed: int) -> Array:
     high = np.minimum(old.identified[:, 1], new.identified[:, 1])
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]
-    return random_readings(old.robot, _SAMPLES, np.where(apart, new.identified, np.stack([low, high], axis=1)), seed)
+    limits = np.where(apart, new.identified, np.stack([low, high], axis=1))
+    return random_readings(old.robot, _SAMPLES, limits, (old.machine.deviations, new.machine.deviations), seed=seed)
 
 
 def _by_entry(u: Uncertainty, readings: Array, count: int) -> Array:
@@ -177,9 +180,21 @@ def _by_entry(u: Uncertainty, readings: Array, count: int) -> Array:
     return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
 
 
-def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array) -> Array:
+def _stated(u: Uncertainty, readings: Array, tool: str) -> float:
+    """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
+    layout, number = Layout(u.robot), u.tools.index(tool)
+    of_robot = u.factor.copy()
+    of_robot[layout.base :] = 0.0
+    fitted = np.eye(len(u.factor))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
+    J, _ = tool_motions(replace(u, factor=np.hstack([of_robot, fitted]), unseen=of_robot[:, :0]), readings, tool)
+    rows = J[:, :3].reshape(-1, J.shape[2])
+    moved, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
+    rest = moved - frames @ np.linalg.lstsq(frames, moved, rcond=None)[0]
+    return float(np.sum(rest**2)) / len(readings)
+
+
+def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array, tool: str) -> Array:
     """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
-    tool = next(name for name in old.tools if name in new.tools)
     before, after = old.tools.index(tool), new.tools.index(tool)
     tips = [u.robot.tips(readings, u.machine.deviations) for u in (old, new)]
     target = (tips[1] @ new.machine.frames.tools[after])[:, :3, 3]

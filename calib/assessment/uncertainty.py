@@ -204,7 +204,7 @@ def uncertainty_map(
 
     Joints without limits turn once. ``progress`` is told how many of how many are done.
     """
-    readings = random_readings(uncertainty.robot, samples, limits, seed)
+    readings = random_readings(uncertainty.robot, samples, limits, (uncertainty.machine.deviations,), seed=seed)
     found: list[ToolUncertainty] = []
     for chunk in np.array_split(readings, max(samples // 500, 1)):
         found.append(tool_uncertainty(uncertainty, chunk, tool, base=base))

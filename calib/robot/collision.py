@@ -6,8 +6,8 @@ is left out, and said.
 """
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.parsers import expat
 
@@ -48,55 +48,42 @@ class _Shape:
     radius: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class SelfCollision:
     """The collision shapes of a robot. Made by :func:`self_collision`.
 
-    ``notes``: sentences on what is not judged.
+    ``bodies``: number of the body of every link; ``pairs`` of bodies that are judged; ``notes``: sentences on what is
+    not judged.
     """
 
-    def __init__(self, robot: Robot, shapes: Sequence[_Shape], notes: Sequence[str]) -> None:
-        self._robot, self._shapes = robot, tuple(shapes)
-        self._body, carried_by = _bodies(robot)
-        bodies = sorted({self._body[shape.link] for shape in shapes})
-        self._pairs = tuple(
-            (a, b) for a, b in itertools.combinations(bodies, 2) if a not in (carried_by[b], b) and b != carried_by[a]
-        )
-        self.notes = tuple(notes)
+    robot: Robot
+    shapes: tuple[_Shape, ...]
+    bodies: Mapping[str, int]
+    pairs: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
 
     def colliding(self, readings: Array) -> BoolArray:
         """Return at which of the readings (N, nr) in rad and m the robot, as its URDF has it, touches itself."""
-        placed = self._placed(readings)
+        placed = _link_placements(self.robot, readings)
         found = np.zeros(len(readings), dtype=bool)
-        for pair in self._pairs:
+        for pair in self.pairs:
             rows = np.flatnonzero(~found)
             found[rows] = self._touch(pair, {name: T[rows] for name, T in placed.items()}, len(rows))
         return found
 
     def without_lasting(self, readings: Array) -> "SelfCollision":
         """Return the same without pairs of bodies that touch at all of the readings (N, nr), said in the notes."""
-        placed = self._placed(readings)
-        lasting = [pair for pair in self._pairs if bool(np.all(self._touch(pair, placed, len(readings))))]
-        other = SelfCollision(self._robot, self._shapes, self.notes)
-        other._pairs = tuple(pair for pair in self._pairs if pair not in lasting)
-        other.notes = (
-            *self.notes,
-            *(
-                f"{self._name(a)} and {self._name(b)} touch in every sampled pose, and are not judged."
-                for a, b in lasting
-            ),
-        )
-        return other
+        placed = _link_placements(self.robot, readings)
+        lasting = [pair for pair in self.pairs if bool(np.all(self._touch(pair, placed, len(readings))))]
+        named = {self.bodies[shape.link]: shape.link for shape in reversed(self.shapes)}
+        said = (f"{named[a]} and {named[b]} touch in every sampled pose, and are not judged." for a, b in lasting)
+        kept = tuple(pair for pair in self.pairs if pair not in lasting)
+        return replace(self, pairs=kept, notes=(*self.notes, *said))
 
-    def _name(self, body: int) -> str:
-        return next(shape.link for shape in self._shapes if self._body[shape.link] == body)
-
-    def _placed(self, readings: Array) -> dict[str, Array]:
-        return _link_placements(self._robot, readings)
-
-    def _touch(self, pair: tuple[int, int], placed: dict[str, Array], n: int) -> BoolArray:
+    def _touch(self, pair: tuple[int, int], placed: Mapping[str, Array], n: int) -> BoolArray:
         """Return in which of n poses two bodies touch; balls about the shapes rule most of them out."""
         found = np.zeros(n, dtype=bool)
-        a_shapes, b_shapes = ([s for s in self._shapes if self._body[s.link] == body] for body in pair)
+        a_shapes, b_shapes = ([s for s in self.shapes if self.bodies[s.link] == body] for body in pair)
         request = coal.CollisionRequest()
         for a, b in itertools.product(a_shapes, b_shapes):
             Ta, Tb = placed[a.link], placed[b.link]
@@ -126,7 +113,10 @@ def self_collision(
         return None
     if readings is None:
         readings = random_readings(robot, _SAMPLES)
-    return SelfCollision(robot, shapes, notes).without_lasting(readings)
+    bodies, carried_by = _bodies(robot)
+    judged = itertools.combinations(sorted({bodies[shape.link] for shape in shapes}), 2)
+    pairs = tuple((a, b) for a, b in judged if a != carried_by[b] and b != carried_by[a])
+    return SelfCollision(robot, tuple(shapes), bodies, pairs, tuple(notes)).without_lasting(readings)
 
 
 def _elements(source: bytes) -> list[_Element]:
@@ -148,12 +138,11 @@ def _elements(source: bytes) -> list[_Element]:
             case ["robot", "link", "collision", "geometry", shape]:
                 found.append(_Element(link, {}, shape, attributes))
 
-    def end(tag: str) -> None:
+    def end(_: str) -> None:
         if stack == ["robot", "link", "collision"] and found and found[-1].link == link:
             # The origin may stand behind the geometry.
             found[-1] = _Element(link, origin, found[-1].shape, found[-1].attributes)
         stack.pop()
-        assert tag, "expat names what it ends"
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
