@@ -27,6 +27,7 @@ from calib.foundations.errors import (
     OutputError,
     RobotError,
 )
+from calib.identification import positioner
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
@@ -68,6 +69,7 @@ __all__ = [
     "load_model",
     "load_robot",
     "outside_identified",
+    "positioner",
     "read_measurements",
     "table",
     "tool_uncertainty",

@@ -103,6 +103,8 @@ def verify(
     Raises MeasurementError when a tool was not identified, when orientations are judged by a calibration that saw none,
     or when the base is to be found anew from fewer than three positions.
     """
+    if data.kind not in ("position", "pose"):
+        raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
     data = _known_tools(uncertainty, data)
     sigma = _sigma(uncertainty, data)
     as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, shifts, base=False)
@@ -152,6 +154,7 @@ def _realigned(uncertainty: Uncertainty, data: Measurements, shifts: Array | Non
     tips = uncertainty.robot.tips(data.readings, machine.deviations)
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
     tools = machine.frames.tools
+    assert data.position is not None, "positions and poses have one"
     position = data.position if shifts is None else data.position - shifts
     base, _ = align(Rows(tips, position, turned, data.tool), Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools)
     return replace(machine, frames=Frames(base, tools))
@@ -179,7 +182,7 @@ def _judged(
             T, n = T - float(seen @ np.linalg.solve(B.T @ weighed(B), seen)), n - 6
     nu = uncertainty.degrees_of_freedom
     probability = stats.chi2.sf(T, n) if np.isinf(nu) else stats.f.sf(T / n, n, nu)
-    return Judgement(dict(metrics([r])), read_only(r), ChiSquare(T, n, float(probability)))
+    return Judgement(dict(metrics([(data.kind, r)])), read_only(r), ChiSquare(T, n, float(probability)))
 
 
 def _base_motion(uncertainty: Uncertainty, machine: Machine, data: Measurements) -> Array:

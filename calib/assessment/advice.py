@@ -14,9 +14,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
-from calib.identification.identify import with_common_tools
 from calib.identification.machine import Frames, values_at
-from calib.identification.start import start_frames
+from calib.identification.start import start_frames, with_common_names
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
 
@@ -83,7 +82,10 @@ def blind_advice(
     """
     if not blind:
         return ()
-    helpful = _tried(model, with_common_tools(model, measurements), blind)
+    if any(data.position is None for data in measurements):
+        # What more would help is tried with what an instrument sees; sockets and gauges are another matter.
+        return tuple(Advice("blind", tuple(direction.shares), str(direction)) for direction in blind)
+    helpful = _tried(model, with_common_names(model, measurements), blind)
     return tuple(_blind_advice(direction, names) for direction, names in zip(blind, helpful, strict=True))
 
 

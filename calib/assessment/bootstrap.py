@@ -13,17 +13,16 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from calib.assessment.validation import groups
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
+from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 
 Kind = Literal["residuals", "poses"]
-
-# Readings closer than this, in rad and m, are the same pose visited again.
-_SAME_POSE = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +74,11 @@ def bootstrap(
         raise MeasurementError(f"there is no tool {tool!r}; the calibrated tools are {', '.join(map(repr, tools))}.")
     where = np.asarray(readings, dtype=np.float64)
     rng = np.random.default_rng(seed)
-    groups = [pose_groups(data) for data in fit.measurements]
+    poses = [pose_groups(data) for data in fit.measurements]
     values, positions, failed = [], [], 0
     for done in range(repetitions):
         if kind == "poses":
-            sets = [data.subset(_drawn(rows, rng)) for data, rows in zip(fit.measurements, groups, strict=True)]
+            sets = [data.subset(_drawn(rows, rng)) for data, rows in zip(fit.measurements, poses, strict=True)]
         else:
             sets = _with_other_residuals(fit, rng)
         # A minimal set was chosen once and for all: what it does not hold is not free here.
@@ -99,10 +98,9 @@ def bootstrap(
 
 
 def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
-    """Return the rows of every pose: those of one ``group``, or, without groups, those with the same readings."""
-    if data.group is not None:
-        return tuple(rows_by_word(data.group).values())
-    return tuple(rows_by_word(map(tuple, np.round(data.readings / _SAME_POSE).astype(np.int64).tolist())).values())
+    """Return the rows of every pose: those of one ``group``, or of the same readings."""
+    group = groups([data])
+    return tuple(np.flatnonzero(group == k) for k in range(int(group.max(initial=-1)) + 1))
 
 
 def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> IntArray:
@@ -119,11 +117,13 @@ def _with_other_residuals(fit: Fit, rng: np.random.Generator) -> list[Measuremen
         wide = r.copy()
         for noise in fit.noise:
             if noise.measurements == i:
-                columns = slice(0, 3) if noise.quantity == "position" else slice(3, 6)
+                columns = next(q.columns for q in QUANTITIES[data.kind] if q.name == noise.quantity)
                 wide[:, columns] *= np.sqrt(r[:, columns].size / max(noise.degrees_of_freedom, 1.0))
         wide = wide[rng.integers(len(data), size=len(data))]
-        position = data.position - r[:, :3] + wide[:, :3]
-        orientation = data.orientation
+        position, orientation = data.position, data.orientation
+        if position is None:
+            raise MeasurementError(f"{data.where}: a {data.kind} has no measured point whose residual could be drawn.")
+        position = position - r[:, :3] + wide[:, :3]
         if orientation is not None:
             predicted = orientation @ np.swapaxes(rigid.exp3(r[:, 3:]), 1, 2)
             orientation = predicted @ rigid.exp3(wide[:, 3:])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +14,12 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, values_at
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, jacobian
-from calib.measurement.measurements import Kind, Measurements
+from calib.measurement.measurements import unmeasured
 from calib.robot.collision import SelfCollision
 from calib.robot.robot import Robot, TipModel
 from calib.robot.sampling import closing, joint_limits
+
+Observed = Literal["position", "pose"]
 
 # What kinematic models leave out comes from eccentric encoders and gears and from gravity, mostly once a turn. On a
 # real UR10 (docs/pose_choice.md) second harmonics beside the first made the choice no better.
@@ -32,7 +35,7 @@ class Setup:
     """
 
     frames: Frames
-    observes: Kind = "position"
+    observes: Observed = "position"
     sigma: float = 0.05e-3
     sigma_angle: float = 0.1e-3
     misfit: float = 0.0
@@ -60,24 +63,17 @@ def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
     return Rows(-J, H)
 
 
-def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Kind) -> tuple[Array, Array]:
+def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
     """Return residuals' changes (N, d, p) for one ordinary deviation, and effects (N, d, h) left out, in m and rad."""
     robot, frames = model.robot, setup.frames
     tips, by_reading = TipModel(robot).driven(readings)
     placed = frames.base @ tips @ frames.tools[0]
-    data = Measurements(
-        kind=observes,
-        reading_names=tuple(reading.name for reading in robot.readings),
-        readings=readings,
-        position=placed[:, :3, 3],
-        orientation=placed[:, :3, :3] if observes == "pose" else None,
-        sigma=np.ones((len(readings), 6 if observes == "pose" else 3)),
-        tools=("tool",),
-        tool=np.zeros(len(readings), dtype=np.intp),
-        group=None,
-        target=None,
+    data = unmeasured(
+        [reading.name for reading in robot.readings],
+        readings,
+        placed[:, :3, 3],
+        placed[:, :3, :3] if observes == "pose" else None,
         where="candidates",
-        lines=np.arange(len(readings)),
     )
     parameters = model.parameters()
     problem = Problem(model, parameters, frames, (data,))

@@ -1,7 +1,8 @@
 """Two calibrations of one machine: what has moved by more than their joint uncertainty, and what that means at the tip.
 
-Parameters are compared in the state of the robot, six deviations of every joint and the offsets of those that move.
-What one of the two did not see is no difference: the joint test takes the combinations that both have seen.
+Parameters are compared in the state of the robot, six deviations of every joint and the offsets of those that move;
+what joint terms did shows at the tip. What one of the two did not see is no difference: the joint test takes the
+combinations that both have seen.
 """
 
 from dataclasses import dataclass, replace

@@ -19,7 +19,8 @@ from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
-from calib.measurement.measurements import Measurements
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements, unmeasured
 from calib.robot.robot import Deviations, Robot
 from calib.robot.sampling import random_readings
 
@@ -46,8 +47,8 @@ class Uncertainty:
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
     covariance of the state is ``factor @ factor.T``. ``unseen`` (n, k): changes of the state that the data do not see,
-    each one ordinary deviation long. ``position`` and ``orientation``: the noise, None where it was not measured.
-    ``identified`` (nr, 2): least and greatest of every reading in the data.
+    each one ordinary deviation long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
+    none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
     """
 
     robot: Robot
@@ -117,8 +118,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     """Return the doubts about the machine of a fit, in the frames of its URDF."""
     source, machine = Layout(fit.robot), fit.machine
     own = Layout(fit.model.robot)
-    size = own.tools + 6 * len(machine.frames.tools)
-    to_state = directions(fit.parameters, size)
+    # Targets and lengths are no part of the machine, which the results are about.
+    to_state = directions(fit.parameters, Layout.of(fit.model.robot, machine.frames).size)
     parts = [to_state[: own.offsets], to_state[own.offsets : own.base]]
     if fit.model.dh is not None:
         parts[0] = fit.model.dh.source_rates(machine.deviations) @ parts[0]
@@ -137,8 +138,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         fit.measurements[0].tools,
         read_only(state @ _factor(fit.covariance, s)),
         read_only(state @ (fit.unseen * s[:, None])),
-        _level(fit, "position"),
-        _level(fit, "orientation"),
+        _level(fit, "m"),
+        _level(fit, "rad"),
         read_only(np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)),
     )
 
@@ -228,7 +229,7 @@ def placed_machine(deviations: Deviations, frames: Frames) -> Machine:
         return W
 
     tools = np.stack([twists(T) for T in frames.tools])
-    return Machine(deviations, frames, twists(frames.base), tools)
+    return Machine(deviations, Frames(frames.base, frames.tools), twists(frames.base), tools, np.zeros((0, 6, 6)))
 
 
 def _factor(covariance: Array, s: Array) -> Array:
@@ -238,8 +239,9 @@ def _factor(covariance: Array, s: Array) -> Array:
     return np.asarray(s[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
-def _level(fit: Fit, quantity: str) -> NoiseLevel | None:
-    parts = [noise for noise in fit.noise if noise.quantity == quantity]
+def _level(fit: Fit, unit: str) -> NoiseLevel | None:
+    units = {quantity.name: quantity.unit for kind in QUANTITIES.values() for quantity in kind}
+    parts = [noise for noise in fit.noise if units[noise.quantity] == unit]
     freedom = np.array([noise.degrees_of_freedom for noise in parts])
     if not parts or freedom.sum() <= 0.0:
         return None
@@ -271,24 +273,19 @@ def tool_motions(
     )
     model = ErrorModel(robot, (), (), "pose", "pose")
     placed = machine.frames.base @ robot.tips(readings, machine.deviations) @ machine.frames.tools[number]
-    data = Measurements(
-        kind="pose",
-        reading_names=tuple(reading.name for reading in robot.readings),
-        readings=readings,
-        position=placed[:, :3, 3],
-        orientation=placed[:, :3, :3],
-        sigma=np.ones((len(readings), 6)),
+    data = unmeasured(
+        [reading.name for reading in robot.readings],
+        readings,
+        placed[:, :3, 3],
+        placed[:, :3, :3],
         tools=uncertainty.tools,
-        tool=np.full(len(readings), number),
-        group=None,
-        target=None,
+        tool=number,
         where="prediction",
-        lines=np.arange(len(readings)),
     )
     problem = Problem(model, parameters, machine.frames, (data,))
     with one_thread():
         # Of a residual, measured minus predicted, that is zero: the prediction moves the other way.
-        J = -np.concatenate([block for _, _, block in blocks(problem, data, machine, np.ones(len(parameters)))])
+        J = -np.concatenate([block.J for block in blocks(problem, data, machine, np.ones(len(parameters)))])
     if not base:
         J[:, :3] = machine.frames.base[:3, :3].T @ J[:, :3]
     return J, uncertainty.factor.shape[1]

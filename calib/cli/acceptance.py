@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from calib.assessment.acceptance import Judgement, verify
+from calib.assessment.candidates import Observed
 from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures, read_cycles
 from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
@@ -19,7 +20,6 @@ from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.units import parse_quantity
-from calib.measurement.measurements import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
     change_table,
@@ -41,7 +41,7 @@ _LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.",
 def verify_command(
     results: ResultFolder,
     measurements: Annotated[Path, _NEW],
-    observes: Annotated[Kind, typer.Option(help="What was measured.")] = "position",
+    observes: Annotated[Observed, typer.Option(help="What was measured.")] = "position",
     sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="The instrument's noise.")] = None,
     limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Of every position error.")] = None,
     refit_base: Annotated[bool, typer.Option("--refit-base", help="The instrument was moved: find the base.")] = False,

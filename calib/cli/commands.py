@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -30,19 +31,23 @@ from calib.cli.options import (
     app,
 )
 from calib.compensation import targets as targets_of
+from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
 from calib.job.inputs import load
+from calib.job.report import report_of
 from calib.job.results import refuse_folder, result_json, robot_errors, write_results
 from calib.job.run import run
-from calib.presentation.console import literal, progress, sentence, show, warning, write
+from calib.presentation.cell_scene import cell_scene
+from calib.presentation.console import brief, progress, sentence, show, warning, write
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
+from calib.presentation.scene import render_scene
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
-from calib.presentation.tables import blind_lines, error_table, level_table, lost_lines, verdict
+from calib.presentation.tables import blind_lines
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
@@ -64,13 +69,8 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
         write(result_json(outcome))
     elif not quiet:
         show(
-            *(warning(finding.sentence) for finding in inputs.findings),
-            error_table(outcome.metrics),
-            *([] if outcome.trace is None else [literal(str(outcome.trace))]),
-            *([level_table([(e.name, e.free, e.rank, e.metrics) for e in outcome.levels])] if outcome.levels else []),
-            *verdict(outcome.fit, outcome.doubts),
-            *lost_lines(outcome.lost_in_urdf),
-            sentence(f"Results are in {out}: calibrated.urdf, result.json, residuals.csv, scene.html."),
+            *brief(report_of(outcome)),
+            sentence(f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json."),
         )
     if outcome.doubts:
         raise typer.Exit(NOT_TRUSTED)
@@ -190,6 +190,45 @@ def performance(
         write(json.dumps({"schema": 1, **figures}, indent=2, allow_nan=False) + "\n")
     elif not quiet:
         show(performance_table(before, after))
+
+
+@app.command()
+def cell(
+    arm: Annotated[Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False)],
+    positioner: Annotated[
+        Path, typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.")],
+    scene: Annotated[
+        Path | None, typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False)
+    ] = None,
+    placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
+    prefix: Annotated[
+        str | None, typer.Option("--prefix", metavar="NAME", help="Before names that both use.", show_default=False)
+    ] = None,
+    mesh_root: Annotated[
+        list[Path] | None,
+        typer.Option("--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Put an arm and the positioner it touched into one URDF.
+
+    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
+    use. It may as well be another arm, a turntable or a track.
+    """
+    for file in (out, scene):
+        if file is not None and file.exists():
+            raise OutputError(f"{file}: is there already; choose another name.")
+    found = calibrated_cell(arm, positioner, placed_in, prefix)
+    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", mesh_root or ()))
+    write_atomically(out, found.cell.document)
+    if scene is not None and page is not None:
+        write_atomically(scene, page)
+    if not quiet:
+        renamed = [new for names in (found.cell.links, found.cell.joints) for old, new in names.items() if old != new]
+        changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
+        show(sentence(f"The cell is in {out}.{changed}"))
 
 
 @app.command(name="dh")

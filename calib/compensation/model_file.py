@@ -3,7 +3,7 @@
 import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -21,6 +21,7 @@ from calib.identification.fit import Fit
 from calib.identification.machine import Frames
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.transmission import JointTerm, TermKind
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -103,6 +104,21 @@ class LoopEntry(_Strict):
     passive: tuple[str, ...]
 
 
+class TermEntry(_Strict):
+    """A joint term: the reading moves on by ``amount`` (SI) times what its kind and order say."""
+
+    reading: str
+    kind: TermKind
+    order: int = Field(ge=0)
+    amount: float
+
+    @model_validator(mode="after")
+    def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
+        if (self.order > 0) != (self.kind in ("cos", "sin")):
+            raise ValueError("a term has an order if, and only if, it is a harmonic")
+        return self
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -117,6 +133,7 @@ class ModelFile(_Strict):
     residual_model: Literal["grid.npz"] | None = None
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
+    terms: tuple[TermEntry, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,6 +197,10 @@ def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
             for loop in robot.closed_loops
         ),
+        terms=tuple(
+            TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
+            for term, amount in zip(robot.terms, deviations.terms, strict=True)
+        ),
     )
 
 
@@ -226,8 +247,16 @@ def load_model(folder: str | Path) -> CalibratedModel:
         raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
+    terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
+    names = [reading.name for reading in robot.readings]
+    if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+        raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
-    deviations = Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets))
+    amounts = [term.amount for term in model.terms]
+    robot = replace(robot, terms=terms)
+    deviations = Deviations(
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+    )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
     doubts = folder / UNCERTAINTY_FILE

@@ -9,11 +9,10 @@ from calib.foundations.arrays import Array
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
-from calib.identification.identify import with_common_tools
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter
-from calib.identification.start import start_frames
-from calib.identification.system import Problem, evaluate
+from calib.identification.start import posed
+from calib.identification.system import evaluate
 from calib.measurement.measurements import Measurements
 
 
@@ -54,14 +53,12 @@ def indices(singular_values: Array, poses: int) -> dict[str, float]:
 
 def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Observability:
     """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
-    sets = with_common_tools(model, measurements)
-    parameters = model.parameters(sets[0].tools)
-    frames = start_frames(model, sets)
-    problem = Problem(model, parameters, frames, sets)
+    problem = posed(model, measurements)
+    parameters, sets = problem.parameters, problem.measurements
     # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
     ones = [np.full(data.sigma.shape, 1e-3) for data in sets]
-    x = values_at(model.robot, parameters, frames)
-    rows = np.concatenate([triangle[:, :-1] for triangle in evaluate(problem, ones, x).triangles])
+    x = values_at(model.robot, parameters, problem.reference)
+    rows = evaluate(problem, ones, x).rows[:, :-1]
     directions = identifiability.directions(rows)
     rank = directions.rank
     _, blind = identifiability.told(rows, rank, parameters)

@@ -54,9 +54,10 @@ def test_a_seed_is_an_answer_and_another_one_another() -> None:
 def test_rows_of_one_pose_stay_together() -> None:
     fit, _ = fit_of(6)
     data = fit.measurements[0].subset([0, 1, 2, 0, 4, 1])
-    assert [rows.tolist() for rows in pose_groups(data)] == [[0, 3], [1, 5], [2], [4]]
+    assert sorted(rows.tolist() for rows in pose_groups(data)) == [[0, 3], [1, 5], [2], [4]]
     named = replace(data, group=("a", "b", "b", "a", "a", "c"))
-    assert [rows.tolist() for rows in pose_groups(named)] == [[0, 3, 4], [1, 2], [5]]
+    # Row 5 is the pose of row 1 again, whatever it is called.
+    assert sorted(rows.tolist() for rows in pose_groups(named)) == [[0, 3, 4], [1, 2, 5]]
 
 
 def test_wrong_wishes_are_refused() -> None:

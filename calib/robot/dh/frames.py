@@ -112,7 +112,7 @@ class DhFrames:
                 E = rigid.inverse(joint.frame) @ E @ joint.frame
                 # Rx Ry Rz of some angles is the inverse of roll, pitch, yaw of the opposite ones.
                 found[k] = np.concatenate([E[:3, 3], -rigid.rpy_of(E[:3, :3].T)])
-        return Deviations(read_only(found), deviations.offsets)
+        return Deviations(read_only(found), deviations.offsets, deviations.terms)
 
     def source_rates(self, deviations: Deviations) -> Array:
         """Return how the placements' deviations of ``source`` follow those of ``robot``: (6 n_source, 6 n_robot)."""
