@@ -70,8 +70,9 @@ def by_differences(fit: calib.Fit, readings: Array, step: float = 1e-6) -> Array
         ((machines.INLINE["skew"], "tip"), {}),
         ((machines.INLINE["mimic"], "tip"), {"observes": "pose"}),
         (UR10, {"prior_length": 1e-3, "prior_angle": 3e-3}),
+        (UR10, {"harmonics": "all", "gain": "all"}),
     ],
-    ids=["positions", "poses", "dh", "skew", "mimic", "priors"],
+    ids=["positions", "poses", "dh", "skew", "mimic", "priors", "joint terms"],
 )
 def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
     name: tuple[str, str], options: dict[str, object]
