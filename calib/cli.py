@@ -1,5 +1,7 @@
 """The command line: one command for each thing a person does with an arm."""
 
+import asyncio
+import contextlib
 import json
 import sys
 from dataclasses import asdict
@@ -21,9 +23,10 @@ from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
 from calib.job.inputs import load
 from calib.job.report import report_of
-from calib.job.results import refuse_folder, result_json, robot_errors, write_results
+from calib.job.results import REPORT_FILE, SCENE_FILE, refuse_folder, result_json, robot_errors, write_results
 from calib.job.run import run
 from calib.presentation.console import brief, progress, sentence, show, show_error, warning, write
+from calib.presentation.live import serve
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
@@ -164,6 +167,25 @@ def compensate(
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
         show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))
+
+
+@app.command()
+def view(
+    results: ResultFolder,
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+) -> None:
+    """Serve the scene of a folder of results, to this machine alone, until Ctrl-C.
+
+    Beside what scene.html shows, joints can be moved by hand, and newer results in the folder show themselves.
+    """
+
+    def started(address: str) -> None:
+        show(sentence(f"The scene of {results} is at {address} until you press Ctrl-C."))
+
+    serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, started)
+    # Ctrl-C is how this ends well.
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(serving())
 
 
 @app.command()

@@ -24,6 +24,7 @@ def write(text: str) -> None:
     """Write text to standard output as it is; what its encoding lacks is written as an escape."""
     encoding = sys.stdout.encoding or "utf-8"
     sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+    sys.stdout.flush()
 
 
 def brief(report: Report) -> list[RenderableType]:

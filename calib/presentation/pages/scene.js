@@ -61,7 +61,7 @@ if (measured.length) {
   const places = measured.map(p => new THREE.Matrix4().makeTranslation(...p)), r = page.radius;
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
-  const ball = measured.length > 300 ? new THREE.BoxGeometry(1.8 * r, 1.8 * r, 1.8 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
+  const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
   viewer.set_object(["measured"], copies(dot, places, () => dark));
   vectors("before", before, page.scales[0], ball);
   vectors("after", after, page.scales[0], diamond);
@@ -255,7 +255,7 @@ if (location.protocol.startsWith("http")) {
         const label = live.appendChild(document.createElement("label")), span = document.createElement("span");
         const slider = document.createElement("input"), output = document.createElement("output");
         span.textContent = span.title = name;
-        Object.assign(slider, { type: "range", min: lower, max: upper, step: (upper - lower) / 1000, value });
+        Object.assign(slider, { type: "range", min: lower, max: upper, step: "any", value });
         const tell = () => { output.textContent = Number(slider.value).toFixed(unit === "deg" ? 1 : 3) + " " + unit; };
         slider.addEventListener("input", () => { if (playing) stop(); tell(); ask(); });
         tell();
