@@ -45,6 +45,7 @@ _TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
 _RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
+_STEPS_OF_WRITING = 4
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -119,6 +120,13 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     with replace_folder(out) as folder:
         for name, contents in files.items():
             (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
+
+
+def steps_after_loading(inputs: Inputs) -> int:
+    """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
+    fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
+    followed = inputs.job.solver.kind == "total_differential"
+    return fits + followed + 1 + _STEPS_OF_WRITING
 
 
 def robot_errors(folder: Path) -> dict[str, float]:

@@ -6,6 +6,8 @@ const legend = byId("legend"), pane = byId("pane"), THREE = MeshCat.THREE;
 const viewer = new MeshCat.Viewer(pane, false);
 for (const command of page.commands)
   viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
+const boxes = [...document.querySelectorAll("[data-layer]")];
+const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
 // The nominal arm: the shapes of the calibrated one, seen through.
@@ -109,6 +111,7 @@ function show(moment) {
   for (const arm of arms) place(arm, arm.positions[n].map((q, k) => q + s * (arm.positions[m][k] - q)));
   const near = t < 0.5 ? n : m, [lengthBefore, lengthAfter] = page.lengths[near];
   viewer.set_property(["current"], "position", measured[near]);
+  viewer.set_property(["current"], "visible", wanted("measured"));
   pose.value = near;
   row.textContent = "Pose " + (near + 1) + " of " + (last + 1) + ", " + page.rows[near] + ": before " +
     lengthBefore.toFixed(3) + " mm, after " + lengthAfter.toFixed(3) + " mm";
@@ -149,8 +152,7 @@ function stop() {
 }
 
 // Layers that the reader may hide.
-const magnify = byId("magnify"), boxes = [...document.querySelectorAll("[data-layer]")];
-const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
+const magnify = byId("magnify");
 let names = true;
 
 function choose() {
@@ -271,6 +273,10 @@ if (location.protocol.startsWith("http")) {
     byId("said").textContent = told.sentence;
     if (told.positions) {
       for (const arm of arms) place(arm, told.positions[arm.name]);
+      if (last >= 0) {
+        viewer.set_property(["current"], "visible", false);
+        row.textContent = "Joints moved by hand.";
+      }
       viewer.set_dirty();
     }
     if (waiting) { waiting = false; ask(); }
