@@ -196,7 +196,7 @@ def demo(
         "calib-demo"
     ),
 ) -> None:
-    """Show the whole path on a simulated IRB2400 in a few seconds.
+    """Show the whole path on a simulated IRB2400.
 
     A job and its measurements are put into a folder; then what a person would type is done, and shown.
     """
@@ -224,9 +224,10 @@ def view(
     results: ResultFolder,
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
 ) -> None:
-    """Serve the scene of a folder of results, to this machine alone, until Ctrl-C.
+    """Serve the scene to this machine alone, live.
 
-    Beside what scene.html shows, joints can be moved by hand, and newer results in the folder show themselves.
+    Until Ctrl-C. Beside what scene.html shows, joints can be moved by hand, and newer results in the folder show
+    themselves.
     """
 
     def started(address: str) -> None:

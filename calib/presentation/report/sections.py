@@ -14,6 +14,7 @@ from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.total_differential import Trace
 from calib.measurement.measurements import Measurements
+from calib.presentation.correlation import correlation
 from calib.presentation.report.charts import (
     Axis,
     Bars,
@@ -243,12 +244,9 @@ def parameters(fit: Fit) -> Section:
 
 def correlations(fit: Fit) -> Section | None:
     """Return how the errors of the parameters that the data see go together; None where fewer than two are seen."""
-    seen = np.flatnonzero(~fit.blind & (np.diag(fit.covariance) > 0.0))
+    seen, r = correlation(fit)
     if len(seen) < 2:
         return None
-    C = fit.covariance[np.ix_(seen, seen)]
-    sigma = np.sqrt(np.diag(C))
-    r = C / np.outer(sigma, sigma)
     names = [fit.parameters[k].name for k in seen]
     pairs = sorted(((i, j) for i in range(len(seen)) for j in range(i)), key=lambda ij: (-abs(r[ij]), ij))
     strongest = pairs[:8]
