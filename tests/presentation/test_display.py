@@ -1,4 +1,4 @@
-"""What a fit shows of itself in Python: printed, in a notebook, as DataFrames and figures; nothing before it is asked."""
+"""How a fit shows itself in Python: printed, in a notebook, as DataFrames and figures; and nothing sooner."""
 
 import io
 import subprocess

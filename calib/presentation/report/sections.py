@@ -45,6 +45,8 @@ from calib.presentation.sheets import Level as LevelFigures
 Use = Literal["identification", "validation"]
 
 _KEY = (("before", "before"), ("after", "after"))
+# Few dots are drawn large, in px.
+_FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 # More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
 _MOST_DOTS = 2000
 _BINS = 24
@@ -195,7 +197,7 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
         factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
         at, rows = values * factor, _drawn(error.after)
         centres, means = _running_mean(at, error.after)
-        marks: list[Mark] = [Points("after", at[rows], error.after[rows], 3.0), Line("soft", centres, means)]
+        marks: list[Mark] = [Points("after", at[rows], error.after[rows], _size(rows)), Line("soft", centres, means)]
         y = linear(f"error [{error.shown}]", error.after, from_zero=True)
         said = (
             f"The mean over eighths of the rows is between {means.min():.4f} and {means.max():.4f} {error.shown}."
@@ -329,6 +331,10 @@ def _drawn(values: Array) -> IntArray:
     return np.sort(np.argsort(values)[np.linspace(0, len(values) - 1, _MOST_DOTS).round().astype(np.intp)])
 
 
+def _size(rows: IntArray) -> float:
+    return _LARGE if len(rows) < _FEW else _SMALL
+
+
 def _histogram(found: _Errors, use: Use) -> Picture:
     x = logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
     edges = np.geomspace(x.low, x.high, _BINS + 1)
@@ -382,7 +388,7 @@ def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
         drawn = _drawn(np.linalg.norm(after, axis=1))
         # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
         lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
-        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, 3.0) for k in range(len(axes))]
+        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))]
         biases = ", ".join(f"{axis} {mean:+.4f}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
         title = f"Errors left along {', '.join(axes)}"
         picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)
