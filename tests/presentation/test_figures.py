@@ -9,16 +9,21 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from calib.presentation.scene import render_scene
 from scripts.browser import CHROMIUM
 from tests.job.cases import CASE, JOB, ROOT
 
-SCRIPT = ROOT / "scripts" / "screenshots.py"
+SCRIPTS = ROOT / "scripts"
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    spec = importlib.util.spec_from_file_location("screenshots", SCRIPT)
+    return load("screenshots", monkeypatch)
+
+
+def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -36,6 +41,14 @@ def test_every_case_has_its_pictures_and_the_page_shows_them(script: ModuleType)
     }
     assert shown == made == {file.name for file in (ROOT / "docs/figures").glob("*.png")}
     assert sum(file.stat().st_size for file in (ROOT / "docs/figures").glob("*.png")) < 2_000_000
+
+
+def test_a_thousand_poses_of_a_robot_with_meshes_stay_below_fifteen_megabytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = load("first_picture", monkeypatch)
+    text = render_scene(script.scene(1000))
+    assert "1000 points" in text
+    assert "not found" not in text.partition('<div id="legend">')[2].partition("<script")[0]
+    assert len(text) < script.MOST_BYTES == 15_000_000
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")

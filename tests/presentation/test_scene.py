@@ -399,17 +399,6 @@ def test_huge_meshes_are_simplified(tmp_path: Path) -> None:
     assert len(text) < 8_000_000
 
 
-def test_a_thousand_poses_stay_below_fifteen_megabytes() -> None:
-    robot = load_robot(IRB / "irb2400.urdf", "tool0", loops=[LOOP])
-    rng = np.random.default_rng(3)
-    arm = arm_of(robot, robot.no_deviations(), rng.uniform(-0.3, 0.3, (1000, 6)), np.eye(4))
-    points = rng.uniform(-1.0, 1.0, (1000, 3))
-    s = replace(
-        scene(1000), urdf=robot.urdf, calibrated=arm, nominal=arm, tip="tool0", measured=points, before=points + 1e-3
-    )
-    assert len(render_scene(s)) < 15_000_000
-
-
 def test_a_scene_without_points_is_drawn() -> None:
     text = render_scene(scene(0, tools={}))
     assert "points" not in legend_of(text)

@@ -78,9 +78,10 @@ class Judged(Protocol):
 
 
 class _Errors(NamedTuple):
-    """Error norms (N,) of one quantity over all tables of one use, in the unit ``shown``."""
+    """Error norms (N,) of one quantity over the tables ``sets`` that have it, in the unit ``shown``."""
 
     quantity: str
+    sets: tuple[Judged, ...]
     before: Array
     after: Array
     shown: str
@@ -156,20 +157,18 @@ def trace(followed: Trace) -> Section:
 def distribution(sets: Sequence[Judged]) -> Section:
     """Return how errors are distributed: histogram and cumulative curve."""
     use = judged_use(sets)
-    pictures = [p for found in _errors(sets, use) for p in (_histogram(found, use), _cumulative(found, use))]
+    pictures = [p for found in _errors(_of(sets, use)) for p in (_histogram(found, use), _cumulative(found, use))]
     return Section("distribution", "How errors are distributed", tuple(pictures))
 
 
 def poses(sets: Sequence[Judged]) -> Section:
     """Return the error of every pose, and of every axis."""
     blocks: list[Block] = []
-    found = {use: _errors(sets, use) for use in dict.fromkeys(judged.use for judged in sets)}
-    for k, first in enumerate(next(iter(found.values()))):
-        before, after = (np.concatenate([f[k][i] for f in found.values()]) for i in (1, 2))
+    for quantity, having, before, after, shown in _errors(sets):
         rows, number = _drawn(after), np.arange(1.0, len(after) + 1.0)
-        edge = len(found["identification"][k].after)
+        edge = sum(len(judged.data) for judged in having if judged.use == "identification")
         x = linear("row", np.array([0.0, len(after)]))
-        y = logarithmic(f"error [{first.shown}]", np.concatenate([before, after]))
+        y = logarithmic(f"error [{shown}]", np.concatenate([before, after]))
         marks: list[Mark] = [
             Points("before", number[rows], before[rows]),
             Points("after", number[rows], after[rows]),
@@ -179,19 +178,18 @@ def poses(sets: Sequence[Judged]) -> Section:
             marks.append(Line("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
             held_out = f" Rows from {edge + 1} on, right of the line, were held out."
         worst = int(np.argmax(after))
-        at = [f"{judged.file}, line {line}" for judged in sets for line in judged.data.lines][worst]
-        said = f"The largest one after calibration is {after[worst]:.4f} {first.shown}, from {at}.{held_out}"
-        blocks.append(Picture(f"{first.quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
+        at = [f"{judged.file}, line {line}" for judged in having for line in judged.data.lines][worst]
+        said = f"The largest one after calibration is {after[worst]:.4f} {shown}, from {at}.{held_out}"
+        blocks.append(Picture(f"{quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
     use = judged_use(sets)
-    blocks += _per_axis([judged for judged in sets if judged.use == use], use)
+    blocks += _per_axis(_of(sets, use), use)
     return Section("poses", "Error of every pose and axis", tuple(blocks))
 
 
 def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over every joint's reading: a pattern is something not modelled."""
-    use = judged_use(sets)
-    error = _errors(sets, use)[0]
-    readings = np.concatenate([judged.data.readings for judged in sets if judged.use == use])
+    error = _errors(_of(sets, judged_use(sets)))[0]
+    readings = np.concatenate([judged.data.readings for judged in error.sets])
     pictures = []
     for reading, values in zip(fit.robot.readings, readings.T, strict=True):
         factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
@@ -212,14 +210,13 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
 
 def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
-    use = judged_use(sets)
-    error, chosen = _errors(sets, use)[0], [judged for judged in sets if judged.use == use]
+    error = _errors(_of(sets, judged_use(sets)))[0]
     tools = fit.machine.frames.tools[:, :3, 3]
-    tips = [fit.robot.tips(judged.data.readings, fit.deviations) for judged in chosen]
+    tips = [fit.robot.tips(judged.data.readings, fit.deviations) for judged in error.sets]
     points = np.concatenate(
         [
             T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
-            for T, judged in zip(tips, chosen, strict=True)
+            for T, judged in zip(tips, error.sets, strict=True)
         ]
     )
     far = np.argsort(np.linalg.norm(points[:, :2], axis=1))
@@ -308,19 +305,21 @@ def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping
     return Section("provenance", "How to reproduce this", (Prose((command,), "code"), files, libraries))
 
 
-def _errors(sets: Sequence[Judged], use: Use) -> list[_Errors]:
-    """Return the errors of every quantity over all tables of one use."""
-    found: dict[str, tuple[list[Array], list[Array]]] = {}
-    for judged in sets:
-        if judged.use == use:
-            for quantity, norms in error_norms(judged.before).items():
-                found.setdefault(quantity, ([], []))[0].append(norms)
-            for quantity, norms in error_norms(judged.after).items():
-                found[quantity][1].append(norms)
+def _of(sets: Sequence[Judged], use: Use) -> list[Judged]:
+    return [judged for judged in sets if judged.use == use]
+
+
+def _errors(sets: Sequence[Judged]) -> list[_Errors]:
+    """Return the errors of every quantity over the tables that have it."""
+    norms = [(error_norms(judged.before), error_norms(judged.after)) for judged in sets]
     out = []
-    for quantity, (before, after) in found.items():
-        factor, unit = SHOWN["m" if quantity == "position" else "rad"]
-        out.append(_Errors(quantity, np.concatenate(before) * factor, np.concatenate(after) * factor, unit))
+    for quantity in dict.fromkeys(name for _, after in norms for name in after):
+        factor, unit = SHOWN["rad" if quantity == "orientation" else "m"]
+        having = tuple(judged for judged, (_, after) in zip(sets, norms, strict=True) if quantity in after)
+        before, after = (
+            np.concatenate([whens[k][quantity] for whens in norms if quantity in whens[k]]) * factor for k in (0, 1)
+        )
+        out.append(_Errors(quantity, having, before, after, unit))
     return out
 
 
