@@ -302,7 +302,8 @@ def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping
         frozenset(),
         tuple(Row((name, version or "unknown")) for name, version in versions.items()),
     )
-    return Section("provenance", "How to reproduce this", (Prose((command,), "code"), files, libraries))
+    where = Prose(("In the folder of the job:",))
+    return Section("provenance", "How to reproduce this", (where, Prose((command,), "code"), files, libraries))
 
 
 def _of(sets: Sequence[Judged], use: Use) -> list[Judged]:
