@@ -5,7 +5,7 @@
     robot = calib.load_robot("arm.urdf", tip="probe")
     data = calib.read_measurements("identification.csv", robot, sigma=0.02e-3)
     fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
-    print(calib.table(fit))
+    print(fit)
     calib.write_urdf(fit, "calibrated.urdf")
 
 SI units inside and in every argument: m, rad.
@@ -36,11 +36,17 @@ from calib.identification.total_differential import Trace, total_differential
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.presentation import display as _display
+from calib.presentation.fit_plots import plot
+from calib.presentation.frames import data_frame
 from calib.presentation.tables import table
 from calib.robot import dh
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+
+# How a fit shows itself is for the presentation room, which the fit's own room must not know; the front door may.
+_display.attach(Fit)
 
 __version__ = "0.1.0.dev0"
 
@@ -67,12 +73,14 @@ __all__ = [
     "choose_terms",
     "commands",
     "compare",
+    "data_frame",
     "dh",
     "error_model",
     "identify",
     "load_model",
     "load_robot",
     "outside_identified",
+    "plot",
     "positioner",
     "read_measurements",
     "table",

@@ -135,13 +135,17 @@ class _Pipe:
 
 @contextmanager
 def browser() -> Iterator[Page]:
-    """Give an empty page of a browser of its own, which can reach no host by name and ends with the block."""
+    """Give an empty page of a browser of its own, which can reach this machine alone and ends with the block."""
     if CHROMIUM is None:
         raise FileNotFoundError("there is no Chromium on the path")
     orders, to_browser = os.pipe()
     from_browser, answers = os.pipe()
     with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        arguments = [*_FLAGS.split(), "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={profile}"]
+        arguments = [
+            *_FLAGS.split(),
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+            f"--user-data-dir={profile}",
+        ]
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(orders), str(answers), CHROMIUM, *arguments, "about:blank"],
             pass_fds=(orders, answers),

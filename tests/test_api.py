@@ -13,7 +13,7 @@ import pytest
 import calib
 from tests.job.cases import CASE, TABLE
 
-HEAVY = ("yourdfpy", "meshcat", "matplotlib", "trimesh", "pandas", "IPython", "tornado", "typer", "jinja2")
+HEAVY = ("yourdfpy", "meshcat", "matplotlib", "trimesh", "pandas", "IPython", "tornado", "typer", "jinja2", "PIL")
 
 
 def test_import_is_light() -> None:
@@ -79,7 +79,7 @@ def test_frames_and_arrays_give_the_fit_of_the_file() -> None:
         fit_of, (CASE / TABLE, frame, {name: frame[name].to_numpy() for name in frame.columns})
     )
     assert by_file.values.tolist() == by_frame.values.tolist() == by_arrays.values.tolist()
-    assert str(by_file) == "Fit of 45 parameters to 60 rows: rank 27, 18 directions are blind."
+    assert repr(by_file) == "<Fit of 45 parameters to 60 rows: rank 27, 18 directions are blind>"
     assert [record["name"] for record in by_file.records()] == [parameter.name for parameter in by_file.parameters]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.measurement.kinds import QUANTITIES, Kind
+from calib.measurement.kinds import QUANTITIES, UNIT_OF, Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,10 @@ def error_norms(kind: Kind, residuals: Array) -> dict[str, Array]:
 def metrics(sets: Iterable[tuple[Kind, Array]]) -> Mapping[str, Metrics]:
     """Return the metrics of each quantity over all sets: pairs of a kind and its residuals (N, d)."""
     norms: dict[str, list[Array]] = {}
-    units = {quantity.name: quantity.unit for quantities in QUANTITIES.values() for quantity in quantities}
     for kind, r in sets:
         for quantity, values in error_norms(kind, r).items():
             norms.setdefault(quantity, []).append(values)
-    return {quantity: _metrics(np.concatenate(values), units[quantity]) for quantity, values in norms.items()}
+    return {quantity: _metrics(np.concatenate(values), UNIT_OF[quantity]) for quantity, values in norms.items()}
 
 
 def _metrics(norms: Array, unit: str) -> Metrics:

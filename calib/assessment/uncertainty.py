@@ -19,7 +19,7 @@ from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
-from calib.measurement.kinds import QUANTITIES
+from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements, unmeasured
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot
@@ -244,8 +244,7 @@ def _factor(covariance: Array, s: Array) -> Array:
 
 
 def _level(fit: Fit, unit: str) -> NoiseLevel | None:
-    units = {quantity.name: quantity.unit for kind in QUANTITIES.values() for quantity in kind}
-    parts = [noise for noise in fit.noise if units[noise.quantity] == unit]
+    parts = [noise for noise in fit.noise if UNIT_OF[noise.quantity] == unit]
     freedom = np.array([noise.degrees_of_freedom for noise in parts])
     if not parts or freedom.sum() <= 0.0:
         return None

@@ -54,7 +54,7 @@ def verify_command(
     together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
     input, 2 wrong usage, 3 failed.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the measurements")
         model = load_model(results)
         doubts = _doubts(model, results)
@@ -110,7 +110,7 @@ def compare_command(
 
     What has moved by more than chance explains, and what it does at the tip.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading both models")
         before, after = (_doubts(load_model(folder), folder) for folder in (old, new))
         say("comparing")
@@ -164,7 +164,7 @@ def uncertainty(
     """
     if out is not None and out.exists():
         raise OutputError(f"{out}: is there already; choose another name.")
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=1) as say:
         doubts = _doubts(load_model(results), results)
         found = uncertainty_map(
             doubts,

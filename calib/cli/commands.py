@@ -1,6 +1,9 @@
 """Commands that check, identify, correct and describe an arm."""
 
+import asyncio
+import contextlib
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -37,12 +40,22 @@ from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
+from calib.job.example import copy_example
 from calib.job.inputs import load
 from calib.job.report import report_of
-from calib.job.results import refuse_folder, result_json, robot_errors, write_results
+from calib.job.results import (
+    REPORT_FILE,
+    SCENE_FILE,
+    refuse_folder,
+    result_json,
+    robot_errors,
+    steps_after_loading,
+    write_results,
+)
 from calib.job.run import run
 from calib.presentation.cell_scene import cell_scene
-from calib.presentation.console import brief, progress, sentence, show, warning, write
+from calib.presentation.console import brief, literal, progress, sentence, show, warning, write
+from calib.presentation.live import serve
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.scene import render_scene
@@ -52,6 +65,8 @@ from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
 
+_STEPS_OF_LOADING = 3
+
 
 @app.command()
 def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet = False) -> None:
@@ -60,9 +75,10 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
     The folder holds the calibrated URDF, the model, the figures, the residuals and a 3D scene. Exit codes: 0 good,
     1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING) as say:
         inputs = load(job, say)
         refuse_folder(out, inputs)
+        say.expect(steps_after_loading(inputs))
         outcome = run(inputs, say)
         write_results(outcome, out, say)
     if as_json:
@@ -82,7 +98,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
@@ -121,6 +137,7 @@ def compensate(
     frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
     what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
     clamp: Annotated[bool, typer.Option("--clamp", help="Outside a residual grid take its nearest edge.")] = False,
+    as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Correct commands: joint targets, poses or positions.
@@ -131,19 +148,76 @@ def compensate(
     """
     if out.exists():
         raise OutputError(f"{out}: is there already; choose another name.")
-    with progress(shown=not quiet) as say:
+    with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the targets")
         model = load_model(results)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
         write_atomically(out, targets_of.corrected_csv(model, wanted, found))
-    if not quiet:
+    if as_json:
+        missed_rows = [
+            {"row": row + 1, "reason": reason}
+            for row, (reached, reason) in enumerate(zip(found.reached, found.reasons, strict=True))
+            if not reached
+        ]
+        contents = {"schema": 1, "file": str(out), "targets": len(found), "not_reached": missed_rows}
+        write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    elif not quiet:
         if model.uncertainty is not None and found.reached.any():
             show(*map(warning, outside_identified(model.uncertainty, found.readings[found.reached])))
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
         show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", show_default=True)] = Path(
+        "calib-demo"
+    ),
+) -> None:
+    """Show the whole path on a simulated IRB2400.
+
+    A job and its measurements are put into a folder; then what a person would type is done, and shown.
+    """
+    job, targets, results = copy_example(folder)
+    corrected = folder / "corrected.csv"
+    _typed("check", job)
+    check(job)
+    _typed("calibrate", job, "-o", results)
+    calibrate(job, results)
+    _typed("compensate", results, targets, "-o", corrected)
+    compensate(results, targets, corrected)
+    show(
+        sentence(f"Open {results / REPORT_FILE} and {results / SCENE_FILE} in a browser, or move the arm yourself:"),
+        literal(f"    calib view {results}"),
+    )
+
+
+def _typed(*words: str | Path) -> None:
+    """Show a command as a person would type it."""
+    show(literal("\n"), sentence("$ calib " + shlex.join(map(str, words))))
+
+
+@app.command()
+def view(
+    results: ResultFolder,
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+) -> None:
+    """Serve the scene to this machine alone, live.
+
+    Until Ctrl-C. Beside what scene.html shows, joints can be moved by hand, and newer results in the folder show
+    themselves.
+    """
+
+    def started(address: str) -> None:
+        show(sentence(f"The scene of {results} is at {address} until you press Ctrl-C."))
+
+    serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, started)
+    # Ctrl-C is how this ends well.
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(serving())
 
 
 @app.command()
@@ -155,7 +229,7 @@ def sensitivity(
     At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
     the tip error when one kind of identified errors is ten times as large, and a tenth.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")
         readings = np.concatenate([data.readings for data in inputs.identify])
@@ -179,7 +253,7 @@ def performance(
     Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of
     ASME B89.4.22 and ISO 10360-12. Which test a file is, its columns say.
     """
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=1) as say:
         say("reading the model and the touches")
         model = load_model(results)
         tests = [read_touches(path, model.robot) for path in touches]

@@ -77,7 +77,7 @@ def plan(
     """
     if out.exists():
         raise OutputError(f"{out}: is there already; choose another name.")
-    with progress(shown=not (quiet or as_json)) as say:
+    with progress(shown=not (quiet or as_json), steps=4) as say:
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(_base(tracker), rigid.translation(_point(tool, "tool"))[None])

@@ -17,9 +17,9 @@ from calib.robot.robot import Deviations, Robot
 BlindPolicy = Literal["nearest", "minimal", "refuse"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fit:
-    """Identified parameters and what is known about them. Made by :func:`calib.identify`.
+    """Identified parameters and what is known about them. Made by :func:`calib.identify`; printed as a table.
 
     ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
     choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
@@ -100,8 +100,8 @@ class Fit:
             )
         ]
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         rows = sum(len(data) for data in self.measurements)
         blind = len(self.blind_directions)
         said = {0: "no direction is blind", 1: "1 direction is blind"}.get(blind, f"{blind} directions are blind")
-        return f"Fit of {len(self.parameters)} parameters to {rows} rows: rank {self.rank}, {said}."
+        return f"<Fit of {len(self.parameters)} parameters to {rows} rows: rank {self.rank}, {said}>"

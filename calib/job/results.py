@@ -51,6 +51,7 @@ _OF_PIXELS = ("u [px]", "v [px]")
 _RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
+_STEPS_OF_WRITING = 4
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -126,6 +127,13 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     with replace_folder(out) as folder:
         for name, contents in files.items():
             (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
+
+
+def steps_after_loading(inputs: Inputs) -> int:
+    """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
+    fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
+    followed = inputs.job.solver.kind == "total_differential"
+    return fits + followed + 1 + _STEPS_OF_WRITING
 
 
 def robot_errors(folder: Path) -> dict[str, float]:

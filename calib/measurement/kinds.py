@@ -30,6 +30,11 @@ QUANTITIES: Mapping[Kind, tuple[Quantity, ...]] = MappingProxyType(
     }
 )
 
+# The unit of every quantity.
+UNIT_OF: Mapping[str, Literal["m", "rad", "px"]] = MappingProxyType(
+    {quantity.name: quantity.unit for quantities in QUANTITIES.values() for quantity in quantities}
+)
+
 # Kinds whose rows are about something beside the robot: a socket, an anchor, a plane, a ball, a camera.
 WITH_TARGET: frozenset[Kind] = frozenset(("socket", "distance", "plane", "sphere", "indicator", "pixels"))
 # Kinds that say where the tool was in the frame of an instrument, which is not the robot's base.

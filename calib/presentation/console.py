@@ -24,6 +24,7 @@ def write(text: str) -> None:
     """Write text to standard output as it is; what its encoding lacks is written as an escape."""
     encoding = sys.stdout.encoding or "utf-8"
     sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+    sys.stdout.flush()
 
 
 def brief(report: Report) -> list[RenderableType]:
@@ -64,15 +65,53 @@ def show_error(text: str) -> None:
     console.print(Text(_printable(f"Error: {text}"), style="red"), soft_wrap=True)
 
 
+class Steps:
+    """Takes what is going on now, step by step, and tells it with the time that is left."""
+
+    def __init__(self, tell: Callable[[str, int, int], None], total: int) -> None:
+        self._tell, self._begun, self._total = tell, 0, total
+
+    def __call__(self, text: str) -> None:
+        """Say that the next step begins."""
+        self._begun += 1
+        self._tell(text, self._begun - 1, max(self._total, self._begun))
+
+    def expect(self, more: int) -> None:
+        """Say how many steps are still to begin."""
+        self._total = self._begun + more
+
+
 @contextlib.contextmanager
-def progress(*, shown: bool) -> Iterator[Callable[[str], None]]:
-    """Give a function that says what is going on now; it says it on a terminal only."""
+def progress(*, shown: bool, steps: int) -> Iterator[Steps]:
+    """Give what is told every step; it shows the step and the time left, on a terminal only, while the block runs.
+
+    ``steps``: how many there will be, as far as is known.
+    """
     console = Console(stderr=True)
     if not (shown and console.is_terminal):
-        yield _silent
+        yield Steps(_silent, steps)
         return
-    with console.status("starting") as status:
-        yield status.update
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn  # noqa: PLC0415
+
+    class Left(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(time_left(task.elapsed or 0.0, task.completed, task.total or 1.0))
+
+    with Progress(TextColumn("{task.description}"), BarColumn(), Left(), console=console, transient=True) as bar:
+        task = bar.add_task("starting")
+
+        def tell(text: str, done: int, total: int) -> None:
+            bar.update(task, description=_printable(text), completed=done, total=total)
+
+        yield Steps(tell, steps)
+
+
+def time_left(elapsed: float, done: float, total: float) -> str:
+    """Return about how long the rest of steps will take, in words; nothing before one is done."""
+    if done <= 0.0:
+        return ""
+    seconds = elapsed * (total - done) / done
+    return f"about {seconds:.0f} s left" if seconds < 100.0 else f"about {seconds / 60.0:.0f} min left"
 
 
 def _printable(text: str) -> str:
@@ -80,5 +119,5 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def _silent(_: str) -> None:
+def _silent(_text: str, _done: int, _total: int) -> None:
     pass

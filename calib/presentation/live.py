@@ -6,7 +6,8 @@ what moves is computed by the calibrated model.
 """
 
 import json
-from collections.abc import Awaitable, Callable
+import socket
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ _LONGEST_MESSAGE = 100_000
 
 def serve(
     folder: Path, page: str, others: tuple[str, ...], port: int, started: Callable[[str], None]
-) -> Callable[[], Awaitable[None]]:
+) -> Callable[[], Coroutine[Any, Any, None]]:
     """Return what serves the scene of a folder of results until it is cancelled.
 
     ``page`` and ``others``: names of the pages in the folder, the first one also without a name. ``port`` 0: any free
@@ -51,7 +52,6 @@ async def _run(
     import asyncio  # noqa: PLC0415 - calib must load none of these on import
 
     from tornado.httpserver import HTTPServer  # noqa: PLC0415
-    from tornado.netutil import bind_sockets  # noqa: PLC0415
     from tornado.web import Application, RequestHandler  # noqa: PLC0415
     from tornado.websocket import WebSocketHandler  # noqa: PLC0415
 
@@ -84,11 +84,12 @@ async def _run(
     app.add_handlers(r"(127\.0\.0\.1|localhost)", [(rf"/({names})?", Page), ("/live", Live)])
     server = HTTPServer(app)
     try:
-        sockets = bind_sockets(port, ADDRESS)
-    except (OSError, OverflowError) as e:
-        raise OutputError(f"port {port}: cannot be listened on ({e}).") from e
-    server.add_sockets(sockets)
-    started(f"http://{ADDRESS}:{sockets[0].getsockname()[1]}/")
+        listener = socket.create_server((ADDRESS, port))
+    except OSError as e:
+        raise OutputError(f"port {port}: cannot be listened on ({e.strerror}).") from e
+    listener.setblocking(False)
+    server.add_socket(listener)
+    started(f"http://{ADDRESS}:{listener.getsockname()[1]}/")
     seen = _stamp(folder)
     try:
         while True:

@@ -27,7 +27,6 @@ from calib.presentation.meshes import (
     Triangles,
     balls,
     creased,
-    diamonds,
     joined,
     moved,
     primitive,
@@ -50,8 +49,8 @@ _METAL: Rgb = (0.72, 0.74, 0.76)
 _JOINT: Rgb = (0.45, 0.48, 0.52)
 _GRID: Rgb = (0.80, 0.81, 0.83)
 
-# A page of some megabytes that a phone still turns smoothly.
-_MOST_FACES = 100_000
+# A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
+_MOST_FACES = 40_000
 _MOST_POINTS = 1000
 # Below a nanometre an error is rounding, and magnifying it would show noise as a finding.
 _ROUNDING = 1e-9
@@ -111,7 +110,6 @@ class _Drawing:
     T: Array
     flat: bool = True
     opacity: float = 1.0
-    visible: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +163,6 @@ def render_scene(scene: Scene) -> str:
     drawings = [
         *_robot(links, extent),
         *_frames(T_base_world, first[scene.tip], scene.tools, extent),
-        *_clouds(measured, before, after, [e[rows] for e in errors], edges, scene.scales, extent),
         *_marks(scene.marks, T_base_world),
     ]
     page = {
@@ -185,9 +182,10 @@ def render_scene(scene: Scene) -> str:
             "nominal": _arm(scene.nominal, T_base_world, rows),
         },
         "rows": [scene.rows[n] for n in rows],
-        "points": measured.round(6).tolist(),
-        "errors": [[round(float(e[n]), 4) for e in errors] for n in rows],
-        "current": 0.011 * extent,
+        "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
+        "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
+        "scales": scene.scales,
+        "radius": 0.004 * extent,
     }
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     pages = files("calib.presentation").joinpath("pages")
@@ -296,39 +294,19 @@ def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], 
         yield _Drawing(("frames", "tip", "tools", _node(name)), joined(tool), translation(point))
 
 
-def _clouds(
-    measured: Array,
-    before: Array,
-    after: Array,
-    errors: Sequence[Array],
-    edges: Array,
-    scales: tuple[float, float],
-    extent: float,
-) -> Iterator[_Drawing]:
-    """Yield the points, and the error vectors of both predictions at one scale, so that they compare at a glance.
+def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array], edges: Array) -> dict[str, Any]:
+    """Return the points and the error vectors of both predictions, in m to a nanometre, and the colour of each."""
 
-    Coloured by the error, balls before and diamonds after. The errors that calibration left are there a second time at
-    their own scale, hidden until the reader asks.
-    """
-    radius, width = 0.004 * extent, 0.0011 * extent
-    yield _Drawing(("measured",), [balls(measured, radius, MEASURED)], np.eye(4))
-    layers = [("before", before, errors[0], scales[0]), ("after", after, errors[1], scales[0])]
-    if scales[1] > scales[0]:
-        layers.append(("after_magnified", after, errors[1], scales[1]))
-    for name, predicted, error, scale in layers:
-        ends = measured + scale * (predicted - measured)
-        kinds = np.clip(np.searchsorted(edges, error, side="right") - 1, 0, len(SCALE) - 1)
-        parts = []
-        for k, rgb in enumerate(SCALE):
-            which = kinds == k
-            if which.any():
-                end = (
-                    balls(ends[which], 1.2 * radius, rgb)
-                    if name == "before"
-                    else diamonds(ends[which], 1.6 * radius, rgb)
-                )
-                parts += [sticks(measured[which], ends[which], width, rgb), end]
-        yield _Drawing((name,), joined(parts), np.eye(4), visible=name != "after_magnified")
+    def kinds(error: Array) -> list[int]:
+        return [int(k) for k in np.clip(np.searchsorted(edges, error, side="right") - 1, 0, len(SCALE) - 1)]
+
+    return {
+        "measured": measured.round(6).tolist(),
+        "before": {"errors": (before - measured).round(9).tolist(), "kinds": kinds(errors[0])},
+        "after": {"errors": (after - measured).round(9).tolist(), "kinds": kinds(errors[1])},
+        "colours": [_hex(rgb) for rgb in SCALE],
+        "black": _hex(MEASURED),
+    }
 
 
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
@@ -413,8 +391,6 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
                 look = material(color=_hex(part.rgb), opacity=drawing.opacity, transparent=fading, depthTest=not frame)
                 mesh = g.Mesh(g.TriangularMeshGeometry(part.vertices, part.faces), look)
                 commands.append(drawn((*drawing.path, str(i)), mesh))
-        if not drawing.visible:
-            commands.append(SetProperty("visible", False, Node(drawing.path)))
     return [base64.b64encode(umsgpack.packb(command.lower())).decode() for command in commands]
 
 

@@ -9,7 +9,7 @@ from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
-from calib.measurement.kinds import QUANTITIES, size
+from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 
 # What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
@@ -75,7 +75,7 @@ def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
     quantity = next(iter(steps[0].rms))
-    factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
+    factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
     rows = []
     for k in dict.fromkeys((*range(choice.taken + 1), least)):
@@ -117,7 +117,7 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
     said = []
     for noise in fit.noise:
         kind = fit.measurements[noise.measurements].kind
-        unit = next(quantity.unit for quantity in QUANTITIES[kind] if quantity.name == noise.quantity)
+        unit = UNIT_OF[noise.quantity]
         instrument = f"{figure(noise.instrument, unit)} instrument" if noise.instrument else "instrument not stated"
         chi = "" if np.isnan(noise.chi_square) else f", chi-square per degree of freedom {noise.chi_square:.3g}"
         of = f" of {Path(fit.measurements[noise.measurements].where).name}" if len(fit.measurements) > 1 else ""

@@ -302,7 +302,7 @@ def test_a_wrong_question_is_refused(run: Callable[[Lab], object], error: type[E
 def test_a_fit_tells_what_it_found() -> None:
     lab = Lab()
     fit = calib.identify(lab.model(), lab.measure(200))
-    assert str(fit) == "Fit of 45 parameters to 200 rows: rank 27, 18 directions are blind."
+    assert repr(fit) == "<Fit of 45 parameters to 200 rows: rank 27, 18 directions are blind>"
     records = {record["name"]: record for record in fit.records()}
     assert list(records) == [parameter.name for parameter in fit.parameters]
     assert records["wrist_2_joint.tx"]["value"] == fit.value("wrist_2_joint.tx")

@@ -180,6 +180,32 @@ def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Outc
         assert said == f"Pose {row + 1} of 492, {s.rows[row]}: before {before:.3f} mm, after {after:.3f} mm"
 
 
+def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, out: Path, outcome: Outcome) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    to_base = inverse(s.calibrated.root)
+    measured = s.measured @ to_base[:3, :3].T + to_base[:3, 3]
+
+    def corners(path: str) -> Any:
+        node = f"viewer.scene_tree.find({path}).object"
+        parts = "n => (n.children[0] ? n.children : [n]).map(m => [...m.geometry.attributes.position.array])"
+        found = page.evaluate(f"({parts})({node})")
+        return [np.array(flat).reshape(492, -1, 3) for flat in found]
+
+    (dots,) = corners("['measured', '<object>']")
+    np.testing.assert_allclose(dots.mean(axis=1), measured, atol=2e-6)
+    scales = {"before": s.scales[0], "after": s.scales[0], "after_magnified": s.scales[1]}
+    for name, scale in scales.items():
+        errors = ((s.before if name == "before" else s.after) - s.measured) @ to_base[:3, :3].T
+        sticks, ends = corners(f"['{name}', '<object>']")
+        drawn = measured + scale * errors
+        np.testing.assert_allclose(ends.mean(axis=1), drawn, atol=1e-5)
+        np.testing.assert_allclose(sticks.mean(axis=1), (measured + drawn) / 2, atol=5e-3 * np.ptp(measured))
+        along = np.einsum("nij,nj->ni", sticks - measured[:, None], errors / np.linalg.norm(errors, axis=1)[:, None])
+        np.testing.assert_allclose(np.ptp(along, axis=1), scale * np.linalg.norm(errors, axis=1), atol=1e-5)
+
+
 def test_parallelogram_moves_when_it_is_played(page: Page, out: Path) -> None:
     page.size(1280, 800)
     page.open((out / "scene.html").as_uri())

@@ -250,6 +250,26 @@ def test_many_rows_stay_light(outcome: Outcome) -> None:
     assert len(render_page(report_of(replace(outcome, sets=big)))) < 1_000_000
 
 
+def test_poses_beside_positions_have_figures_of_their_own(outcome: Outcome) -> None:
+    own, held_out = outcome.sets
+    angles = np.random.default_rng(0).normal(scale=1e-3, size=(2, len(own.data), 3))
+    poses = own._replace(
+        data=replace(own.data, kind="pose"),
+        before=np.hstack([own.before, 3.0 * angles[0]]),
+        after=np.hstack([own.after, angles[1]]),
+    )
+    sections = {
+        section.key: section for section in report_of(replace(outcome, sets=(own, poses, held_out, held_out))).sections
+    }
+    titles = [block.title for block in sections["poses"].blocks]
+    assert titles[:2] == ["Position error of every row", "Orientation error of every row"]
+    said = [block.alternative for block in sections["poses"].blocks if isinstance(block, Picture)]
+    assert "Rows from 121 on" in said[0]
+    assert "held out" not in said[1]
+    worst = np.degrees(np.linalg.norm(angles[1], axis=1).max())
+    assert f"is {worst:.4f} deg, from {own.file}, line" in said[1]
+
+
 def test_levels_and_loops_are_told() -> None:
     outcome = run(load(CASE.parent / "irb2400" / JOB))
     report = report_of(outcome)

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.job.scene import scene_of
 from calib.presentation.arm import arm_of, link_placements
-from calib.presentation.meshes import balls, diamonds, read_mesh, simplified, sticks
+from calib.presentation.meshes import balls, read_mesh, simplified, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
@@ -124,16 +123,6 @@ def test_magnification_of_nothing_is_one() -> None:
     assert magnification(np.full((5, 3), 1e-13), 1.0) == 1.0
 
 
-def test_diamonds_lie_where_they_are_told() -> None:
-    centres = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
-    drawn = diamonds(centres, 0.1, RED)
-    np.testing.assert_allclose(np.linalg.norm(drawn.vertices.reshape(2, 6, 3) - centres[:, None], axis=2), 0.1)
-    a, b, c = (drawn.vertices[drawn.faces[:, k]] for k in range(3))
-    middle = centres[np.arange(16) // 8]
-    outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - middle)
-    assert (outward > 0).all()  # a face that looks inward would not be lit
-
-
 def test_balls_and_sticks_lie_where_they_are_told() -> None:
     centres = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
     ball = balls(centres, 0.1, RED)
@@ -234,38 +223,25 @@ def test_everything_is_placed_in_the_base_frame() -> None:
     np.testing.assert_allclose(np.ptp(vertices(commands, "/robot/base/0"), axis=0), [0.2, 0.3, 0.1], atol=1e-6)
 
 
-def test_layers_join_measured_points_to_magnified_predictions() -> None:
+def test_errors_are_those_of_the_rows_and_coloured_by_size() -> None:
     s = scene()
-    commands = commands_of(render_scene(s))
+    page = page_of(render_scene(s))
     to_base = inverse(s.calibrated.root)
-    measured = s.measured @ to_base[:3, :3].T + to_base[:3, 3]
-    dots = vertices(commands, "/measured/0").reshape(20, -1, 3)
-    np.testing.assert_allclose(dots.mean(axis=1), measured, atol=1e-6)
-    layers = {"before": (s.before, 0, 12), "after": (s.after, 0, 6), "after_magnified": (s.after, 1, 6)}
-    errors = np.concatenate([np.linalg.norm(x - s.measured, axis=1) for x in (s.before, s.after)])
-    for name, (predicted, which, corners) in layers.items():
-        drawn = measured + s.scales[which] * (predicted - s.measured) @ to_base[:3, :3].T
-        seen, colours = np.zeros(20, dtype=int), []
-        for c in commands:
-            if c["type"] != "set_object" or not c["path"].startswith(f"/{name}/"):
-                continue
-            both = vertices(commands, c["path"])
-            k = len(both) // (8 + corners)
-            start, end = both[: 8 * k].reshape(k, 2, 4, 3).mean(axis=2).swapaxes(0, 1)
-            rows = [int(np.argmin(np.linalg.norm(measured - point, axis=1))) for point in start]
-            np.testing.assert_allclose(start, measured[rows], atol=1e-6)
-            np.testing.assert_allclose(end, drawn[rows], atol=1e-6)
-            np.testing.assert_allclose(both[8 * k :].reshape(k, -1, 3).mean(axis=1), drawn[rows], atol=1e-6)
-            seen[rows] += 1
-            error = np.linalg.norm(predicted - s.measured, axis=1)[rows]
-            colours.append((c["object"]["materials"][0]["color"], error.min(), error.max()))
-        assert seen.tolist() == [1] * 20  # every row once, in one colour
-        order = [tuple(round(255 * x) for x in rgb) for rgb in SCALE]
-        colours.sort(key=lambda found: order.index(tuple(found[0].to_bytes(3, "big"))))
-        assert all(a[2] <= b[1] for a, b in pairwise(colours))  # worse is later on the scale
-        assert colours[-1][2] <= errors.max()
-    hidden = [c["path"] for c in commands if c["type"] == "set_property" and c["value"] is False]
-    assert hidden == ["/Axes", "/after_magnified"]
+    clouds = page["clouds"]
+    np.testing.assert_allclose(clouds["measured"], s.measured @ to_base[:3, :3].T + to_base[:3, 3], atol=1e-6)
+    lengths, kinds = [], []
+    for name, predicted in (("before", s.before), ("after", s.after)):
+        errors = (predicted - s.measured) @ to_base[:3, :3].T
+        np.testing.assert_allclose(clouds[name]["errors"], errors, atol=1e-9)
+        lengths += np.linalg.norm(errors, axis=1).tolist()
+        kinds += clouds[name]["kinds"]
+    np.testing.assert_allclose(np.array(page["lengths"]).T.ravel(), 1e3 * np.array(lengths), atol=1e-4)
+    order = np.argsort(lengths)
+    assert np.array(kinds)[order].tolist() == sorted(kinds)  # worse is later on the scale
+    assert set(kinds) == set(range(len(SCALE)))
+    assert page["scales"] == [20.0, 500.0]
+    hidden = [c["path"] for c in commands_of(render_scene(s)) if c["type"] == "set_property" and c["value"] is False]
+    assert hidden == ["/Axes"]
 
 
 def test_legend_states_the_figures() -> None:
@@ -409,7 +385,8 @@ def test_many_points_stay_light() -> None:
     assert len(text) < 8_000_000
     assert "1000 of the 5000 points" in text
     worst = s.measured[np.argmax(np.linalg.norm(s.after - s.measured, axis=1))]
-    dots = vertices(commands_of(text), "/measured/0").reshape(1000, -1, 3).mean(axis=1)
+    dots = np.array(page_of(text)["clouds"]["measured"])
+    assert len(dots) == 1000
     to_base = inverse(s.calibrated.root)
     assert np.linalg.norm(dots - (to_base @ [*worst, 1.0])[:3], axis=1).min() < 1e-6
 
@@ -423,21 +400,10 @@ def test_huge_meshes_are_simplified(tmp_path: Path) -> None:
     assert len(text) < 8_000_000
 
 
-def test_a_thousand_poses_stay_below_fifteen_megabytes() -> None:
-    robot = load_robot(IRB / "irb2400.urdf", "tool0", loops=[LOOP])
-    rng = np.random.default_rng(3)
-    arm = arm_of(robot, robot.no_deviations(), rng.uniform(-0.3, 0.3, (1000, 6)), np.eye(4))
-    points = rng.uniform(-1.0, 1.0, (1000, 3))
-    s = replace(
-        scene(1000), urdf=robot.urdf, calibrated=arm, nominal=arm, tip="tool0", measured=points, before=points + 1e-3
-    )
-    assert len(render_scene(s)) < 15_000_000
-
-
 def test_a_scene_without_points_is_drawn() -> None:
     text = render_scene(scene(0, tools={}))
     assert "points" not in legend_of(text)
-    assert not [c for c in commands_of(text) if c["type"] == "set_object" and c["path"].startswith("/before")]
+    assert page_of(text)["clouds"]["before"] == {"errors": [], "kinds": []}
 
 
 def test_a_tip_of_another_robot_is_refused() -> None:

@@ -2,9 +2,12 @@
 const page = JSON.parse(document.getElementById("page").textContent);
 const byId = name => document.getElementById(name);
 const legend = byId("legend"), pane = byId("pane"), THREE = MeshCat.THREE;
-const viewer = new MeshCat.Viewer(pane);
+// Nothing is drawn before everything is there.
+const viewer = new MeshCat.Viewer(pane, false);
 for (const command of page.commands)
   viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
+const boxes = [...document.querySelectorAll("[data-layer]")];
+const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
 // The nominal arm: the shapes of the calibrated one, seen through.
@@ -16,6 +19,56 @@ for (const [link, node] of Object.entries(nodeAt("robot").children))
   for (const [i, part] of Object.entries(node.children))
     if (part.children["<object>"])
       viewer.set_object(["nominal", link, i], new THREE.Mesh(part.children["<object>"].object.geometry, glass));
+
+// Points, and error vectors from them: many copies of one shape, each with its place and colour.
+const { measured, before, after, colours, black } = page.clouds;
+const paint = new THREE.MeshBasicMaterial({ vertexColors: true }), up = new THREE.Vector3(0, 1, 0);
+const tints = colours.map(colour => new THREE.Color(colour)), dark = new THREE.Color(black);
+
+// In one geometry: where there is no graphics card, instances are drawn one by one.
+function copies(shape, matrices, tint) {
+  const corners = shape.attributes.position, v = corners.count, index = shape.index ? shape.index.array : null;
+  const each = index ? index.length : v, n = matrices.length, p = new THREE.Vector3();
+  const position = new Float32Array(3 * n * v), color = new Float32Array(3 * n * v), faces = new Uint32Array(n * each);
+  matrices.forEach((matrix, k) => {
+    const { r, g, b } = tint(k);
+    for (let i = 0; i < v; i++) {
+      p.fromBufferAttribute(corners, i).applyMatrix4(matrix).toArray(position, 3 * (k * v + i));
+      color.set([r, g, b], 3 * (k * v + i));
+    }
+    for (let i = 0; i < each; i++) faces[k * each + i] = k * v + (index ? index[i] : i);
+  });
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
+  geometry.setAttribute("color", new THREE.BufferAttribute(color, 3));
+  geometry.setIndex(new THREE.BufferAttribute(faces, 1));
+  return new THREE.Mesh(geometry, paint);
+}
+
+function vectors(name, cloud, scale, shape) {
+  const at = measured.map(p => new THREE.Vector3(...p));
+  const way = cloud.errors.map(e => new THREE.Vector3(...e).multiplyScalar(scale));
+  const tint = n => tints[cloud.kinds[n]], one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
+  const sticks = at.map((p, n) => {
+    const length = way[n].length(), turn = new THREE.Quaternion();
+    if (length > 0) turn.setFromUnitVectors(up, way[n].clone().divideScalar(length));
+    return new THREE.Matrix4().compose(p.clone().addScaledVector(way[n], 0.5), turn, new THREE.Vector3(1, length, 1));
+  });
+  const ends = at.map((p, n) => new THREE.Matrix4().compose(p.clone().add(way[n]), still, one));
+  const stick = new THREE.CylinderGeometry(0.28 * page.radius, 0.28 * page.radius, 1, 3, 1, true);
+  viewer.set_object([name], new THREE.Group().add(copies(stick, sticks, tint), copies(shape, ends, tint)));
+}
+
+if (measured.length) {
+  const places = measured.map(p => new THREE.Matrix4().makeTranslation(...p)), r = page.radius;
+  const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
+  // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
+  const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
+  viewer.set_object(["measured"], copies(dot, places, () => dark));
+  vectors("before", before, page.scales[0], ball);
+  vectors("after", after, page.scales[0], diamond);
+  if (page.scales[1] > page.scales[0]) vectors("after_magnified", after, page.scales[1], diamond);
+}
 
 // Arms: a link sits in its parent at origin, then motion; parents come first.
 const order = [], placed = new Set([page.root]);
@@ -46,7 +99,7 @@ function place(arm, positions) {
 
 // The measured poses, one after the other.
 const play = byId("play"), pose = byId("pose"), row = byId("row"), last = page.rows.length - 1;
-const current = new THREE.Mesh(new THREE.SphereGeometry(page.current, 24, 16),
+const current = new THREE.Mesh(new THREE.SphereGeometry(2.7 * page.radius, 24, 16),
   new THREE.MeshBasicMaterial({ color: 0x009e73, opacity: 0.45, transparent: true, depthWrite: false }));
 const MOVE = 700, REST = 500;  // ms from pose to pose, and at each
 let at = 0, playing = 0;
@@ -56,11 +109,12 @@ function show(moment) {
   const n = Math.min(Math.floor(moment), last), m = Math.min(n + 1, last), t = moment - n;
   const s = t * t * (3 - 2 * t);
   for (const arm of arms) place(arm, arm.positions[n].map((q, k) => q + s * (arm.positions[m][k] - q)));
-  const near = t < 0.5 ? n : m, [x, y, z] = page.points[near], [before, after] = page.errors[near];
-  viewer.set_property(["current"], "position", [x, y, z]);
+  const near = t < 0.5 ? n : m, [lengthBefore, lengthAfter] = page.lengths[near];
+  viewer.set_property(["current"], "position", measured[near]);
+  viewer.set_property(["current"], "visible", wanted("measured"));
   pose.value = near;
   row.textContent = "Pose " + (near + 1) + " of " + (last + 1) + ", " + page.rows[near] + ": before " +
-    before.toFixed(3) + " mm, after " + after.toFixed(3) + " mm";
+    lengthBefore.toFixed(3) + " mm, after " + lengthAfter.toFixed(3) + " mm";
   viewer.set_dirty();
 }
 
@@ -98,8 +152,7 @@ function stop() {
 }
 
 // Layers that the reader may hide.
-const magnify = byId("magnify"), boxes = [...document.querySelectorAll("[data-layer]")];
-const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
+const magnify = byId("magnify");
 let names = true;
 
 function choose() {
@@ -133,16 +186,16 @@ function fit() {
   const [fw, fh] = [free[2] - free[0], free[3] - free[1]];
   camera.fov = 35;
   const t = Math.tan(camera.fov * Math.PI / 360), tx = t * fw / h, ty = t * fh / h;
-  const right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
+  const right = up.clone().cross(back).normalize(), above = back.clone().cross(right);
   const target = new THREE.Vector3();
-  for (const axis of [right, up, back]) {
+  for (const axis of [right, above, back]) {
     const along = outline.map(p => p.dot(axis));
     target.addScaledVector(axis, (Math.min(...along) + Math.max(...along)) / 2);
   }
   let distance = 0;
   for (const p of outline) {
     const v = p.clone().sub(target);
-    const side = Math.max(Math.abs(v.dot(right)) / tx, Math.abs(v.dot(up)) / ty);
+    const side = Math.max(Math.abs(v.dot(right)) / tx, Math.abs(v.dot(above)) / ty);
     distance = Math.max(distance, v.dot(back) + side);
   }
   distance *= 1.08;
@@ -168,7 +221,7 @@ function arrange() {
   const taken = [];
   for (const { element, object, w, h } of labels) {
     const p = new THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(camera);
-    let shown = names && p.z < 1;
+    let shown = names && p.z < 1 && Math.abs(p.x) < 1 && Math.abs(p.y) < 1;
     for (let o = object; o; o = o.parent) shown = shown && o.visible;
     element.style.display = shown ? "" : "none";
     if (!shown) continue;
@@ -177,9 +230,7 @@ function arrange() {
     for (let k = 0; k < 8; k++)
       places.push([x + 7, y + 4 + k * h], [x + 7, y - 4 - (k + 1) * h], [x - 7 - w, y + 4 + k * h], [x - 7 - w, y - 4 - (k + 1) * h]);
     const free = ([a, b]) => taken.every(r => a + w < r[0] || r[0] + r[2] < a || b + h < r[1] || r[1] + r[3] < b);
-    // What would leave the window is moved into it, as long as its frame is there.
-    if (x >= 0 && x <= pane.offsetWidth)
-      for (const place of places) place[0] = Math.min(Math.max(place[0], 2), pane.offsetWidth - w - 2);
+    for (const place of places) place[0] = Math.min(Math.max(place[0], 2), pane.offsetWidth - w - 2);
     const [a, b] = places.find(free) || places[0];
     taken.push([a, b, w, h]);
     element.style.transform = "translate(" + a + "px, " + b + "px)";
@@ -206,7 +257,7 @@ if (location.protocol.startsWith("http")) {
         const label = live.appendChild(document.createElement("label")), span = document.createElement("span");
         const slider = document.createElement("input"), output = document.createElement("output");
         span.textContent = span.title = name;
-        Object.assign(slider, { type: "range", min: lower, max: upper, step: (upper - lower) / 1000, value });
+        Object.assign(slider, { type: "range", min: lower, max: upper, step: "any", value });
         const tell = () => { output.textContent = Number(slider.value).toFixed(unit === "deg" ? 1 : 3) + " " + unit; };
         slider.addEventListener("input", () => { if (playing) stop(); tell(); ask(); });
         tell();
@@ -222,11 +273,15 @@ if (location.protocol.startsWith("http")) {
     byId("said").textContent = told.sentence;
     if (told.positions) {
       for (const arm of arms) place(arm, told.positions[arm.name]);
+      if (last >= 0) {
+        viewer.set_property(["current"], "visible", false);
+        row.textContent = "Joints moved by hand.";
+      }
       viewer.set_dirty();
     }
     if (waiting) { waiting = false; ask(); }
   });
 }
 
-window.addEventListener("load", fit);
+window.addEventListener("load", () => { viewer.set_3d_pane_size(); fit(); viewer.animate(); });
 window.addEventListener("resize", fit);

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from calib.presentation.report.document import Block, Prose, Report, Sheet
 
-# What Markdown or HTML in it would take for its own.
-_SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
+# What Markdown or HTML in it would take for its own; an underscore inside a word is a letter.
+_SPECIAL = re.compile(r"([\\`*\[\]<>|#]|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z]))")
 
 
 def render_markdown(report: Report) -> str:
@@ -17,13 +17,14 @@ def render_markdown(report: Report) -> str:
     for section in report.sections:
         parts.append(f"## {_plain(section.title)}")
         for block in section.blocks:
-            parts += _block(block)
+            parts += _block(block, section.title)
     return "\n\n".join(parts) + "\n"
 
 
-def _block(block: Block) -> Iterator[str]:
+def _block(block: Block, above: str) -> Iterator[str]:
     if isinstance(block, Sheet):
-        yield f"**{_plain(block.title)}**"
+        if block.title != above:
+            yield f"**{_plain(block.title)}**"
         rulers = ["--:" if name in block.numbers else "---" for name in block.columns]
         cells = [map(_plain, block.columns), rulers, *(map(_plain, row.cells) for row in block.rows)]
         yield "\n".join(f"| {' | '.join(row)} |" for row in cells)

@@ -14,8 +14,9 @@ from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.total_differential import Trace
-from calib.measurement.kinds import QUANTITIES
+from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
+from calib.presentation.correlation import correlation
 from calib.presentation.report.charts import (
     Axis,
     Bars,
@@ -47,6 +48,8 @@ from calib.presentation.sheets import Level as LevelFigures
 Use = Literal["identification", "validation"]
 
 _KEY = (("before", "before"), ("after", "after"))
+# Few dots are drawn large, in px.
+_FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 # More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
 _MOST_DOTS = 2000
 _BINS = 24
@@ -78,13 +81,13 @@ class Judged(Protocol):
 
 
 class _Errors(NamedTuple):
-    """Error norms (N,) of one quantity over all tables of one use, ``sets``, in the unit ``shown``."""
+    """Error norms (N,) of one quantity over the tables ``sets`` that have it, in the unit ``shown``."""
 
     quantity: str
+    sets: tuple[Judged, ...]
     before: Array
     after: Array
     shown: str
-    sets: tuple[Judged, ...]
 
 
 def judged_use(sets: Sequence[Judged]) -> Use:
@@ -162,22 +165,18 @@ def chosen(choice: Choice) -> Section:
 def distribution(sets: Sequence[Judged]) -> Section:
     """Return how errors are distributed: histogram and cumulative curve."""
     use = judged_use(sets)
-    pictures = [p for found in _errors(sets, use) for p in (_histogram(found, use), _cumulative(found, use))]
+    pictures = [p for found in _errors(_of(sets, use)) for p in (_histogram(found, use), _cumulative(found, use))]
     return Section("distribution", "How errors are distributed", tuple(pictures))
 
 
 def poses(sets: Sequence[Judged]) -> Section:
     """Return the error of every pose, and of every axis."""
     blocks: list[Block] = []
-    every = [errors for use in dict.fromkeys(judged.use for judged in sets) for errors in _errors(sets, use)]
-    for name in dict.fromkeys(errors.quantity for errors in every):
-        found = [errors for errors in every if errors.quantity == name]
-        first = found[0]
-        before, after = (np.concatenate([errors[i] for errors in found]) for i in (1, 2))
+    for quantity, having, before, after, shown in _errors(sets):
         rows, number = _drawn(after), np.arange(1.0, len(after) + 1.0)
-        edge = sum(len(errors.after) for errors in found if errors.sets[0].use == "identification")
+        edge = sum(len(judged.data) for judged in having if judged.use == "identification")
         x = linear("row", np.array([0.0, len(after)]))
-        y = logarithmic(f"error [{first.shown}]", np.concatenate([before, after]))
+        y = logarithmic(f"error [{shown}]", np.concatenate([before, after]))
         marks: list[Mark] = [
             Points("before", number[rows], before[rows]),
             Points("after", number[rows], after[rows]),
@@ -187,25 +186,24 @@ def poses(sets: Sequence[Judged]) -> Section:
             marks.append(Line("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
             held_out = f" Rows from {edge + 1} on, right of the line, were held out."
         worst = int(np.argmax(after))
-        at = [f"{j.file}, line {line}" for errors in found for j in errors.sets for line in j.data.lines][worst]
-        said = f"The largest one after calibration is {after[worst]:.4f} {first.shown}, from {at}.{held_out}"
-        blocks.append(Picture(f"{first.quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
+        at = [f"{judged.file}, line {line}" for judged in having for line in judged.data.lines][worst]
+        said = f"The largest one after calibration is {after[worst]:.4f} {shown}, from {at}.{held_out}"
+        blocks.append(Picture(f"{quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
     use = judged_use(sets)
-    blocks += _per_axis([judged for judged in sets if judged.use == use], use)
+    blocks += _per_axis(_of(sets, use), use)
     return Section("poses", "Error of every pose and axis", tuple(blocks))
 
 
 def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the error that is left over every joint's reading: a pattern is something not modelled."""
-    use = judged_use(sets)
-    error = _errors(sets, use)[0]
+    error = _errors(_of(sets, judged_use(sets)))[0]
     readings = np.concatenate([judged.data.readings for judged in error.sets])
     pictures = []
     for reading, values in zip(fit.robot.readings, readings.T, strict=True):
         factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
         at, rows = values * factor, _drawn(error.after)
         centres, means = _running_mean(at, error.after)
-        marks: list[Mark] = [Points("after", at[rows], error.after[rows], 3.0), Line("soft", centres, means)]
+        marks: list[Mark] = [Points("after", at[rows], error.after[rows], _size(rows)), Line("soft", centres, means)]
         y = linear(f"error [{error.shown}]", error.after, from_zero=True)
         said = (
             f"The mean over eighths of the rows is between {means.min():.4f} and {means.max():.4f} {error.shown}."
@@ -220,15 +218,13 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
 
 def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
-    use = judged_use(sets)
-    error = _errors(sets, use)[0]
-    chosen = error.sets
+    error = _errors(_of(sets, judged_use(sets)))[0]
     tools = fit.machine.frames.tools[:, :3, 3]
-    tips = [fit.robot.tips(judged.data.readings, fit.deviations, judged.data.conditions) for judged in chosen]
+    tips = [fit.robot.tips(judged.data.readings, fit.deviations, judged.data.conditions) for judged in error.sets]
     points = np.concatenate(
         [
             T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
-            for T, judged in zip(tips, chosen, strict=True)
+            for T, judged in zip(tips, error.sets, strict=True)
         ]
     )
     far = np.argsort(np.linalg.norm(points[:, :2], axis=1))
@@ -255,12 +251,9 @@ def parameters(fit: Fit) -> Section:
 
 def correlations(fit: Fit) -> Section | None:
     """Return how the errors of the parameters that the data see go together; None where fewer than two are seen."""
-    seen = np.flatnonzero(~fit.blind & (np.diag(fit.covariance) > 0.0))
+    seen, r = correlation(fit)
     if len(seen) < 2:
         return None
-    C = fit.covariance[np.ix_(seen, seen)]
-    sigma = np.sqrt(np.diag(C))
-    r = C / np.outer(sigma, sigma)
     names = [fit.parameters[k].name for k in seen]
     pairs = sorted(((i, j) for i in range(len(seen)) for j in range(i)), key=lambda ij: (-abs(r[ij]), ij))
     strongest = pairs[:8]
@@ -317,25 +310,28 @@ def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping
         frozenset(),
         tuple(Row((name, version or "unknown")) for name, version in versions.items()),
     )
-    return Section("provenance", "How to reproduce this", (Prose((command,), "code"), files, libraries))
+    where = Prose(("In the folder of the job:",))
+    return Section("provenance", "How to reproduce this", (where, Prose((command,), "code"), files, libraries))
 
 
-def _errors(sets: Sequence[Judged], use: Use) -> list[_Errors]:
-    """Return the errors of every quantity over all tables of one use."""
-    found: dict[str, list[Judged]] = {}
-    units = {}
+def _of(sets: Sequence[Judged], use: Use) -> list[Judged]:
+    return [judged for judged in sets if judged.use == use]
+
+
+def _errors(sets: Sequence[Judged]) -> list[_Errors]:
+    """Return the errors of every quantity over the tables that have it."""
+    having: dict[str, list[Judged]] = {}
     for judged in sets:
-        for quantity in QUANTITIES[judged.data.kind] if judged.use == use else ():
-            found.setdefault(quantity.name, []).append(judged)
-            units[quantity.name] = SHOWN[quantity.unit]
+        for quantity in QUANTITIES[judged.data.kind]:
+            having.setdefault(quantity.name, []).append(judged)
     out = []
-    for name, own in found.items():
-        factor, shown = units[name]
+    for name, own in having.items():
+        factor, unit = SHOWN[UNIT_OF[name]]
         before, after = (
-            np.concatenate([error_norms(judged.data.kind, r)[name] for judged, r in zip(own, rs, strict=True)]) * factor
-            for rs in ([judged.before for judged in own], [judged.after for judged in own])
+            np.concatenate([error_norms(judged.data.kind, r)[name] for judged, r in pairs]) * factor
+            for pairs in ([(judged, judged.before) for judged in own], [(judged, judged.after) for judged in own])
         )
-        out.append(_Errors(name, before, after, shown, tuple(own)))
+        out.append(_Errors(name, tuple(own), before, after, unit))
     return out
 
 
@@ -344,6 +340,10 @@ def _drawn(values: Array) -> IntArray:
     if len(values) <= _MOST_DOTS:
         return np.arange(len(values))
     return np.sort(np.argsort(values)[np.linspace(0, len(values) - 1, _MOST_DOTS).round().astype(np.intp)])
+
+
+def _size(rows: IntArray) -> float:
+    return _LARGE if len(rows) < _FEW else _SMALL
 
 
 def _histogram(found: _Errors, use: Use) -> Picture:
@@ -399,7 +399,7 @@ def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
         drawn = _drawn(np.linalg.norm(after, axis=1))
         # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
         lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
-        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, 3.0) for k in range(len(axes))]
+        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))]
         biases = ", ".join(f"{axis} {mean:+.4f}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
         title = f"Errors left along {', '.join(axes)}"
         picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)

@@ -1,0 +1,55 @@
+"""The shipped example: a simulated IRB2400, calibrated on three levels, with its measurements."""
+
+import csv
+import io
+from pathlib import Path
+
+from calib.foundations.errors import OutputError
+from calib.foundations.files import replace_folder
+
+JOB = "calibration.toml"
+TARGETS = "targets.csv"
+RESULTS = "out"
+_NAME = "irb2400"
+_FILES = (JOB, "irb2400.urdf", "base_fit.csv", "level1.csv", "level2.csv", "nodes.csv", "test.csv")
+_TARGET_ROWS = 20
+
+
+def example_folder() -> Path:
+    """Return the folder of the example: in the installed package, or in the source tree it was installed from.
+
+    Raises OutputError where neither has it.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "examples" / _NAME, package.parent / "robots" / _NAME):
+        if all((folder / name).is_file() for name in _FILES):
+            return folder
+    raise OutputError("The example is not installed with this package; it is robots/irb2400 of its source.")
+
+
+def copy_example(folder: Path) -> tuple[Path, Path, Path]:
+    """Make a folder with the example's files and with targets; return its job, its targets and where results belong.
+
+    Raises OutputError when there is anything of that name already.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise OutputError(f"{folder}: is there already; choose another name.")
+    source = example_folder()
+    with replace_folder(folder) as new:
+        for name in _FILES:
+            (new / name).write_bytes((source / name).read_bytes())
+        (new / TARGETS).write_text(_targets((source / "test.csv").read_text(encoding="utf-8")), encoding="utf-8")
+    return folder / JOB, folder / TARGETS, folder / RESULTS
+
+
+def _targets(table: str) -> str:
+    """Return the joints of the first rows of a table of measurements, as targets."""
+    rows = csv.reader(line for line in table.splitlines() if not line.startswith("#"))
+    text = io.StringIO()
+    text.write("# Where the nominal robot would go at these joints, the machine is to be taken.\n")
+    writer = csv.writer(text, lineterminator="\n")
+    for k, row in enumerate(rows):
+        if k > _TARGET_ROWS:
+            break
+        writer.writerow([cell.strip() for cell in row[:6]])
+    return text.getvalue()

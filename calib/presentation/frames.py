@@ -1,0 +1,48 @@
+"""A fit as pandas DataFrames, in SI units; pandas is imported when one is asked for."""
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from calib.foundations.errors import OutputError
+from calib.identification.fit import Fit
+from calib.presentation.correlation import correlation
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_LENGTHS = ("x", "y", "z")
+_ANGLES = ("rx", "ry", "rz")
+
+
+def data_frame(fit: Fit, what: Literal["parameters", "residuals", "correlations"] = "parameters") -> "DataFrame":
+    """Return the parameters of a fit, its residuals, or the correlations of the parameters that the data see.
+
+    ``parameters``: a row for each, by name: value, unit, sigma (nan where blind), prior, identifiable, weak.
+    ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of every coordinate,
+    before and after, in m and rad. ``correlations``: square, by names. Raises OutputError where pandas is missing.
+    """
+    try:
+        import pandas as pd  # noqa: PLC0415 - calib must not load it on import
+    except ImportError as e:
+        raise OutputError("A DataFrame needs pandas; install it.") from e
+    if what == "parameters":
+        return pd.DataFrame(fit.records()).set_index("name").astype({"sigma": float, "prior": float})
+    if what == "correlations":
+        seen, r = correlation(fit)
+        names = [fit.parameters[k].name for k in seen]
+        return pd.DataFrame(r, index=names, columns=names)
+    return pd.concat([pd.DataFrame(_residuals(fit, k)) for k in range(len(fit.measurements))], ignore_index=True)
+
+
+def _residuals(fit: Fit, k: int) -> dict[str, Any]:
+    data = fit.measurements[k]
+    columns: dict[str, Any] = {
+        "file": [data.where] * len(data),
+        "line": np.asarray(data.lines),
+        "tool": [data.tools[tool] for tool in data.tool],
+    }
+    for when, residuals in (("before", fit.nominal_residuals[k]), ("after", fit.residuals[k])):
+        for axis, values in zip((*_LENGTHS, *_ANGLES), residuals.T, strict=False):
+            columns[f"{when}_{axis}"] = values
+    return columns

@@ -1,0 +1,178 @@
+"""The scene served live: to this machine alone, on one port, with joints that a person moves."""
+
+import asyncio
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from calib.compensation.model_file import load_model
+from calib.job.inputs import load
+from calib.job.results import write_results
+from calib.job.run import run as identify
+from calib.presentation.arm import arm_of
+from calib.presentation.live import answer, sliders
+from scripts.browser import CHROMIUM, browser
+from tests.job.cases import CASE, JOB, run
+
+MAIN = "from calib.cli import main; main()"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("live") / "out"
+    write_results(identify(load(CASE.parent / "irb2400" / JOB)), folder)
+    return folder
+
+
+@pytest.fixture
+def out(results: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(results, tmp_path / "out")
+
+
+@pytest.fixture
+def server(out: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    command = [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", MAIN, "view", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    said = ""
+    while "Ctrl-C" not in said:
+        line = process.stdout.readline()
+        assert line, process.communicate()
+        said += line
+    match = re.search(r"http://127\.0\.0\.1:\d+/", said.replace("\n", ""))
+    assert match is not None
+    yield process, match[0]
+    process.kill()
+    process.communicate()
+
+
+def fetch(address: str, **headers: str) -> tuple[int, bytes]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as response:
+            return response.status, response.read()
+    except urllib.error.HTTPError as e:
+        return e.code, b""
+
+
+def test_it_listens_on_this_machine_alone_and_ends_well(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
+    process, address = server
+    family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+    found = [c for member in family for c in member.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+    assert [c.laddr.ip for c in found] == ["127.0.0.1"]
+    assert found[0].laddr.port == int(address.rsplit(":", 1)[1].strip("/"))
+    assert fetch(address) == (200, (out / "scene.html").read_bytes())
+    assert fetch(address + "report.html") == (200, (out / "report.html").read_bytes())
+    # Nothing but the two pages, and not for a name that another site has given this machine.
+    for path in ("model.json", "../out/result.json", "%2e%2e/secret", "scene.html/x"):
+        assert fetch(address + path)[0] == 404
+    assert fetch(address, Host="evil.example")[0] == 404
+    process.send_signal(signal.SIGINT)
+    assert process.communicate() == ("", "")
+    assert process.returncode == 0
+
+
+def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
+    from tornado.httpclient import HTTPClientError, HTTPRequest
+    from tornado.websocket import websocket_connect
+
+    _, address = server
+    place = address.replace("http", "ws") + "live"
+
+    async def talk() -> tuple[Any, Any]:
+        with pytest.raises(HTTPClientError):
+            await websocket_connect(HTTPRequest(place, headers={"Origin": "http://evil.example"}))
+        socket = await websocket_connect(place)
+        hello = json.loads(str(await socket.read_message()))
+        await socket.write_message(json.dumps({"readings": [10.0, 20.0, -5.0, 0.0, 30.0, 0.0], "apart": 3.0}))
+        told = json.loads(str(await socket.read_message()))
+        socket.close()
+        return hello, told
+
+    hello, told = asyncio.run(talk())
+    assert [r["name"] for r in hello["readings"]] == [f"joint_{k}" for k in range(1, 7)]
+    model = load_model(out)
+    u = np.radians([[10.0, 20.0, -5.0, 0.0, 30.0, 0.0]])
+    arm = arm_of(model.robot, model.deviations, u, np.eye(4))
+    np.testing.assert_allclose(told["positions"]["robot"], arm.positions[0], atol=1e-12)
+    apart = 1e3 * np.linalg.norm((model.tips(u) - model.robot.tips(u))[0, :3, 3])
+    assert f"are {apart:.3f} mm apart" in told["sentence"]
+
+
+def test_questions_without_sense_are_answered_in_words(results: Path) -> None:
+    model = load_model(results)
+    good = {"readings": [0.0] * 6, "apart": 1.0}
+    assert "positions" in answer(model, json.dumps(good))
+    for changes in (
+        {"readings": [0.0] * 5},
+        {"readings": "x"},
+        {"readings": [None] * 6},
+        {"apart": None},
+        {"apart": 1e999},
+    ):
+        assert answer(model, json.dumps({**good, **changes})) == {
+            "sentence": "This is no question that the server knows."
+        }
+    for message in ("", "[]", "[" * 5000, b"\xff"):
+        assert "positions" not in answer(model, message)
+    assert "loop 'parallelogram'" in answer(model, json.dumps({**good, "apart": 1e6}))["sentence"]
+    assert all(s["lower"] <= s["value"] <= s["upper"] for s in sliders(model))
+
+
+def test_bad_folders_and_ports_are_said_in_a_sentence(out: Path, tmp_path: Path) -> None:
+    said = run("view", tmp_path / "no")
+    assert (said.code, said.out) == (1, "")
+    assert said.err.startswith(f"Error: {tmp_path}/no/model.json: there is no such file")
+    (out / "scene.html").unlink()
+    said = run("view", out)
+    assert (said.code, said.err) == (1, f"Error: {out}: holds no scene.html; run calib calibrate again.\n")
+    assert run("view", out, "--port", "70000").code == 2
+
+
+def test_a_port_that_is_taken_is_said_in_a_sentence(out: Path) -> None:
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = run("view", out, "--port", str(port))
+    assert said.code == 1
+    assert said.err.startswith(f"Error: port {port}: cannot be listened on")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
+def test_a_person_moves_a_joint_and_sees_new_results(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
+    _, address = server
+    with browser() as page:
+        page.size(1280, 900)
+        page.open(address)
+        page.wait_for("document.querySelectorAll('#live input').length === 6")
+        tip = "viewer.scene_tree.find(['robot', 'tool0']).object.position.toArray()"
+        before = page.evaluate(tip)
+        page.evaluate(
+            "(s => { s.value = 40; s.dispatchEvent(new Event('input')); })(document.querySelector('#live input')), true"
+        )
+        page.wait_for("document.getElementById('said').innerText.includes('mm apart')")
+        model = load_model(out)
+        expected = model.tips(np.radians([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))[0, :3, 3]
+        np.testing.assert_allclose(page.evaluate(tip), expected, atol=1e-6)
+        assert np.linalg.norm(expected - before) > 0.1
+        # Results of the same folder, anew: the page loads itself again.
+        page.evaluate("window.old = true")
+        renewed = out.with_name("renewed")
+        shutil.copytree(out, renewed)
+        out.rename(out.with_name("gone"))
+        renewed.rename(out)
+        page.wait_for("window.old === undefined && document.querySelectorAll('#live input').length === 6")
+        assert page.trouble == []
+        assert all(a.startswith((address, address.replace("http", "ws"), "data:")) for a in page.requests)

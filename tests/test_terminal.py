@@ -1,0 +1,151 @@
+"""What a person sees on a terminal, and a script in its place: the demo, progress, colours, --json and --quiet."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from calib.job import example
+from calib.job.inputs import load
+from calib.job.results import steps_after_loading, write_results
+from calib.job.run import run as identify
+from calib.presentation.console import Steps, progress, time_left
+from tests.job.cases import CASE, JOB, ROOT, copy_case, run, tree
+
+MAIN = "from calib.cli import main; main()"
+IRB = CASE.parent / "irb2400"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+# The demo. --------------------------------------------------------------------------------------------------------
+
+
+def test_demo_shows_the_whole_path_and_leaves_it_to_be_walked_again(folder: Path) -> None:
+    said = run("demo", "a b")
+    assert (said.code, said.err) == (0, "")
+    assert max(map(len, said.out.splitlines())) <= 80
+    plain = " ".join(said.out.split())
+    for command in ("check", "calibrate", "compensate"):
+        assert f"$ calib {command} 'a b/" in plain
+    result = json.loads((folder / "a b/out/result.json").read_text(encoding="utf-8"))
+    after = result["metrics"]["validation"]["after"]["position"]
+    assert f"{1e3 * after['rms']:.4f}" in plain
+    assert "20 targets, all can be reached" in plain
+    assert (folder / "a b/out/report.html").is_file()
+    assert len((folder / "a b/corrected.csv").read_text(encoding="utf-8").splitlines()) >= 21
+    again = run("calibrate", "a b/calibration.toml", "-o", "again", "--json")
+    assert json.loads(again.out)["metrics"] == result["metrics"]
+
+
+def test_demo_never_writes_where_something_is(folder: Path) -> None:
+    (folder / "calib-demo").mkdir()
+    (folder / "calib-demo/mine.txt").write_text("mine")
+    before = tree(folder)
+    assert run("demo") == (1, "", "Error: calib-demo: is there already; choose another name.\n")
+    assert tree(folder) == before
+
+
+def test_example_is_packed_as_it_is_shipped() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packed = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    source = example.example_folder()
+    assert {Path(a).name: Path(b).parent for a, b in packed.items()} == dict.fromkeys(
+        example._FILES, Path("calib/examples/irb2400")
+    )
+    for name in packed:
+        assert (ROOT / name).read_bytes() == (source / Path(name).name).read_bytes()
+
+
+def test_a_package_without_its_example_says_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(example, "_FILES", ("no-such-file",))
+    said = run("demo")
+    assert (said.code, said.out) == (1, "")
+    assert said.err.startswith("Error: The example is not installed")
+    assert tree(folder) == {}
+
+
+# Progress and colours. --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "done", "total", "said"),
+    [(0.4, 0, 9, ""), (3.0, 1, 4, "about 9 s left"), (30.0, 1, 21, "about 10 min left"), (2.0, 4, 4, "about 0 s left")],
+)
+def test_time_left_is_what_the_steps_so_far_have_taken(elapsed: float, done: int, total: int, said: str) -> None:
+    assert time_left(elapsed, done, total) == said
+
+
+def test_steps_count_what_is_done_and_never_run_over() -> None:
+    told: list[tuple[str, int, int]] = []
+    steps = Steps(lambda *what: told.append(what), 2)
+    steps("a")
+    steps.expect(1)
+    steps("b")
+    steps("c")
+    assert told == [("a", 0, 2), ("b", 1, 2), ("c", 2, 3)]
+
+
+@pytest.mark.parametrize("job", [CASE / JOB, IRB / JOB], ids=lambda path: path.parent.name)
+def test_every_step_of_a_calibration_is_expected(job: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    inputs = load(job, told.append)
+    assert len(told) == 3
+    write_results(identify(inputs, told.append), tmp_path / "out", told.append)
+    assert len(told) == 3 + steps_after_loading(inputs)
+
+
+def test_nothing_is_told_where_nobody_looks(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress(shown=True, steps=1) as say:
+        say("working")
+    assert capsys.readouterr() == ("", "")
+
+
+def colours(folder: Path, *arguments: str, **environment: str) -> tuple[int, str, str]:
+    copy_case(folder)
+    plain = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE")}
+    command = [sys.executable, "-W", "error", "-c", MAIN, "calibrate", JOB, "-o", "out", *arguments]
+    done = subprocess.run(
+        command, env={**plain, "TERM": "xterm", **environment}, capture_output=True, text=True, check=False, cwd=folder
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_terminal_gets_colours_and_progress_and_a_pipe_gets_neither(folder: Path) -> None:
+    code, out, err = colours(folder, FORCE_COLOR="1")
+    assert code == 0
+    assert "\x1b[1;32m" in out  # the verdict, green
+    assert "drawing the scene" in err
+    assert " left" in err
+    code, out, err = colours(folder)
+    assert (code, err) == (0, "")
+    assert "\x1b" not in out
+    assert colours(folder, "--quiet", FORCE_COLOR="1") == (0, "", "")
+    code, out, err = colours(folder, "--json", FORCE_COLOR="1")
+    assert (code, err) == (0, "")
+    assert out == (folder / "out/result.json").read_text(encoding="utf-8")
+
+
+# For scripts. -----------------------------------------------------------------------------------------------------
+
+
+def test_compensate_as_json_names_the_rows_that_are_not_reached(folder: Path) -> None:
+    assert run("calibrate", copy_case(folder), "-o", "out", "-q").code == 0
+    rows = ["x [mm], y [mm], z [mm]", "300, 200, 100", "90000, 0, 0"]
+    (folder / "targets.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    said = run("compensate", "out", "targets.csv", "-o", "corrected.csv", "--json")
+    assert (said.code, said.err) == (0, "")
+    told = json.loads(said.out)
+    assert (told["targets"], told["file"]) == (2, "corrected.csv")
+    (missed,) = told["not_reached"]
+    assert missed["row"] == 2
+    assert missed["reason"]
+    assert missed["reason"] in (folder / "corrected.csv").read_text(encoding="utf-8")
