@@ -318,8 +318,8 @@ def axes_model(robot: Robot) -> ErrorModel:
     and turn on their axes); policy "nearest" leaves those nearest to the nominal machine, "minimal" frees as many
     parameters as the rank. No predicted point depends on the choice.
 
-    No guess is asked for where base and marks are. The axes should lie to each other as in ``robot`` to some centimetres
-    and degrees; where nobody knows, the machine of :meth:`FivePoint.robot` or of :func:`axes_robot` is to begin with.
+    No guess is asked for where base and marks are. The axes should lie to each other as in ``robot`` to some
+    centimetres and degrees; where nobody knows how, begin with :meth:`FivePoint.robot` or :func:`axes_robot`.
     """
     _, *others = (robot.chain[i].name for i in robot.moving)
     return error_model(robot, placements=others or "none")
