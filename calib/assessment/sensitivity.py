@@ -24,7 +24,7 @@ from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import unmeasured
 from calib.measurement.table import nearest
 
 
@@ -189,21 +189,7 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     parameters = model.parameters(tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    origin, rows = read_only(np.zeros((len(q), 3))), np.arange(len(q), dtype=np.intp)
-    poses = Measurements(
-        kind="position",
-        reading_names=names,
-        readings=read_only(q),
-        position=origin,
-        orientation=None,
-        sigma=origin,
-        tools=tools,
-        tool=np.zeros_like(rows),
-        group=None,
-        target=None,
-        where="poses",
-        lines=rows,
-    )
+    poses = unmeasured(names, q, np.zeros((len(q), 3)), where="poses")
     reference = model.given_frames(tools)
     return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)
 

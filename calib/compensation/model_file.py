@@ -3,21 +3,25 @@
 import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.grid import SectorGrid, load_grid
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
+from calib.identification.machine import Frames
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.transmission import JointTerm, TermKind
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -100,6 +104,21 @@ class LoopEntry(_Strict):
     passive: tuple[str, ...]
 
 
+class TermEntry(_Strict):
+    """A joint term: the reading moves on by ``amount`` (SI) times what its kind and order say."""
+
+    reading: str
+    kind: TermKind
+    order: int = Field(ge=0)
+    amount: float
+
+    @model_validator(mode="after")
+    def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
+        if (self.order > 0) != (self.kind in ("cos", "sin")):
+            raise ValueError("a term has an order if, and only if, it is a harmonic")
+        return self
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -114,6 +133,7 @@ class ModelFile(_Strict):
     residual_model: Literal["grid.npz"] | None = None
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
+    terms: tuple[TermEntry, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +141,8 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``grid``: errors of tool positions that the rest leaves, over joint space, or None.
+    ``grid``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of
+    it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
     """
 
     robot: Robot
@@ -129,6 +150,7 @@ class CalibratedModel:
     base: Array
     tools: Mapping[str, Array]
     grid: SectorGrid | None = None
+    uncertainty: Uncertainty | None = None
 
     def tips(self, readings: Array) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
@@ -174,6 +196,10 @@ def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
         loops=tuple(
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
             for loop in robot.closed_loops
+        ),
+        terms=tuple(
+            TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
+            for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
     )
 
@@ -221,13 +247,28 @@ def load_model(folder: str | Path) -> CalibratedModel:
         raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
+    terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
+    names = [reading.name for reading in robot.readings]
+    if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+        raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
+    amounts = [term.amount for term in model.terms]
+    robot = replace(robot, terms=terms)
+    deviations = Deviations(
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+    )
+    base = read_only(model.base.placement)
+    tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    doubts = folder / UNCERTAINTY_FILE
+    known = doubts.is_file() and bool(tools)
+    frames = Frames(base, np.stack(list(tools.values()))) if known else None
     return CalibratedModel(
         robot,
-        Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets)),
-        read_only(model.base.placement),
-        {name: read_only(tool.placement) for name, tool in model.tools.items()},
+        deviations,
+        base,
+        tools,
         None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
+        None if frames is None else load_uncertainty(doubts, robot, deviations, frames, tuple(tools)),
     )
 
 

@@ -233,6 +233,8 @@ def circle_point_analysis(
     """
     if len(kinds) != len(data.reading_names):
         raise MeasurementError(f"{data.where}: has {len(data.reading_names)} joints, and {len(kinds)} kinds are given.")
+    if data.position is None:
+        raise MeasurementError(f"{data.where}: has no positions, and axes are found from touched points.")
     if sigma is None and np.all(data.sigma[:, :3] > 0.0):
         sigma = float(np.sqrt(np.mean(data.sigma[:, :3] ** 2)))
     found: list[Axis] = []

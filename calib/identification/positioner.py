@@ -35,7 +35,7 @@ from calib.identification.pivot import Pivot, pivot
 from calib.identification.relative import RelativeBase, relative_base
 from calib.identification.system import Problem, blocks
 from calib.measurement.checks import Finding
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import unmeasured
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import parse_urdf
@@ -369,9 +369,10 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     # Twists of the table (N, 6, p) for a unit of each parameter: minus the Jacobian of poses seen as predicted.
     tool = fit.machine.frames.tools[0]
     T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations) @ tool
-    seen = _poses(fit, rows, T)
+    names, tools = [reading.name for reading in fit.model.robot.readings], fit.measurements[0].tools
+    seen = unmeasured(names, rows, T[:, :3, 3], T[:, :3, :3], tools=tools, where="predicted")
     problem = Problem(fit.model, fit.parameters, fit.machine.frames, (seen,))
-    J = np.concatenate([block for _, _, block in blocks(problem, seen, fit.machine, np.ones(p))])
+    J = np.concatenate([block.J for block in blocks(problem, seen, fit.machine, np.ones(p))])
     twist = -J
     twist[:, :3] = np.swapaxes(T[:, :3, :3], -1, -2) @ twist[:, :3]
     # x = T(q) s with s = T(0)^-1 x0: dx = R (v + w x s - v0 - w0 x s), twists local.
@@ -384,25 +385,6 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     squares = np.trace(covariances, axis1=1, axis2=2)
     rms, largest = float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
     return TableError(read_only(covariances), rms, largest, fit.rank - fit.usable_rank)
-
-
-def _poses(fit: Fit, readings: Array, T: Array) -> Measurements:
-    n = len(readings)
-    tools = fit.measurements[0].tools
-    return Measurements(
-        "pose",
-        tuple(reading.name for reading in fit.model.robot.readings),
-        readings,
-        T[:, :3, 3],
-        T[:, :3, :3],
-        np.ones((n, 6)),
-        tools,
-        np.zeros(n, dtype=np.intp),
-        None,
-        None,
-        "predicted",
-        np.arange(n),
-    )
 
 
 def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:

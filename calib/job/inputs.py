@@ -13,13 +13,26 @@ from calib.foundations.errors import JobError, MeasurementError, PoseError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.losses import Loss
+from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
+from calib.identification.targets import Target
 from calib.job.arm import Arm, read_arm, touched
-from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
+from calib.job.schema import (
+    FrameSection,
+    InstrumentSection,
+    Job,
+    MeasurementsSection,
+    RelationSection,
+    TargetSection,
+    read_job,
+)
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import LaserTracker
+from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.robot.deviation import axis_frame
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
@@ -43,6 +56,11 @@ class Inputs:
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The losses of the sets to identify from."""
+        return tuple(section.loss for section in self.job.measurements if section.use == "identify")
 
     def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
         """Return the names, as the job has them, of the tables of one use."""
@@ -184,9 +202,9 @@ def _refuse_unknown_points(
 def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
     for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
-        keys = ("model_sigma", "model_sigma_angle")[: data.sigma.shape[1] // 3]
-        for k, (key, sigma) in enumerate(zip(keys, _sigmas(section), strict=True)):
-            if sigma == 0.0 and not np.all(data.sigma[:, 3 * k : 3 * k + 3] > 0.0):
+        keys = ("model_sigma", "model_sigma_angle")
+        for key, sigma, quantity in zip(keys, _sigmas(section), QUANTITIES[data.kind], strict=False):
+            if sigma == 0.0 and not np.all(data.sigma[:, quantity.columns] > 0.0):
                 raise JobError(
                     f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
                     "give one of them."
@@ -235,12 +253,18 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             dh=section.dh,
             dh_convention=section.dh_convention,
             dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
+            gain=section.gain,
+            harmonics=section.harmonics,
+            harmonic_orders=section.harmonic_orders,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
             prior_angle=_si(section.prior.angle, "angle"),
+            prior_harmonics=_si(section.prior.harmonics, "angle"),
             base_pose=None if job.base is None else _placement(job.base),
             tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
+            targets={name: _target(target) for name, target in job.targets.items()},
+            relations=[_relation(relation) for relation in job.relations],
         )
         free = model.parameters()
     except JobError as e:
@@ -253,6 +277,22 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
 def _placement(frame: FrameSection) -> Array:
     position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
+
+
+def _target(section: TargetSection) -> Target:
+    if section.position is not None:
+        point = np.array([parse_quantity(text, "length", "position") for text in section.position])
+        return Target(rigid.translation(point))
+    normal = np.array(section.normal)
+    T = axis_frame(normal / np.linalg.norm(normal))
+    height = _si(section.height, "length")
+    return Target(T @ rigid.translation(np.array([0.0, 0.0, height or 0.0])), height is not None)
+
+
+def _relation(section: RelationSection) -> Relation:
+    dimension: Dimension = "angle" if section.kind == "angle" else "length"
+    value = parse_quantity(getattr(section, section.kind), dimension, section.kind)
+    return Relation(section.kind, section.targets, value, parse_quantity(section.sigma, dimension, "sigma"))
 
 
 def _arms(job: Job, path: Path) -> dict[str, Arm]:
@@ -284,6 +324,7 @@ def _measurements(
         sigma=_si(section.sigma, "length"),
         sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+        offset=section.length_offset,
         columns=section.columns,
     )
 
@@ -300,7 +341,7 @@ def _instrument(section: InstrumentSection) -> LaserTracker:
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
     position = _si(section.model_sigma, "length")
-    return (position,) if section.observes == "position" else (position, _si(section.model_sigma_angle, "angle"))
+    return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
 
 
 def _si(text: str | None, dimension: Dimension) -> float | None:

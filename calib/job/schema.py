@@ -15,6 +15,10 @@ from pydantic_core import ErrorDetails
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.joint_terms import HIGHEST_ORDER
+from calib.identification.losses import Loss
+from calib.identification.relations import RelationKind
+from calib.measurement.kinds import Kind
 
 _LARGEST_JOB = 1_000_000
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
@@ -62,6 +66,12 @@ def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, f
     return value
 
 
+def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not np.linalg.norm(value) > 0.0:
+        raise ValueError(f"{_shown(value)} has no direction.")
+    return value
+
+
 def _selection(value: object) -> object:
     names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
     if not names and value not in ("all", "none"):
@@ -78,6 +88,12 @@ def _not_empty(text: str) -> str:
 def _iterations(value: object) -> object:
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
         raise ValueError(f"{_shown(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+    return value
+
+
+def _orders(value: object) -> object:
+    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
+        raise ValueError(f"{_shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
     return value
 
 
@@ -100,6 +116,9 @@ Quaternion = Annotated[
     tuple[float, float, float, float],
     BeforeValidator(_list_of(4, "four numbers w, x, y, z")),
     AfterValidator(_unit_quaternion),
+]
+Direction = Annotated[
+    tuple[float, float, float], BeforeValidator(_list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
 ]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
 
@@ -140,10 +159,11 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that the robot's parameters are expected to have."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of harmonics."""
 
     length: PositiveLength | None = None
     angle: PositiveAngle | None = None
+    harmonics: PositiveAngle | None = None
 
 
 class ErrorModelSection(_Section):
@@ -154,6 +174,10 @@ class ErrorModelSection(_Section):
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: PositiveAngle = "0.01 rad"
+    terms: Literal["given", "auto"] = "given"
+    gain: Selection = "none"
+    harmonics: Selection = "none"
+    harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -165,6 +189,29 @@ class FrameSection(_Section):
 
     position: Position
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+class TargetSection(_Section):
+    """``[targets.NAME]``: what is known of a point, or of a plane: its normal, and its height along it."""
+
+    position: Position | None = None
+    normal: Direction | None = None
+    height: Length | None = None
+
+
+class RelationSection(_Section):
+    """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
+
+    targets: tuple[Name, Name]
+    distance: LengthFromZero | None = None
+    angle: AngleFromZero | None = None
+    offset: Length | None = None
+    sigma: str
+
+    @property
+    def kind(self) -> RelationKind:
+        """Which number is known."""
+        return next(kind for kind in get_args(RelationKind) if getattr(self, kind) is not None)
 
 
 class InstrumentSection(_Section):
@@ -222,13 +269,15 @@ class MeasurementsSection(_Section):
     """``[[measurements]]``: one table."""
 
     file: Name
-    observes: Literal["position", "pose"] = "position"
+    observes: Kind = "position"
     sigma: PositiveLength | None = None
     sigma_angle: PositiveAngle | None = None
     instrument: str | None = None
+    length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: LengthFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
+    loss: Loss = "linear"
     columns: dict[str, str] = Field(default_factory=dict)
 
 
@@ -242,6 +291,8 @@ class Job(_Section):
     base: FrameSection | None = None
     tools: dict[str, FrameSection] = Field(default_factory=dict)
     instruments: dict[str, InstrumentSection] = Field(default_factory=dict)
+    targets: dict[str, TargetSection] = Field(default_factory=dict)
+    relations: tuple[RelationSection, ...] = ()
     levels: tuple[LevelSection, ...] = ()
     measurements: tuple[MeasurementsSection, ...] = Field(min_length=1)
 
@@ -253,6 +304,8 @@ _HEADERS: dict[type[BaseModel], str] = {
     PriorSection: "prior of [error_model]",
     FrameSection: "[base] or [tools.NAME]",
     InstrumentSection: "[instruments.NAME]",
+    TargetSection: "[targets.NAME]",
+    RelationSection: "[[relations]]",
     MeasurementsSection: "[[measurements]]",
 }
 
@@ -309,16 +362,46 @@ def _contradictions(job: Job) -> Iterator[str]:
             yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
         if section.instrument is not None and section.sigma is not None:
             yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
-        if section.observes == "position":
+        if section.observes != "pose":
             for key in ("sigma_angle", "model_sigma_angle"):
                 if getattr(section, key) is not None:
-                    yield f'{at}.{key}: positions have no angles; leave it out or write observes = "pose".'
+                    yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+        if section.observes not in ("position", "pose"):
+            if section.instrument is not None:
+                yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
+            if section.use == "nodes":
+                yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
+        if section.length_offset is not None and section.observes not in ("distance", "pair_distance", "sphere"):
+            yield f"{at}.length_offset: a {section.observes} has no length; leave it out."
         if section.use == "validate":
             for key in ("model_sigma", "model_sigma_angle"):
                 if getattr(section, key) is not None:
                     yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+        if section.use != "identify" and section.loss != "linear":
+            yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+    if job.error_model.terms == "auto":
+        for key in ("gain", "harmonics"):
+            if getattr(job.error_model, key) != "none":
+                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
+    for name, target in job.targets.items():
+        if (target.position is None) == (target.normal is None):
+            yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
+        if target.height is not None and target.normal is None:
+            yield f"targets.{name}.height: belongs to a normal, and there is none."
+    for i, relation in enumerate(job.relations):
+        given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
+        if len(given) != 1:
+            yield f"relations[{i}]: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
+        else:
+            try:
+                sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
+            except JobError as e:
+                yield f"relations[{i}].sigma: {str(e).removeprefix(': ')}"
+            else:
+                if not sigma > 0.0:
+                    yield f"relations[{i}].sigma: {relation.sigma!r} is not above 0."
     if job.base is not None and job.error_model.base != "fixed":
         yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
     if job.tools and job.error_model.tool != "fixed":

@@ -6,16 +6,17 @@ follow from closed loops.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.robot.kinematics import Kinematics, MovingType
+from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
+from calib.robot.transmission import JointTerm, Transmission
 from calib.robot.urdf import Urdf
 
 
@@ -75,10 +76,12 @@ class Deviations:
     ``placements`` (number of chain joints, 6): (tx, ty, tz, rx, ry, rz) of each joint's placement, in m and rad.
     ``offsets`` (number of moving joints): added to the joint's position, in rad or m; an offset of a joint that others
     mimic moves these too, as its reading does.
+    ``terms`` (number of the robot's terms): their amounts, in SI units.
     """
 
     placements: Array
     offsets: Array
+    terms: Array = field(default_factory=lambda: read_only(np.zeros(0)))
 
 
 class TipMotion(NamedTuple):
@@ -87,7 +90,8 @@ class TipMotion(NamedTuple):
     The local twist (N, 6) of the tip for a change ``e`` of the deviations (placements row by row, then offsets) is
     ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
     ``joints`` (6 nj, n) and ``tail`` (6, n) do not. ``by_passive`` (N, 6, k) and ``rates`` (N, k, n): what passive
-    joints of closed loops do to the tip, and deviations to them; k is 0 without loops.
+    joints of closed loops do to the tip, and deviations to them; k is 0 without loops. ``by_terms`` (N, 6, nt): the
+    local twists for the amounts of the robot's terms, which come on top.
     """
 
     placement: Array
@@ -96,6 +100,7 @@ class TipMotion(NamedTuple):
     tail: Array
     by_passive: Array
     rates: Array
+    by_terms: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +111,7 @@ class Robot:
     index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
+    ``terms``: what the readings go through before they are coupled.
     """
 
     urdf: Urdf
@@ -120,6 +126,7 @@ class Robot:
     loops: tuple[Loop, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     closed_loops: tuple[ClosedLoop, ...] = ()
+    terms: tuple[JointTerm, ...] = ()
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -160,7 +167,11 @@ class Robot:
 
     def no_deviations(self) -> Deviations:
         """Return the deviations of the nominal machine: zeros."""
-        return Deviations(read_only(np.zeros((len(self.chain), 6))), read_only(np.zeros(len(self.moving))))
+        return Deviations(
+            read_only(np.zeros((len(self.chain), 6))),
+            read_only(np.zeros(len(self.moving))),
+            read_only(np.zeros(len(self.terms))),
+        )
 
     def joint_positions(self, readings: Array, deviations: Deviations | None = None) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
@@ -192,6 +203,8 @@ class TipModel:
         self._robot, self._offsets = robot, robot.offset_coupling @ d.offsets
         self._kinematics = Kinematics(s.tree, [end_frame(s, robot.tip_joint)])
         self._closure = Closure(s, robot.loops) if robot.loops else None
+        names = [reading.name for reading in robot.readings]
+        self._terms = Transmission(robot.terms, names, d.terms) if robot.terms else None
         joints, tail = derivative(s, robot.tip_joint)
         by_offset = np.zeros((len(joints), len(robot.moving)))
         for j, kind in enumerate(robot.moving_types):
@@ -204,7 +217,8 @@ class TipModel:
 
     def joint_positions(self, readings: Array) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        q = readings @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
+        moved = readings if self._terms is None else self._terms.moved(readings, self._terms.bases(readings))
+        q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
     def tips(self, readings: Array) -> Array:
@@ -220,7 +234,10 @@ class TipModel:
             rates = np.zeros((len(q), 0, self.joints.shape[1]))
         else:
             rates = self._closure.rates(q, self._robot.offset_coupling)
-        return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates)
+        by_terms = np.zeros((len(q), 6, 0))
+        if self._terms is not None:
+            by_terms = self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings)[:, None]
+        return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
@@ -230,14 +247,21 @@ class TipModel:
         """
         q = self.joint_positions(readings)
         (tip,) = self._kinematics.regressors(q)
+        by_reading = self._by_reading(q, tip)
+        if self._terms is not None:
+            by_reading = by_reading * self._terms.slopes(readings)[:, None]
+        return tip.placement, by_reading
+
+    def _by_reading(self, q: Array, tip: Regressor) -> Array:
+        """Return the local twists (N, 6, nr) of the tip per change of what is coupled to the joints, at q (N, nj)."""
         coupling, types, passive = self._robot.coupling, self._robot.moving_types, self._robot.passive
         by_joint = tip.by_joint(types, range(len(types)))
         if self._closure is None:
-            return tip.placement, np.asarray(by_joint @ coupling)
+            return np.asarray(by_joint @ coupling)
         active = coupling.copy()
         active[list(passive)] = 0.0
         rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
-        return tip.placement, np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
+        return np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
 
 
 def _segments(robot: Robot) -> list[Segment]:
