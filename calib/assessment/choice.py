@@ -10,25 +10,30 @@ all rows then take.
 A parameter without a prior of its own is held by a weak one, as wide as what counts as unseen: ten ordinary deviations.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.identify import identify
 from calib.identification.joint_terms import harmonic
+from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
 from calib.identification.start import posed
 from calib.identification.system import blocks, evaluate
 from calib.identification.weights import sigmas_of
+from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
+from calib.robot.joint_terms import weights_of
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
 
@@ -53,13 +58,12 @@ class Step:
     """One step of the selection: the candidate that enters, and what is said of rows held out from then on.
 
     ``added`` is None for the first, geometry alone. ``held_out``: in standard deviations of the noise that the
-    geometric fit shows; ``position``: rms in m; ``orientation``: rms in rad, None for positions.
+    geometric fit shows, rows that lie off weighing less where a loss says so; ``rms``: of every quantity, in SI units.
     """
 
     added: Candidate | None
     held_out: HeldOut
-    position: float
-    orientation: float | None
+    rms: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,19 +99,38 @@ class Choice:
                 "added": [] if step.added is None else [term.name for term in step.added.terms],
                 "held_out": step.held_out.rms,
                 "standard_error": step.held_out.standard_error,
-                "position": step.position,
-                "orientation": step.orientation,
+                "rms": dict(step.rms),
                 "taken": k <= self.taken,
             }
             for k, step in enumerate(self.steps)
         ]
 
 
-def candidates(robot: Robot, orders: Iterable[int] = ORDERS) -> tuple[Candidate, ...]:
-    """Return what may enter: of every reading its gain and, where it turns, every order."""
+def candidates(
+    robot: Robot, measurements: Sequence[Measurements] = (), orders: Iterable[int] = ORDERS
+) -> tuple[Candidate, ...]:
+    """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
+
+    Beside these the gap of its gears where it was reached from both sides in ``measurements``, and what it owes to the
+    temperature where that is told and changes. Masses that the URDF states in a way that cannot be used are as good as
+    none.
+    """
     found: list[Candidate] = []
-    for reading in robot.readings:
+    weighed = True
+    try:
+        weights_of(robot)
+    except RobotError:
+        weighed = False
+    told = joined([data.conditions for data in measurements])
+    warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
+    for k, reading in enumerate(robot.readings):
         found.append(Candidate((JointTerm(reading.name, "gain"),)))
+        if warms:
+            found.append(Candidate((JointTerm(reading.name, "thermal"),)))
+        if told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, k].tolist()):
+            found.append(Candidate((JointTerm(reading.name, "backlash"),)))
+        if weighed:
+            found.append(Candidate((JointTerm(reading.name, "elastic"),)))
         if reading.dimension == "angle":
             found += [Candidate(harmonic(reading.name, order)) for order in orders]
     return tuple(found)
@@ -121,21 +144,22 @@ def choose_terms(
     count: int = FOLDS,
     prior: float | None = None,
     model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
     ``offered``: those to choose from, by default :func:`candidates` of the robot. ``prior``: standard deviation in rad
-    of the amounts of harmonics, where it is known. ``model_sigmas`` as in :func:`calib.identify`, whose errors this
-    raises, and MeasurementError when all rows are of one group.
+    of the amounts of harmonics, where it is known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
+    errors this raises, and MeasurementError when all rows are of one group.
     """
     with one_thread():
         progress("choosing joint terms: fitting geometry")
-        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas)
+        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         group = groups(geometric.measurements)
         fold = folds(group, count)
-        chosen_from = candidates(model.robot) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, prior)
+        chosen_from = candidates(model.urdf_robot, geometric.measurements) if offered is None else tuple(offered)
+        system = _System(geometric, chosen_from, prior, losses)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)
         total = np.sum(grams, axis=0)
@@ -144,12 +168,12 @@ def choose_terms(
             progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
             ways.append(system.way(total - gram).values)
         progress("choosing joint terms: judging by what was held out")
-        squares, position, orientation = system.squares(fold, np.stack(ways))
+        squares, rms = system.squares(fold, np.stack(ways))
         figures = [held_out(row, group) for row in squares]
         entered = system.way(total).order
     steps = tuple(
-        Step(None if k == 0 else chosen_from[entered[k - 1]], figure, at, turned)
-        for k, (figure, at, turned) in enumerate(zip(figures, position, orientation, strict=True))
+        Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
+        for k, figure in enumerate(figures)
     )
     return Choice(steps, one_standard_error(figures), geometric, prior)
 
@@ -169,17 +193,20 @@ class _Way:
 class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
-    def __init__(self, geometric: Fit, offered: Sequence[Candidate], prior: float | None) -> None:
+    def __init__(
+        self, geometric: Fit, offered: Sequence[Candidate], prior: float | None, losses: Sequence[Loss] | None
+    ) -> None:
         terms = [term for candidate in offered for term in candidate.terms]
         full = _with_prior(geometric.model, terms, prior)
         sets = geometric.measurements
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
-        self._problem = replace(posed(full, sets), reference=frames, held=held)
+        given = None if losses is None else tuple(losses)
+        self._problem = replace(posed(full, sets), reference=frames, held=held, given_losses=given)
         parameters = self._problem.parameters
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
-        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise])
+        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
         # What is known without any row: relations between targets, and that a size which nothing tells stays.
         found = evaluate(self._problem, self._sigmas, self._x)
         rows = np.concatenate([found.relations, np.pad(found.size.T / USABLE, ((0, 0), (0, 1)))])
@@ -230,24 +257,24 @@ class _System:
             values[len(order), entered] = -tableau[entered, p]
         return _Way(tuple(order), values)
 
-    def squares(self, fold: IntArray, values: Array) -> tuple[Array, list[float], list[float | None]]:
-        """Return mean squared whitened errors (steps, N) of rows held out; rms of positions in m, of turns in rad.
+    def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
+        """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
 
         ``values`` (folds, steps, p): what every fold has found without its own rows.
         """
-        steps, found = values.shape[1], []
-        sums, counts = np.zeros((2, steps)), np.zeros(2)
+        found: list[Array] = []
+        sums: dict[str, Array] = {}
+        counts: dict[str, int] = {}
         start = 0
-        for _, _, sigma, rows in self._rows():
+        for i, _, sigma, rows in self._rows():
             own = fold[start : (start := start + len(rows))]
             errors = np.einsum("ndp,nsp->snd", rows[:, :, :-1], values[own]) + rows[:, :, -1]
             found.append(np.mean(errors**2, axis=2))
-            for q in range(sigma.shape[1] // 3):
-                part = slice(3 * q, 3 * q + 3)
-                sums[q] += np.sum((errors[:, :, part] * sigma[:, part]) ** 2, axis=(1, 2))
-                counts[q] += len(rows)
-        position, turns = (np.sqrt(total / max(n, 1.0)).tolist() for total, n in zip(sums, counts, strict=True))
-        return np.concatenate(found, axis=1), position, turns if counts[1] else [None] * steps
+            for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
+                more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
+                sums[name] = sums.get(name, 0.0) + more
+                counts[name] = counts.get(name, 0) + len(rows)
+        return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}
 
 
 def _pivot(tableau: Array, block: Sequence[int]) -> None:

@@ -20,6 +20,8 @@ from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.identify import identify, residuals_of
+from calib.identification.losses import Loss
+from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements
 
 FOLDS = 10
@@ -41,7 +43,7 @@ def groups(measurements: Sequence[Measurements]) -> IntArray:
 
     Numbered by the poses in them, so that neither the order of the rows nor that of the sets matters.
     """
-    readings = np.concatenate([data.readings for data in measurements])
+    readings = np.concatenate([_both_ends(data) for data in measurements])
     cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
@@ -56,6 +58,11 @@ def groups(measurements: Sequence[Measurements]) -> IntArray:
     rank = np.empty(len(order), dtype=np.intp)
     rank[np.argsort(order)] = np.arange(len(order))
     return np.asarray(rank[component][cell], dtype=np.intp)
+
+
+def _both_ends(data: Measurements) -> Array:
+    """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
+    return np.hstack([data.readings, data.readings if data.other is None else data.other.readings])
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:
@@ -90,18 +97,28 @@ def held_out(squares: Array, group: IntArray) -> HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossValidation:
-    """Made by :func:`cross_validate`. ``residuals`` (N, 3 or 6) of every set: of each row by a fit without its fold.
+    """Made by :func:`cross_validate`. ``residuals`` (N, d) of every set: of each row by a fit without its fold.
 
-    ``group`` (all rows): as in :func:`groups`.
+    ``kinds``: of every set; ``group`` (all rows): as in :func:`groups`.
     """
 
+    kinds: tuple[Kind, ...]
     residuals: tuple[Array, ...]
     group: IntArray
 
-    @property
-    def position(self) -> HeldOut:
-        """Figure of the positions, in m."""
-        return held_out(np.concatenate([np.sum(r[:, :3] ** 2, axis=1) for r in self.residuals]), self.group)
+    def figure(self, quantity: str = "position") -> HeldOut:
+        """Return the figure of a quantity, in its unit. Raises KeyError for one that no set has."""
+        squares: list[Array] = []
+        group: list[IntArray] = []
+        own = np.split(self.group, np.cumsum([len(r) for r in self.residuals])[:-1])
+        for kind, r, g in zip(self.kinds, self.residuals, own, strict=True):
+            for name, _, columns in QUANTITIES[kind]:
+                if name == quantity:
+                    squares.append(np.sum(r[:, columns] ** 2, axis=1))
+                    group.append(g)
+        if not squares:
+            raise KeyError(quantity)
+        return held_out(np.concatenate(squares), np.concatenate(group))
 
 
 def cross_validate(
@@ -110,6 +127,7 @@ def cross_validate(
     *,
     count: int = FOLDS,
     model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
 ) -> CrossValidation:
     """Identify as often as there are folds, each time without the rows of one, and predict these.
 
@@ -123,13 +141,12 @@ def cross_validate(
     own = np.split(fold, ends[:-1])
     found = tuple(np.empty_like(data.sigma) for data in sets)
     for k in range(int(fold.max()) + 1):
-        fit = identify(
-            model, [data.subset(f != k) for data, f in zip(sets, own, strict=True)], model_sigmas=model_sigmas
-        )
+        kept = [data.subset(f != k) for data, f in zip(sets, own, strict=True)]
+        fit = identify(model, kept, model_sigmas=model_sigmas, losses=losses)
         left_out = [data.subset(f == k) for data, f in zip(sets, own, strict=True)]
         for r, f, there in zip(residuals_of(fit, left_out, fit.machine), own, found, strict=True):
             there[f == k] = r
-    return CrossValidation(tuple(map(read_only_view, found)), group)
+    return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)
 
 
 def one_standard_error(figures: Sequence[HeldOut]) -> int:

@@ -3,7 +3,7 @@
 import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -15,10 +15,13 @@ from calib.compensation.grid import SectorGrid, load_grid
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
+from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import STANDARD_GRAVITY, Payload
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.transmission import JointTerm, TermKind
@@ -119,6 +122,13 @@ class TermEntry(_Strict):
         return self
 
 
+class PayloadEntry(_Strict):
+    """What the tip link carries: kg, and m in its frame."""
+
+    mass: float = Field(ge=0.0)
+    position: tuple[float, float, float]
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -134,6 +144,8 @@ class ModelFile(_Strict):
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
     terms: tuple[TermEntry, ...] = ()
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: PayloadEntry | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,16 +164,19 @@ class CalibratedModel:
     grid: SectorGrid | None = None
     uncertainty: Uncertainty | None = None
 
-    def tips(self, readings: Array) -> Array:
-        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
-        return self.robot.tips(readings, self.deviations)
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-    def predict(self, readings: Array, tool: str = "tool") -> Array:
+        Raises RobotError for a joint term that needs ``conditions`` which are not given.
+        """
+        return self.robot.tips(readings, self.deviations, conditions)
+
+    def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
         The grid, where there is one, shifts positions; outside of it, where it has no values, nothing is added.
         """
-        tips = self.tips(readings)
+        tips = self.tips(readings, conditions)
         placed = np.asarray(self.base @ tips @ self.tools[tool])
         if self.grid is not None:
             placed[:, :3, 3] += self.grid.shifts(self.base, tips, readings)
@@ -201,6 +216,10 @@ def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
             TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
             for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
+        gravity=robot.gravity,
+        payload=None
+        if robot.payload is None
+        else PayloadEntry(mass=robot.payload.mass, position=robot.payload.position),
     )
 
 
@@ -240,20 +259,22 @@ def load_model(folder: str | Path) -> CalibratedModel:
             model.base_link,
             couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
             loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in model.loops],
+            gravity=model.gravity,
+            payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
         )
-    except CalibError as e:
+        names = [reading.name for reading in robot.readings]
+        terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
+        if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+            raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
+        equipped = with_joint_terms(robot, terms)
+    except RobotError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
     if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in model.joints]:
         raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
-    terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
-    names = [reading.name for reading in robot.readings]
-    if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
-        raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
     amounts = [term.amount for term in model.terms]
-    robot = replace(robot, terms=terms)
     deviations = Deviations(
         read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
     )
@@ -263,12 +284,12 @@ def load_model(folder: str | Path) -> CalibratedModel:
     known = doubts.is_file() and bool(tools)
     frames = Frames(base, np.stack(list(tools.values()))) if known else None
     return CalibratedModel(
-        robot,
+        equipped,
         deviations,
         base,
         tools,
         None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
-        None if frames is None else load_uncertainty(doubts, robot, deviations, frames, tuple(tools)),
+        None if frames is None else load_uncertainty(doubts, equipped, deviations, frames, tuple(tools)),
     )
 
 

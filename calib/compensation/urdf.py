@@ -12,6 +12,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
@@ -62,7 +63,9 @@ def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     return document
 
 
-def lost_in_urdf(robot: Robot, deviations: Deviations, readings: Array) -> float:
+def lost_in_urdf(
+    robot: Robot, deviations: Deviations, readings: Array, conditions: Conditions = NO_CONDITIONS
+) -> float:
     """Return the rms distance in m at the tip, at readings (N, nr), that the calibrated URDF alone is off.
 
     A URDF holds neither closed loops nor couplings of several drivers, nor joint terms; whoever reads it follows its
@@ -75,7 +78,7 @@ def lost_in_urdf(robot: Robot, deviations: Deviations, readings: Array) -> float
     if any(reading.name not in names for reading in plain.readings):
         return float("nan")
     taken = readings[:, [names.index(reading.name) for reading in plain.readings]]
-    apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations)[:, :3, 3]
+    apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations, conditions)[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 

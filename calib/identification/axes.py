@@ -233,8 +233,9 @@ def circle_point_analysis(
     """
     if len(kinds) != len(data.reading_names):
         raise MeasurementError(f"{data.where}: has {len(data.reading_names)} joints, and {len(kinds)} kinds are given.")
-    if data.position is None:
-        raise MeasurementError(f"{data.where}: has no positions, and axes are found from touched points.")
+    touched = data.position
+    if touched is None:
+        raise MeasurementError(f"{data.where}: a {data.kind} has no points, of which sweeps are made.")
     if sigma is None and np.all(data.sigma[:, :3] > 0.0):
         sigma = float(np.sqrt(np.mean(data.sigma[:, :3] ** 2)))
     found: list[Axis] = []
@@ -249,7 +250,7 @@ def circle_point_analysis(
         back = np.broadcast_to(np.eye(4), (len(rows), 4, 4))
         for k, axis in reversed(list(enumerate(found))):
             back = back @ axis.motion(-data.readings[rows, k])
-        x = (back[:, :3, :3] @ data.position[rows, :, None])[..., 0] + back[:, :3, 3]
+        x = (back[:, :3, :3] @ touched[rows, :, None])[..., 0] + back[:, :3, 3]
         fit: Callable[..., Axis] = circle_axis if kind == "revolute" else line_axis
         found.append(fit(x, data.readings[rows, j], np.repeat(np.arange(len(sweeps)), list(map(len, sweeps))), sigma))
     return tuple(found)

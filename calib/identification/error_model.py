@@ -12,7 +12,7 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
-from calib.identification.joint_terms import ORDINARY, terms_of
+from calib.identification.joint_terms import ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
 from calib.identification.relations import Relation
@@ -20,6 +20,7 @@ from calib.identification.targets import Target
 from calib.robot import deviation
 from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
 from calib.robot.dh.table import NUMBERS, Convention, DhTable
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
 
@@ -79,18 +80,12 @@ class ErrorModel:
             moving = self.robot.chain[i]
             if moving.name in self.offsets:
                 free(f"{moving.name}.offset", "offset", (layout.offsets + j, 1.0), length=moving.type == "prismatic")
+        dimensions = {reading.name: reading.dimension for reading in self.robot.readings}
         for t, term in enumerate(self.robot.terms):
             if term.name in self.terms:
-                found.append(
-                    Parameter(
-                        term.name,
-                        term.unit,
-                        "term",
-                        ((layout.terms + t, 1.0),),
-                        self.term_priors.get(term.name),
-                        ORDINARY[term.kind],
-                    )
-                )
+                unit = term.unit(dimensions[term.reading])
+                prior = self.term_priors.get(term.name)
+                found.append(Parameter(term.name, unit, "term", ((layout.terms + t, 1.0),), prior, ordinary(unit)))
         if self.base == "pose":
             for k, component in enumerate(POSE):
                 free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)
@@ -128,6 +123,9 @@ def error_model(
     gain: Selection = "none",
     harmonics: Selection = "none",
     harmonic_orders: Sequence[int] = (1, 2),
+    elastic: Selection = "none",
+    backlash: Selection = "none",
+    thermal: Selection = "none",
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
     prior_length: float | None = None,
@@ -148,9 +146,11 @@ def error_model(
     numbers (``"joint_3.a"``, ``"*.alpha"``). A row is named after its joint and has a, d, alpha, theta, and beta in
     place of d where the next axis is parallel to within ``dh_parallel`` rad. What the joint itself moves (theta of a
     revolute one) is freed, and called, ``joint_3.offset``. ``dh_convention``: "standard" or "modified".
-    ``gain`` and ``harmonics``: "all" readings, "none", or names and globs of readings whose scale, and whose cosine and
-    sine of all ``harmonic_orders``, are unknown. Without a prior of their own (``prior_harmonics``, rad) amounts of
-    terms have none.
+    ``gain``, ``harmonics``, ``elastic``, ``backlash``, ``thermal``: "all" readings, "none", or names and globs of
+    readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity, whose half
+    gap by the side of approach, whose zero by temperature is unknown. Masses are those of the URDF, and RobotError says
+    what is wrong with them; sides and temperatures are columns of the measurements. Without a prior of their own
+    (``prior_harmonics``, rad) amounts of terms have none.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
     nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
@@ -207,8 +207,17 @@ def error_model(
         freed += numbers
         chosen_offsets = [joint.name for joint in moving if joint.name in {*chosen_offsets, *own}]
     names = [reading.name for reading in robot.readings]
-    chosen_gain, chosen_harmonics = _select(gain, names, "gain"), _select(harmonics, names, "harmonics")
-    terms = terms_of(robot, chosen_gain, chosen_harmonics, harmonic_orders)
+    terms = terms_of(
+        robot,
+        _select(gain, names, "gain"),
+        _select(harmonics, names, "harmonics"),
+        harmonic_orders,
+        {
+            "elastic": _select(elastic, names, "elastic"),
+            "backlash": _select(backlash, names, "backlash"),
+            "thermal": _select(thermal, names, "thermal"),
+        },
+    )
     model = ErrorModel(
         robot if frames is None else frames.robot,
         tuple(chosen_offsets),
@@ -233,10 +242,10 @@ def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[st
 
     ``priors``: standard deviations of their amounts, by name and in SI units; where there is none, none.
     """
-    kept = tuple(terms)
-    robot = replace(model.robot, terms=kept)
-    dh = None if model.dh is None else replace(model.dh, source=replace(model.dh.source, terms=kept), robot=robot)
-    names = tuple(term.name for term in kept)
+    source = with_joint_terms(model.urdf_robot, terms)
+    robot = replace(model.robot, terms=source.terms, weights=source.weights)
+    dh = None if model.dh is None else replace(model.dh, source=source, robot=robot)
+    names = tuple(term.name for term in terms)
     return replace(model, robot=robot, dh=dh, terms=names, term_priors={} if priors is None else dict(priors))
 
 

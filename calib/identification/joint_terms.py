@@ -5,12 +5,20 @@ from types import MappingProxyType
 
 from calib.foundations.errors import JobError
 from calib.robot.robot import Robot
-from calib.robot.transmission import JointTerm, TermKind
+from calib.robot.transmission import JointTerm, TermKind, TermUnit
 
 HIGHEST_ORDER = 1000
 
-# Amounts that surprise nobody, in SI units: a tenth of a per mille of scale, and 20'' of a harmonic.
-ORDINARY: Mapping[TermKind, float] = MappingProxyType({"gain": 1e-3, "cos": 1e-4, "sin": 1e-4})
+# Amounts that surprise nobody, in SI units: a per mille of scale, 20'' of a harmonic, 100 Nm that wind a drive up by a
+# milliradian, 10 kN that press a spindle in by a millimetre, what 10 K do to a zero.
+_ORDINARY: Mapping[TermUnit, float] = MappingProxyType(
+    {"1": 1e-3, "rad": 1e-4, "m": 1e-5, "rad/Nm": 1e-5, "m/N": 1e-7, "rad/K": 1e-5, "m/K": 1e-5}
+)
+
+
+def ordinary(unit: TermUnit) -> float:
+    """Return the size of an amount that surprises nobody."""
+    return _ORDINARY[unit]
 
 
 def harmonic(reading: str, order: int) -> tuple[JointTerm, JointTerm]:
@@ -19,9 +27,13 @@ def harmonic(reading: str, order: int) -> tuple[JointTerm, JointTerm]:
 
 
 def terms_of(
-    robot: Robot, gain: Sequence[str], harmonics: Sequence[str], orders: Sequence[int]
+    robot: Robot,
+    gain: Sequence[str],
+    harmonics: Sequence[str],
+    orders: Sequence[int],
+    others: Mapping[TermKind, Sequence[str]],
 ) -> tuple[JointTerm, ...]:
-    """Return the terms of the named readings, reading by reading.
+    """Return the terms of the named readings, reading by reading; ``others``: readings by the kind of a single term.
 
     Raises JobError for an order that is none, and for harmonics of a reading that is a length and never comes round.
     """
@@ -36,4 +48,5 @@ def terms_of(
             if reading.dimension == "length":
                 raise JobError(f"harmonics: {reading.name!r} slides, and harmonics are of angles.")
             found += [term for order in sorted(set(orders)) for term in harmonic(reading.name, order)]
+        found += [JointTerm(reading.name, kind) for kind, names in others.items() if reading.name in names]
     return tuple(found)

@@ -20,7 +20,8 @@ from calib.identification.machine import Frames, Layout, Machine, values_at
 from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import Measurements, OtherEnd
+from calib.measurement.measurements import Measurements
+from calib.robot.transmission import lacking
 
 # Directions of a linear fit below this share of the best one are left at their start.
 _NEGLIGIBLE = 1e-8
@@ -68,7 +69,7 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
 def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """Return the sets with common lists of tools, targets and lengths.
 
-    Raises MeasurementError when they are not of this robot.
+    Raises MeasurementError when they are not of this robot, or lack what a joint term needs.
     """
     names = tuple(reading.name for reading in model.robot.readings)
     for data in sets:
@@ -76,6 +77,9 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             raise MeasurementError(
                 f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
             )
+        for conditions in (data.conditions, *(() if data.other is None else (data.other.conditions,))):
+            if missing := lacking(model.robot.terms, names, conditions):
+                raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
     offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
@@ -93,7 +97,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             target=numbered(data.targets, every, data.target),
             other=None
             if data.other is None
-            else OtherEnd(data.other.readings, numbered(data.tools, tools, data.other.tool)),
+            else replace(data.other, tool=numbered(data.tools, tools, data.other.tool)),
             offsets=offsets,
             offset=offsets.index(data.offsets[data.offset]) if data.offset >= 0 else -1,
         )
@@ -138,7 +142,7 @@ def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: M
     known_targets, known_lengths = len(frames.targets), len(frames.lengths)
     if (known_targets, known_lengths) == (len(sets[0].targets), len(sets[0].offsets)):
         return machine
-    tips = [model.robot.tips(data.readings, machine.deviations) for data in sets]
+    tips = [model.robot.tips(data.readings, machine.deviations, data.conditions) for data in sets]
     placed = _with_targets(model, sets, tips, frames)
     placed = replace(
         placed,

@@ -199,8 +199,8 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
             data,
             slice(None),
             at.frames,
-            at.frames.base @ tip.tips(data.readings) @ at.frames.tools[data.tool],
-            None if data.other is None else tip.tips(data.other.readings),
+            at.frames.base @ tip.tips(data.readings, data.conditions) @ at.frames.tools[data.tool],
+            None if data.other is None else tip.tips(data.other.readings, data.other.conditions),
         ).residual
         for data in measurements
     )
@@ -248,8 +248,10 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     for start in range(0, len(data), size):
         rows = slice(start, start + size)
         try:
-            motion = tip.motion(data.readings[rows])
-            other = None if data.other is None else tip.motion(data.other.readings[rows])
+            motion = tip.motion(data.readings[rows], data.conditions.subset(rows))
+            other = None
+            if data.other is not None:
+                other = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
         except PoseError as e:
             raise PoseError(start + e.row, e.reason) from e
         placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from calib.job.schema import (
     InstrumentSection,
     Job,
     MeasurementsSection,
+    PayloadSection,
     RelationSection,
     TargetSection,
     read_job,
@@ -33,6 +34,7 @@ from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.deviation import axis_frame
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
@@ -67,17 +69,32 @@ class Inputs:
         return tuple(section.file for section in self.job.measurements if section.use == use)
 
 
+class JobArm(NamedTuple):
+    """What a job says of the arm and what is free of it; its measurements need not be there yet."""
+
+    job: Job
+    urdf: Path
+    robot: Robot
+    model: ErrorModel
+    mesh_roots: tuple[Path, ...]
+
+
+def load_arm(path: Path) -> JobArm:
+    """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
+    job = read_job(path)
+    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
+    robot = _robot(job, urdf)
+    return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
+
+
 def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
 
     Doubtful but usable things are returned as findings.
     """
     progress("reading the job")
-    job = read_job(path)
-    folder = path.parent
-    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
-    robot = _robot(job, urdf)
-    model = _model(job, robot, path)
+    arm = load_arm(path)
+    job, urdf, robot, model, folder = arm.job, arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
     arms = _arms(job, path)
@@ -117,7 +134,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         validate=held_out,
         nodes=nodes,
         model_sigmas=tuple(_sigmas(section) for section in sections if section.use == "identify"),
-        mesh_roots=_mesh_roots(job, urdf, path),
+        mesh_roots=arm.mesh_roots,
         findings=tuple(findings),
         hashes=hashes,
         files=(
@@ -162,7 +179,14 @@ def _robot(job: Job, urdf: Path) -> Robot:
         section.base,
         couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+        gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
+        payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _payload(section: PayloadSection) -> Payload:
+    x, y, z = (parse_quantity(text, "length", "robot.payload") for text in section.position)
+    return Payload(parse_quantity(section.mass, "mass", "robot.payload"), (x, y, z))
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -256,6 +280,9 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             gain=section.gain,
             harmonics=section.harmonics,
             harmonic_orders=section.harmonic_orders,
+            elastic=section.elastic,
+            backlash=section.backlash,
+            thermal=section.thermal,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
@@ -325,6 +352,7 @@ def _measurements(
         sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
         offset=section.length_offset,
+        in_order=section.in_order,
         columns=section.columns,
     )
 

@@ -20,6 +20,7 @@ from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
 
 
 class JudgedSet(NamedTuple):
@@ -109,7 +110,12 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace,
         reports,
         grid,
-        lost_in_urdf(fit.robot, fit.deviations, np.concatenate([judged.data.readings for judged in judged_sets])),
+        lost_in_urdf(
+            fit.robot,
+            fit.deviations,
+            np.concatenate([judged.data.readings for judged in judged_sets]),
+            joined([judged.data.conditions for judged in judged_sets]),
+        ),
         choice,
     )
 
@@ -122,7 +128,12 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
     prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
     try:
         return choose_terms(
-            inputs.model, inputs.identify, prior=prior, model_sigmas=_flat(inputs.model_sigmas), progress=progress
+            inputs.model,
+            inputs.identify,
+            prior=prior,
+            model_sigmas=_flat(inputs.model_sigmas),
+            losses=inputs.losses,
+            progress=progress,
         )
     except MeasurementError as e:
         raise MeasurementError(f"{inputs.path}: error_model.terms: {e}") from e
@@ -185,7 +196,8 @@ def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
         return None
     errors = [r[:, :3] for r in residuals_of(fit, inputs.nodes, fit.machine)]
     base = fit.machine.frames.base
-    axes = [axes_of(section.frame, base, fit.robot.tips(data.readings, fit.deviations)) for data in inputs.nodes]
+    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in inputs.nodes]
+    axes = [axes_of(section.frame, base, T) for T in tips]
     return grid_from_residuals(
         np.concatenate([data.readings for data in inputs.nodes]),
         np.concatenate([(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]),
@@ -210,7 +222,7 @@ def _judged(
         if grid is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
             a[:, :3] -= grid.shifts(
-                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations), data.readings
+                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations, data.conditions), data.readings
             )
         yield JudgedSet(use, file, data, b, a)
 

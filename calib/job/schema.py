@@ -35,7 +35,7 @@ def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any
 
     def checked(text: object) -> object:
         if not isinstance(text, str):
-            example = {"length": "0.02 mm"}.get(dimension, "0.01 deg")
+            example = {"length": "0.02 mm", "mass": "5 kg", "acceleration": "9.81 m/s2"}.get(dimension, "0.01 deg")
             raise ValueError(f"{_shown(text)} is not a text with a number and a unit, like {example!r}.")
         try:
             value = parse_quantity(text, dimension, "")
@@ -112,6 +112,12 @@ AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
 Position = Annotated[tuple[Length, Length, Length], BeforeValidator(_list_of(3, "three lengths x, y, z"))]
+MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
+Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]
+Gravity = Annotated[
+    tuple[Acceleration, Acceleration, Acceleration],
+    BeforeValidator(_list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
+]
 Quaternion = Annotated[
     tuple[float, float, float, float],
     BeforeValidator(_list_of(4, "four numbers w, x, y, z")),
@@ -147,13 +153,25 @@ class LoopSection(_Section):
     passive: tuple[Name, ...] = Field(min_length=1)
 
 
+class PayloadSection(_Section):
+    """``payload`` of ``[robot]``: what the tip link carries."""
+
+    mass: MassFromZero
+    position: Position = ("0 m", "0 m", "0 m")
+
+
 class RobotSection(_Section):
-    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes."""
+    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes.
+
+    ``gravity`` in the base link, and ``payload``, matter where drives give way.
+    """
 
     urdf: Name
     tip: str | None = None
     base: str | None = None
     mesh_roots: tuple[Name, ...] = ()
+    gravity: Gravity = ("0 m/s2", "0 m/s2", "-9.80665 m/s2")
+    payload: PayloadSection | None = None
     coupling: tuple[CouplingSection, ...] = ()
     loop: tuple[LoopSection, ...] = ()
 
@@ -178,6 +196,9 @@ class ErrorModelSection(_Section):
     gain: Selection = "none"
     harmonics: Selection = "none"
     harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
+    elastic: Selection = "none"
+    backlash: Selection = "none"
+    thermal: Selection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -278,6 +299,7 @@ class MeasurementsSection(_Section):
     model_sigma: LengthFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
+    in_order: bool = False
     columns: dict[str, str] = Field(default_factory=dict)
 
 
@@ -302,6 +324,7 @@ _HEADERS: dict[type[BaseModel], str] = {
     RobotSection: "[robot]",
     ErrorModelSection: "[error_model]",
     PriorSection: "prior of [error_model]",
+    PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
     InstrumentSection: "[instruments.NAME]",
     TargetSection: "[targets.NAME]",
@@ -380,7 +403,7 @@ def _contradictions(job: Job) -> Iterator[str]:
         if section.use != "identify" and section.loss != "linear":
             yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
     if job.error_model.terms == "auto":
-        for key in ("gain", "harmonics"):
+        for key in ("gain", "harmonics", "elastic", "backlash", "thermal"):
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
@@ -455,6 +478,7 @@ def _sentence(error: ValidationError) -> str:
     expected = {
         "string_type": "a text",
         "float_type": "a number",
+        "bool_type": "true or false",
         "finite_number": "a finite number",
         "tuple_type": "a list",
         "model_type": "a section with keys",

@@ -12,7 +12,9 @@ from calib.foundations.rigid import rotation_of_quaternion
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.conditions import in_order as sides_in_order
 from calib.robot.robot import Reading
 
 # Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
@@ -21,6 +23,7 @@ _POSITION = ("x", "y", "z")
 _EULER = ("rx", "ry", "rz")
 _SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 _SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
+_SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
 _KNOWN = frozenset(
     (
         *_POSITION,
@@ -34,10 +37,11 @@ _KNOWN = frozenset(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherEnd:
-    """The other end of every row that has two: ``readings`` (N, k) there, and ``tool`` (N) that was there."""
+    """The other end of every row that has two: ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
 
     readings: Array
     tool: IntArray
+    conditions: Conditions = NO_CONDITIONS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +60,7 @@ class Measurements:
     ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
     values share; -1 for none.
     ``group``: N words, None where the table has no such column.
+    ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
     """
 
@@ -76,6 +81,7 @@ class Measurements:
     group: tuple[str, ...] | None
     where: str
     lines: IntArray
+    conditions: Conditions = NO_CONDITIONS
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -95,9 +101,12 @@ class Measurements:
             target=read_only_view(self.target[index]),
             other=None
             if other is None
-            else OtherEnd(read_only_view(other.readings[index]), read_only_view(other.tool[index])),
+            else OtherEnd(
+                read_only_view(other.readings[index]), read_only_view(other.tool[index]), other.conditions.subset(index)
+            ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
+            conditions=self.conditions.subset(index),
         )
 
 
@@ -109,6 +118,7 @@ def unmeasured(
     *,
     tools: Sequence[str] = ("tool",),
     tool: int = 0,
+    conditions: Conditions = NO_CONDITIONS,
     where: str,
 ) -> Measurements:
     """Return positions (N, 3) or, with orientations (N, 3, 3), poses that nobody measured, such as predicted ones.
@@ -135,6 +145,7 @@ def unmeasured(
         group=None,
         where=where,
         lines=np.arange(n, dtype=np.intp),
+        conditions=conditions,
     )
 
 
@@ -147,13 +158,15 @@ def measurements_from_table(
     sigma_angle: float | None = None,
     instrument: LaserTracker | None = None,
     offset: str | None = None,
+    in_order: bool = False,
 ) -> Measurements:
     """Return what a table says of a robot with these ``readings``.
 
     The noise comes from one place: ``sigma`` in m, ``instrument``, or the table's columns ``sigma`` or ``sigma_x,
     sigma_y, sigma_z``; that of poses likewise from ``sigma_angle`` in rad or the columns ``sigma_angle`` or
     ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
-    length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``.
+    length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
+    poses were taken one after the other, and the order of the rows says from which side joints were reached.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a pair has not two rows, and when the noise is said twice; JobError when ``sigma``,
@@ -196,6 +209,7 @@ def measurements_from_table(
         group=_words(table, "group"),
         where=table.where,
         lines=table.lines,
+        conditions=conditions(table, readings, in_order=in_order),
     )
     return _paired(found, _words(table, "pair")) if kind == "pair_distance" else found
 
@@ -256,7 +270,9 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
                 f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
-    other = OtherEnd(read_only_view(rows.readings[second]), read_only_view(rows.tool[second]))
+    other = OtherEnd(
+        read_only_view(rows.readings[second]), read_only_view(rows.tool[second]), rows.conditions.subset(second)
+    )
     return replace(rows.subset(first), other=other)
 
 
@@ -277,7 +293,7 @@ def _refuse_unknown(table: Table, readings: Iterable[str]) -> None:
         raise MeasurementError(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
-    known = joints | _KNOWN | {f"tau_{name}" for name in joints}
+    known = joints | _KNOWN | {f"{what}{name}" for what in ("tau_", APPROACH) for name in joints}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name not in _EULER:
@@ -324,6 +340,48 @@ def orientations(table: Table) -> Array:
             f"within {_NORM_TOLERANCE:g}; the order is qw, qx, qy, qz."
         )
     return read_only(rotation_of_quaternion(quaternion))
+
+
+# ---- conditions
+
+
+def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
+    """Return what a table says beside readings: columns ``temperature``, and ``direction`` or ``direction_<joint>``.
+
+    ``in_order``: the order of the rows says it instead of the latter. Raises MeasurementError for a word that is no
+    side, a temperature that is none, and where sides are said twice.
+    """
+    own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
+    said = [name for name in ("direction", *own.values()) if name in table.columns]
+    sources = [*(["the order of the rows"] if in_order else []), *said]
+    if len(sources) > 1 and (in_order or "direction" in said):
+        raise MeasurementError(
+            f"{table.where}: the side of approach is said twice, by {sources[0]} and by {sources[1]}; keep one."
+        )
+    approach = None
+    if in_order:
+        approach = sides_in_order(stacked(table, {reading.name: reading.dimension for reading in readings}))
+    elif said:
+        unsaid = np.full(len(table), np.nan)
+        columns = {name: _sides(table, name) for name in said}
+        sides = [columns.get("direction", columns.get(name, unsaid)) for name in own.values()]
+        approach = read_only(np.stack(sides, axis=-1))
+    temperature = None
+    if "temperature" in table.columns:
+        temperature = stacked(table, {"temperature": "temperature"})[:, 0]
+    return Conditions(approach, temperature)
+
+
+def _sides(table: Table, name: str) -> Array:
+    found = np.empty(len(table))
+    for row, word in enumerate(_words(table, name) or ()):
+        if word not in _SIDES:
+            raise MeasurementError(
+                f"{table.where}:{table.lines[row]}: column {name!r}: {word!r} is not a side of approach; allowed are "
+                f"{', '.join(_SIDES)}."
+            )
+        found[row] = _SIDES[word]
+    return found
 
 
 # ---- noise

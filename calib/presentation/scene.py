@@ -28,7 +28,6 @@ from calib.presentation.meshes import (
     balls,
     creased,
     diamonds,
-    find_mesh,
     joined,
     moved,
     primitive,
@@ -36,6 +35,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 
 MEASURED: Rgb = (0.13, 0.13, 0.13)
@@ -431,7 +431,7 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
         for name, e in zip(("before", "after"), errors, strict=True)
-        if n
+        if n and any(map(np.any, errors))
     ]
     return {
         "n": n,

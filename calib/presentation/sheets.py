@@ -12,8 +12,17 @@ from calib.identification.parameters import Parameter
 from calib.measurement.kinds import QUANTITIES, size
 from calib.presentation.report.document import Row, Sheet
 
-# What is shown of a length in m, an angle in rad, a scale and a place in a picture.
-SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "1": (1e6, "ppm"), "px": (1.0, "px")}
+# What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
+SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "px": (1.0, "px"),
+    "1": (1e6, "ppm"),
+    "rad/Nm": (1e6, "urad/Nm"),
+    "m/N": (1e6, "um/N"),
+    "rad/K": (1e6, "urad/K"),
+    "m/K": (1e6, "um/K"),
+}
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]
 
@@ -65,6 +74,8 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
 def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
+    quantity = next(iter(steps[0].rms))
+    factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
     rows = []
     for k in dict.fromkeys((*range(choice.taken + 1), least)):
@@ -72,11 +83,11 @@ def choice_sheet(choice: Choice) -> Sheet:
         name = "geometry alone" if step.added is None else step.added.name
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
         said = "yes" if k <= choice.taken else "no: the least"
-        rows.append(Row((str(k), name, *figures, f"{step.position * 1e3:.4f}", said)))
+        rows.append(Row((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)))
     return Sheet(
         "Joint terms by what held-out data say",
-        ("step", "enters", "held out", "std. error", "rms [mm]", "taken"),
-        frozenset(("step", "held out", "std. error", "rms [mm]")),
+        ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
+        frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
         tuple(rows),
         f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
         brief=True,

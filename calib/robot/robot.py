@@ -13,6 +13,8 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
@@ -111,7 +113,8 @@ class Robot:
     index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
-    ``terms``: what the readings go through before they are coupled.
+    ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
+    ``gravity`` (m/s^2) in the base link; ``payload``: what the tip link carries.
     """
 
     urdf: Urdf
@@ -127,6 +130,9 @@ class Robot:
     couplings: tuple[Coupling, ...] = ()
     closed_loops: tuple[ClosedLoop, ...] = ()
     terms: tuple[JointTerm, ...] = ()
+    weights: Weights | None = None
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: Payload | None = None
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -173,20 +179,27 @@ class Robot:
             read_only(np.zeros(len(self.terms))),
         )
 
-    def joint_positions(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def joint_positions(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close.
+        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
+        rows do not have.
         """
-        return TipModel(self, deviations).joint_positions(readings)
+        return TipModel(self, deviations).joint_positions(readings, conditions)
 
-    def tips(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def tips(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).tips(readings)
+        return TipModel(self, deviations).tips(readings, conditions)
 
-    def motion(self, readings: Array, deviations: Deviations | None = None) -> TipMotion:
+    def motion(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).motion(readings)
+        return TipModel(self, deviations).motion(readings, conditions)
 
 
 class TipModel:
@@ -199,12 +212,13 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
         d = deviations or robot.no_deviations()
-        s = skeleton(_segments(robot), d.placements)
+        s = skeleton(segments(robot), d.placements)
         self._robot, self._offsets = robot, robot.offset_coupling @ d.offsets
         self._kinematics = Kinematics(s.tree, [end_frame(s, robot.tip_joint)])
         self._closure = Closure(s, robot.loops) if robot.loops else None
         names = [reading.name for reading in robot.readings]
-        self._terms = Transmission(robot.terms, names, d.terms) if robot.terms else None
+        holding = None if robot.weights is None else Holding(robot.weights)
+        self._terms = Transmission(robot.terms, names, d.terms, holding) if robot.terms else None
         joints, tail = derivative(s, robot.tip_joint)
         by_offset = np.zeros((len(joints), len(robot.moving)))
         for j, kind in enumerate(robot.moving_types):
@@ -215,19 +229,19 @@ class TipModel:
         self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
         self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[0]))
 
-    def joint_positions(self, readings: Array) -> Array:
+    def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        moved = readings if self._terms is None else self._terms.moved(readings, self._terms.bases(readings))
+        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
         q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
-    def tips(self, readings: Array) -> Array:
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
-        return self._kinematics.placements(self.joint_positions(readings))[0]
+        return self._kinematics.placements(self.joint_positions(readings, conditions))[0]
 
-    def motion(self, readings: Array) -> TipMotion:
+    def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
         by_passive = tip.by_joint(self._robot.moving_types, self._robot.passive)
         if self._closure is None:
@@ -236,16 +250,18 @@ class TipModel:
             rates = self._closure.rates(q, self._robot.offset_coupling)
         by_terms = np.zeros((len(q), 6, 0))
         if self._terms is not None:
-            by_terms = self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings)[:, None]
+            by_terms = (
+                self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings, conditions)[:, None]
+            )
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
-    def driven(self, readings: Array) -> tuple[Array, Array]:
+    def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
 
         At readings (N, nr): joints move by their coupling, passive ones as their loops make them follow. Raises as
         joint_positions does.
         """
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
         by_reading = self._by_reading(q, tip)
         if self._terms is not None:
@@ -264,7 +280,8 @@ class TipModel:
         return np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
 
 
-def _segments(robot: Robot) -> list[Segment]:
+def segments(robot: Robot) -> list[Segment]:
+    """Return the chain as segments of a skeleton."""
     numbers = {i: j for j, i in enumerate(robot.moving)}
     return [
         Segment(numbers.get(i), joint.type, joint.parent, joint.placement, joint.frame)

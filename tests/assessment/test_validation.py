@@ -107,10 +107,10 @@ def test_held_out_errors_are_those_of_poses_never_seen() -> None:
     model, data = measured(n, sigma=sigma)
     found = cross_validate(model, data)
     expected = np.sqrt(3.0) * sigma * np.sqrt(1.0 + 27.0 / (3 * 0.9 * n))
-    assert abs(found.position.rms - expected) < 3.0 * found.position.standard_error < 0.15 * expected
+    assert abs(found.figure().rms - expected) < 3.0 * found.figure().standard_error < 0.15 * expected
     fit = calib.identify(model, data)
     own = np.sqrt(np.mean(np.sum(fit.residuals[0] ** 2, axis=1)))
-    assert own < found.position.rms
+    assert own < found.figure().rms
 
 
 def test_the_order_of_rows_does_not_matter_to_the_figure() -> None:
@@ -118,4 +118,4 @@ def test_the_order_of_rows_does_not_matter_to_the_figure() -> None:
     order = np.random.default_rng(1).permutation(80)
     one, other = cross_validate(model, data, count=4), cross_validate(model, [data.subset(order)], count=4)
     np.testing.assert_allclose(other.residuals[0], one.residuals[0][order], rtol=0, atol=1e-11)
-    assert other.position.rms == pytest.approx(one.position.rms, rel=1e-9)
+    assert other.figure().rms == pytest.approx(one.figure().rms, rel=1e-9)

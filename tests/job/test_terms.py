@@ -71,7 +71,7 @@ def test_the_result_tells_the_choice(given: tuple[Outcome, Path], chosen: tuple[
     assert outcome.choice is not None
     taken = {name for step in result["choice"] if step["taken"] for name in step["added"]}
     found = {record["name"]: record for record in result["parameters"]}
-    assert taken == {name for name in found if name.split(".")[-1].split("_")[0] in ("cos", "sin", "gain")}
+    assert taken == {name for name in found if name.split(".")[-1].split("_")[0] in ("cos", "sin", "gain", "elastic")}
     assert {found[name]["unit"] for name in taken if name.endswith("gain")} <= {"1"}
     told = plain(sheet_table(choice_sheet(outcome.choice)))
     assert "geometry alone" in " ".join(told.split())

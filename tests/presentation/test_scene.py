@@ -20,10 +20,11 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.job.scene import scene_of
 from calib.presentation.arm import arm_of, link_placements
-from calib.presentation.meshes import balls, diamonds, find_mesh, read_mesh, simplified, sticks
+from calib.presentation.meshes import balls, diamonds, read_mesh, simplified, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
+from calib.robot.sources import find_mesh
 from calib.robot.urdf import parse_urdf
 from tests.job.cases import CASE, JOB
 

@@ -48,8 +48,10 @@ def readings_of(robot: Robot, rng: np.random.Generator, n: int = 5) -> Array:
 
 
 def test_names_and_units() -> None:
-    terms = JointTerm("a", "gain"), JointTerm("a", "cos", 2), JointTerm("a", "sin", 12)
-    assert [(term.name, term.unit) for term in terms] == [("a.gain", "1"), ("a.cos_2", "rad"), ("a.sin_12", "rad")]
+    terms = [JointTerm("a", "gain"), JointTerm("a", "cos", 2), JointTerm("a", "sin", 12), JointTerm("a", "elastic")]
+    assert [term.name for term in terms] == ["a.gain", "a.cos_2", "a.sin_12", "a.elastic"]
+    assert [term.unit("angle") for term in terms] == ["1", "rad", "rad", "rad/Nm"]
+    assert [terms[k].unit("length") for k in (0, 3)] == ["1", "m/N"]
 
 
 @pytest.mark.parametrize("name", [*ARMS, "irb2400"])
