@@ -85,7 +85,7 @@ identified from three quarters of the poses; the errors are of the rest, over te
 
 {rows}
 
-The placement is better in {better} of {splits} splits. What is left is mostly the camera's noise.
+The placement is better in {better} of {splits} splits.
 """
 
 

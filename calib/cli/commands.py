@@ -295,7 +295,9 @@ def cell(
         if file is not None and file.exists():
             raise OutputError(f"{file}: is there already; choose another name.")
     found = calibrated_cell(arm, positioner, placed_in, prefix)
-    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", mesh_root or ()))
+    # As in a job: the URDF's own folder, and what is named.
+    roots = (arm.parent, *(mesh_root or ()))
+    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
     write_atomically(out, found.cell.document)
     if scene is not None and page is not None:
         write_atomically(scene, page)

@@ -318,8 +318,8 @@ def axes_model(robot: Robot) -> ErrorModel:
     and turn on their axes); policy "nearest" leaves those nearest to the nominal machine, "minimal" frees as many
     parameters as the rank. No predicted point depends on the choice.
 
-    No guess is asked for where base and marks are. The axes should lie to each other as in ``robot`` to centimetres and
-    degrees; where nobody knows, the machine of :meth:`FivePoint.robot` or of :func:`axes_robot` is to begin with.
+    No guess is asked for where base and marks are. The axes should lie to each other as in ``robot`` to some
+    centimetres and degrees; where nobody knows how, begin with :meth:`FivePoint.robot` or :func:`axes_robot`.
     """
     _, *others = (robot.chain[i].name for i in robot.moving)
     return error_model(robot, placements=others or "none")
@@ -332,12 +332,15 @@ def axes_model(robot: Robot) -> ErrorModel:
 class TableError:
     """Expected errors of predicted table points, to first order. Made by :func:`table_error`.
 
-    ``covariances`` (N, 3, 3), in m^2. ``rms`` and ``largest``: of the points' expected 3D errors, in m.
+    ``covariances`` (N, 3, 3), in m^2. ``rms`` and ``largest``: of the points' expected 3D errors, in m. ``held``: how
+    many directions the fit kept at their nominal values, as the data hardly see them; here they count as known, so that
+    any other number than 0 makes the rest too small.
     """
 
     covariances: Array
     rms: float
     largest: float
+    held: int
 
 
 def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Array:
@@ -358,8 +361,7 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
 
     ``points`` and ``angles`` as in :func:`table_points`: a point known exactly at zero, such as a seam taught there, is
     carried along by the axes, and the fit's covariance goes with it. What counts is thus how the axes lie and not where
-    the marks are. Directions beyond the fit's usable rank were kept at their nominal values and count as known. The
-    same convention as in the table of expected errors, docs/positioner.md.
+    the marks are. The same convention as in the table of expected errors, docs/positioner.md.
     """
     x, q = _envelope(fit, points, angles)
     rows = np.concatenate([q, np.zeros_like(q[:1])])
@@ -381,7 +383,8 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     change = T[:-1, :3, :3] @ local
     covariances = change @ fit.covariance @ np.swapaxes(change, -1, -2)
     squares = np.trace(covariances, axis1=1, axis2=2)
-    return TableError(read_only(covariances), float(np.sqrt(squares.mean())), float(np.sqrt(squares.max())))
+    rms, largest = float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
+    return TableError(read_only(covariances), rms, largest, fit.rank - fit.usable_rank)
 
 
 def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:

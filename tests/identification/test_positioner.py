@@ -276,6 +276,18 @@ def test_table_error_is_the_derivative() -> None:
     assert told.largest >= told.rms > 0.0
 
 
+def test_what_the_points_hardly_see_is_told() -> None:
+    """A mark 30 mm from the axis, +-30 deg: the axis' direction is not known to 10 mrad, and stays as designed."""
+    rng = np.random.default_rng(9)
+    robot = load(positioners.nominal(TWO_AXES), "table")
+    near = np.array([0.03, 0.0, 0.08])
+    held = []
+    for mark in (MARK, near):
+        fit = calib.identify(positioner.axes_model(robot), TWO_AXES.touch(robot, five(30, 30), [mark], rng, 1e-4))
+        held.append(positioner.table_error(fit, MARK, TWENTY).held)
+    assert held == [0, 1]
+
+
 def test_bad_envelope_is_refused() -> None:
     robot = load(positioners.nominal(TWO_AXES), "table")
     fit = calib.identify(positioner.axes_model(robot), TWO_AXES.touch(robot, TWENTY, [MARK]))

@@ -9,6 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from tests.job.cases import run
+
 ROOT = Path(__file__).resolve().parents[2]
 DATASETS = os.environ.get("CALIB_DATASETS")
 
@@ -55,8 +57,6 @@ def test_job_of_a_real_positioner_runs(tmp_path: Path, monkeypatch: pytest.Monke
     folder = tmp_path / "job"
     monkeypatch.setattr("sys.argv", ["job", str(Path(str(DATASETS)) / "positioner_camera"), str(folder)])
     assert camera.main() == 0
-    from tests.job.cases import run
-
     said = run("calibrate", folder / "calibration.toml", "-o", tmp_path / "out")
     assert (said.code, said.err) == (0, "")
 

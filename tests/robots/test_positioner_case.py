@@ -16,6 +16,7 @@ import calib
 from calib import positioner
 from calib.job.inputs import load
 from tests.job.cases import ROOT, run
+from tests.presentation.test_scene import commands_of
 
 CASE = ROOT / "robots" / "positioner"
 SCRIPT = ROOT / "scripts" / "simulate_positioner.py"
@@ -140,6 +141,8 @@ def test_cell_has_both_machines_at_the_calibrated_place(results: Path, tmp_path:
         )
     page = scene.read_text(encoding="utf-8")
     assert "cell.urdf: calibrated cell" in page
+    drawn = {c["path"].split("/")[2] for c in commands_of(page) if c["path"].startswith("/robot/")}
+    assert {"lower_arm", "hand", "pedestal", "table"} <= drawn
     # A second time, nothing is overwritten.
     again = run("cell", CASE / "welder.urdf", results, "-o", cell)
     assert (again.code, again.err) == (1, f"Error: {cell}: is there already; choose another name.\n")
