@@ -5,7 +5,8 @@ The total differential of the touched point P = F(x) is dP = J dx, with one colu
 dalpha + df/dtheta dtheta, 25 columns for six joints). The coefficients are those of the nominal robot, analytic and
 exact; what linearising leaves out is seen by setting :func:`predicted_error` beside :func:`exact_error`.
 
-Terms that depend on more than readings count as reached from below, and a kelvin above the reference temperature.
+Terms that depend on more than readings count as reached from below, a kelvin above the reference temperature, and with
+a newton metre at every drive.
 Everywhere ``readings`` (N, k) are encoder readings in rad or m, one column for every reading of the robot, and the
 point is the model's only tool, at its given place.
 """
@@ -210,7 +211,7 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
         group=None,
         where="poses",
         lines=rows,
-        conditions=Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0)),
+        conditions=Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q)),
     )
     reference = model.given_frames(tools)
     return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)

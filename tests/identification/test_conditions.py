@@ -62,7 +62,7 @@ class Lab:
 
 
 def words(sides: Array) -> list[str]:
-    return [{1.0: "+", -1.0: "-", 0.0: "0"}[side] for side in sides]
+    return ["+" if side > 0.0 else "-" if side < 0.0 else "0" for side in sides]
 
 
 def test_both_are_found_within_their_intervals() -> None:
@@ -111,6 +111,27 @@ def test_columns_match_central_differences() -> None:
         assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
 
 
+def test_measured_torques_wind_drives_up() -> None:
+    """Torques that no gravity explains, in the table; what slides has none."""
+    inside = 0
+    for seed in range(5):
+        lab = Lab(30 + seed)
+        compliances = lab.rng.uniform(0.5e-5, 3e-5, 6)
+        torques = lab.rng.uniform(-30.0, 30.0, lab.readings.shape)
+        lab.sides = -torques * compliances / lab.gaps
+        columns = lab.columns() | {f"tau_{joint} [Nm]": torques[:, k] for k, joint in enumerate(lab.joints)}
+        told = {name: values for name, values in columns.items() if not name.startswith("direction")}
+        fit = calib.identify(
+            lab.model(backlash="none", torque="all"), calib.read_measurements(told, lab.robot, sigma=SIGMA)
+        )
+        sigmas = dict(zip([p.name for p in fit.parameters], fit.sigmas, strict=True))
+        for joint, truth in zip(lab.joints[1:5], compliances[1:5], strict=True):
+            inside += abs(fit.value(f"{joint}.torque") - truth) < 1.96 * sigmas[f"{joint}.torque"] < truth
+    assert inside >= 17
+    with pytest.raises(JobError, match="torque: 'bridge' slides, and torques are of joints that turn"):
+        calib.error_model(machines.load(machines.INLINE["gantry"], "tip"), torque="all")
+
+
 def test_the_order_of_rows_tells_the_sides() -> None:
     readings = np.array([[0.0, 1.0], [0.5, 1.0], [0.5, 0.5], [0.2, 0.5], [0.3, 0.9]])
     expected = [[0, 0], [1, 0], [1, -1], [-1, -1], [1, 1]]
@@ -144,6 +165,11 @@ def test_conditions_of_several_sets_are_joined_where_all_have_them() -> None:
     [
         ({"temperature [degC]": None}, {}, "there is no column 'temperature', which shoulder_pan_joint.thermal needs"),
         (
+            {"tau_elbow_joint [Nm]": [1.0] * 20},
+            {},
+            "no column 'tau_shoulder_pan_joint', which shoulder_pan_joint.torque",
+        ),
+        (
             {"direction_elbow_joint": None},
             {},
             "there is no column 'direction_elbow_joint', which elbow_joint.backlash needs",
@@ -162,7 +188,8 @@ def test_what_is_missing_or_wrong_is_told(change: dict[str, object], options: di
     lab = Lab(15, 20)
     columns = {name: values for name, values in (lab.columns() | change).items() if values is not None}
     with pytest.raises(MeasurementError) as caught:
-        calib.identify(lab.model(), calib.read_measurements(columns, lab.robot, **options))
+        torque = "all" if any(name.startswith("tau") for name in columns) else "none"
+        calib.identify(lab.model(torque=torque), calib.read_measurements(columns, lab.robot, **options))
     assert sentence in str(caught.value)
 
 
