@@ -23,6 +23,7 @@ from calib.foundations.errors import (
     OutputError,
     RobotError,
 )
+from calib.identification import positioner
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
@@ -63,6 +64,7 @@ __all__ = [
     "identify",
     "load_model",
     "load_robot",
+    "positioner",
     "read_measurements",
     "table",
     "total_differential",

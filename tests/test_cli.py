@@ -46,7 +46,7 @@ def test_calibrate_in_a_process_of_its_own(folder: Path) -> None:
     assert_plain(text)
     assert re.search(r"validation +before +30 +29\.5289 +31\.0533 +45\.5182 +51\.2962 +mm", text)
     assert "The data see 27 of 45 parameters. 18 directions are blind;" in text
-    assert text.endswith("Results are in out: calibrated.urdf, result.json, residuals.csv, scene.html.\n")
+    assert text.endswith("Results are in out: report.html, scene.html, calibrated.urdf, result.json.\n")
 
 
 def test_error_in_a_process_of_its_own(folder: Path) -> None:
@@ -58,7 +58,7 @@ def test_error_in_a_process_of_its_own(folder: Path) -> None:
 def test_names_of_any_kind_on_an_ascii_terminal(folder: Path) -> None:
     done = process("calibrate", JOB, "-o", "Gelenk-ä-[red]关节", PYTHONIOENCODING="ascii", COLUMNS="40")
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"Results are in Gelenk-\\xe4-[red]\\u5173\\u8282: calibrated.urdf" in done.stdout.replace(b"\n", b" ")
+    assert b"Results are in Gelenk-\\xe4-[red]\\u5173\\u8282: report.html" in done.stdout.replace(b"\n", b" ")
     assert (folder / "Gelenk-ä-[red]关节" / "result.json").is_file()
 
 

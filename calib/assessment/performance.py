@@ -22,6 +22,7 @@ from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_encl
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
+from calib.identification.pivot import pivot
 from calib.measurement.table import Table, nearest, read_table
 from calib.robot.robot import Reading, Robot
 
@@ -42,8 +43,6 @@ _SIZES: Mapping[Kind, tuple[str, ...]] = {
     "articulations": ("diameter", "ball"),
 }
 _PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
-# Directions of the probe point that articulations move by less than this share of the best one stay where they were.
-_UNSEEN = 1e-6
 
 
 # ---- touches
@@ -285,11 +284,7 @@ def probe_point(tips: Array, cones: Sequence[str], guess: Array) -> Array:
     linear in p and c: the p for which the touches of every cone scatter least, each about its own mean. What the
     articulations do not show of p stays as in ``guess`` (3,), all in m.
     """
-    R, t = tips[:, :3, :3].copy(), tips[:, :3, 3] + tips[:, :3, :3] @ guess
-    for rows in _rows(cones).values():
-        R[rows] -= R[rows].mean(axis=0)
-        t[rows] -= t[rows].mean(axis=0)
-    return np.asarray(guess - np.linalg.lstsq(R.reshape(-1, 3), t.ravel(), rcond=_UNSEEN)[0])
+    return pivot(tips, cones, guess=guess).tool_point
 
 
 # ---- the figures, from touches

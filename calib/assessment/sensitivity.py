@@ -12,7 +12,7 @@ point is the model's only tool, at its given place.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import unmeasured
 from calib.measurement.table import nearest
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 
@@ -192,25 +192,8 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     parameters = model.parameters(tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    origin, rows = read_only(np.zeros((len(q), 3))), np.arange(len(q), dtype=np.intp)
-    poses = Measurements(
-        kind="position",
-        reading_names=names,
-        readings=read_only(q),
-        position=origin,
-        orientation=None,
-        value=origin[:, :0],
-        sigma=origin,
-        tools=tools,
-        tool=np.zeros_like(rows),
-        targets=(),
-        target=np.full_like(rows, -1),
-        other=None,
-        offsets=(),
-        offset=-1,
-        group=None,
-        where="poses",
-        lines=rows,
+    poses = replace(
+        unmeasured(names, q, np.zeros((len(q), 3)), where="poses"),
         conditions=Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q)),
     )
     reference = model.given_frames(tools)

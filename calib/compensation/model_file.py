@@ -10,18 +10,21 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.grid import SectorGrid, load_grid
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
+from calib.identification.machine import Frames
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.transmission import JointTerm, TermKind
+from calib.robot.transmission import JointTerm, TermKind, lacking
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -150,7 +153,8 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``grid``: errors of tool positions that the rest leaves, over joint space, or None.
+    ``grid``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of
+    it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
     """
 
     robot: Robot
@@ -158,12 +162,16 @@ class CalibratedModel:
     base: Array
     tools: Mapping[str, Array]
     grid: SectorGrid | None = None
+    uncertainty: Uncertainty | None = None
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
         Raises RobotError for a joint term that needs ``conditions`` which are not given.
         """
+        names = [reading.name for reading in self.robot.readings]
+        if missing := lacking(self.robot.terms, names, conditions):
+            raise RobotError(f"{missing[0]} of the machine needs to be told {missing[1]!r} of every row.")
         return self.robot.tips(readings, self.deviations, conditions)
 
     def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -270,12 +278,21 @@ def load_model(folder: str | Path) -> CalibratedModel:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
     amounts = [term.amount for term in model.terms]
+    deviations = Deviations(
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+    )
+    base = read_only(model.base.placement)
+    tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    doubts = folder / UNCERTAINTY_FILE
+    known = doubts.is_file() and bool(tools)
+    frames = Frames(base, np.stack(list(tools.values()))) if known else None
     return CalibratedModel(
         equipped,
-        Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)),
-        read_only(model.base.placement),
-        {name: read_only(tool.placement) for name, tool in model.tools.items()},
+        deviations,
+        base,
+        tools,
         None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
+        None if frames is None else load_uncertainty(doubts, equipped, deviations, frames, tuple(tools)),
     )
 
 

@@ -104,6 +104,7 @@ def _identify(
         singular_values=read_only(found.directions.singular_values),
         blind_directions=directions,
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),
+        unseen=read_only(found.unseen),
         policy=blind,
         held=held,
         noise=_noise(problem, found, after),

@@ -17,6 +17,7 @@ from calib.identification.losses import Loss
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target
+from calib.job.arm import Arm, read_arm, touched
 from calib.job.schema import (
     FrameSection,
     InstrumentSection,
@@ -81,7 +82,9 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     model = _model(job, robot, path)
     progress("reading the measurements")
     sections = job.measurements
-    sets = [_measurements(section, job, robot, folder) for section in sections]
+    arms = _arms(job, path)
+    doubts = [finding for arm in arms.values() for finding in arm.findings]
+    sets = [_measurements(section, job, robot, folder, arms, doubts) for section in sections]
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
@@ -89,7 +92,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
     _refuse_no_noise(job, sets, path)
-    findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
+    findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
@@ -103,6 +106,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
             (path.name, path),
             (job.robot.urdf, urdf),
             *((section.file, folder / section.file) for section in sections),
+            *((name, file) for arm in arms.values() for name, file in arm.files.items()),
         )
     }
     findings += _not_held_out(job, hashes, path)
@@ -118,7 +122,12 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         mesh_roots=_mesh_roots(job, urdf, path),
         findings=tuple(findings),
         hashes=hashes,
-        files=(path, urdf, *(folder / section.file for section in sections)),
+        files=(
+            path,
+            urdf,
+            *(folder / section.file for section in sections),
+            *(file for arm in arms.values() for file in arm.files.values()),
+        ),
     )
 
 
@@ -299,7 +308,28 @@ def _relation(section: RelationSection) -> Relation:
     return Relation(section.kind, section.targets, value, parse_quantity(section.sigma, dimension, "sigma"))
 
 
-def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: Path) -> Measurements:
+def _arms(job: Job, path: Path) -> dict[str, Arm]:
+    """Return the instruments of a job that are arms and that some table was measured with."""
+    used = {section.instrument for section in job.measurements}
+    arms = {name: arm for name, arm in job.instruments.items() if arm.kind == "arm" and name in used}
+    try:
+        return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
+    except JobError as e:
+        raise JobError(f"{path}: {e}") from e
+
+
+def _measurements(
+    section: MeasurementsSection,
+    job: Job,
+    robot: Robot,
+    folder: Path,
+    arms: Mapping[str, Arm],
+    doubts: list[Finding],
+) -> Measurements:
+    if section.instrument is not None and section.instrument in arms:
+        data, found = touched(folder / section.file, arms[section.instrument], robot, section.columns)
+        doubts += found
+        return data
     return read_measurements(
         folder / section.file,
         robot,

@@ -5,30 +5,33 @@ import io
 import json
 import math
 import os
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import calib
+from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
+from calib.assessment.uncertainty import uncertainty_of
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
-from calib.foundations import rigid
-from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
+from calib.job.report import report_of
 from calib.job.run import Outcome, resolved
+from calib.job.scene import scene_of
+from calib.job.versions import versions
 from calib.measurement.kinds import Kind, size
-from calib.presentation.scene import Scene, render_scene
+from calib.presentation.report.markdown import render_markdown
+from calib.presentation.report.page import render_page
+from calib.presentation.scene import render_scene
 from calib.robot import dh
 
 RESULT_FILE = "result.json"
@@ -36,16 +39,18 @@ CALIBRATED_FILE = "calibrated.urdf"
 JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
+REPORT_FILE = "report.html"
+MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
-_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, SCENE_FILE)
-_RESULTS = (*_ALWAYS, DH_FILE, GRID_FILE)
+_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
+_TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
+_RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE)
 _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
 _OF_PIXELS = ("u [px]", "v [px]")
 _RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
-_LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -100,15 +105,20 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     progress("writing the calibrated URDF")
     calibrated = calibrated_urdf(robot, fit.deviations)
     progress("drawing the scene")
-    scene = render_scene(_scene(outcome, calibrated))
+    scene = render_scene(scene_of(outcome))
+    progress("writing the report")
+    report = report_of(outcome)
     files: dict[str, bytes | str] = {
         CALIBRATED_FILE: calibrated,
         NOMINAL_FILE: robot.urdf.source,
         JOB_FILE: resolved(outcome.inputs),
         MODEL_FILE: model_json(fit, with_grid=outcome.grid is not None),
+        UNCERTAINTY_FILE: uncertainty_json(uncertainty_of(fit)),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
+        REPORT_FILE: render_page(report),
+        MARKDOWN_FILE: render_markdown(report),
         **_dh_table(fit),
         **({} if outcome.grid is None else {GRID_FILE: grid_bytes(outcome.grid)}),
     }
@@ -163,6 +173,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
                 for direction in fit.blind_directions
             ],
         },
+        "advice": [advised.sentence for advised in advice(fit)],
         "parameters": fit.records(),
         "covariance": fit.covariance.tolist(),
         "singular_values": fit.singular_values.tolist(),
@@ -191,11 +202,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
         "trace": None
         if outcome.trace is None
         else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
-        "versions": {
-            "calib": calib.__version__,
-            "python": platform.python_version(),
-            **{name: _version(name) for name in _LIBRARIES},
-        },
+        "versions": versions(),
         "inputs": dict(outcome.inputs.hashes),
     }
     plain: dict[str, Any] = _strict(contents)
@@ -209,13 +216,6 @@ def _strict(value: Any) -> Any:
     if isinstance(value, list):
         return list(map(_strict, value))
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:  # conda and system packages know it by another name
-        return None
 
 
 def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
@@ -264,31 +264,6 @@ def _shown(value: float, title: str) -> str:
     return f"{np.degrees(value):.7f}" if "[deg]" in title else f"{value:.5f}"
 
 
-def _scene(outcome: Outcome, calibrated: bytes) -> Scene:
-    fit, robot = outcome.fit, outcome.fit.robot
-    # Where nothing but a point was measured, it and its errors can be drawn.
-    seen = [(judged, judged.data.position) for judged in outcome.sets if judged.data.position is not None]
-    measured = np.concatenate([np.zeros((0, 3)), *(position for _, position in seen)])
-    shown = fit.measurements[0].readings[:1]
-    conditions = fit.measurements[0].conditions.subset(slice(1))
-    tip = fit.machine.frames.base @ robot.tips(shown, fit.deviations, conditions)[0]
-    return Scene(
-        title=f"{robot.urdf.name or robot.urdf.where}: calibration",
-        urdf=calibrated,
-        mesh_roots=outcome.inputs.mesh_roots,
-        joint_positions=dict(zip((reading.name for reading in robot.readings), map(float, shown[0]), strict=True)),
-        T_world_base=fit.machine.frames.base @ _base_in_root(fit),
-        tool_points={
-            name: (tip @ tool)[:3, 3]
-            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
-        },
-        tip=robot.tip,
-        measured=measured,
-        before=measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged, _ in seen)]),
-        after=measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged, _ in seen)]),
-    )
-
-
 def _dh_table(fit: Fit) -> dict[str, str]:
     """Return the corrected DH table, where DH parameters are free and a table can hold the arm."""
     if fit.model.dh is None:
@@ -297,18 +272,3 @@ def _dh_table(fit: Fit) -> dict[str, str]:
         return {DH_FILE: dh.write_dh(corrected_dh(fit.model, fit.machine.deviations))}
     except (JobError, RobotError):
         return {}
-
-
-def _base_in_root(fit: Fit) -> Array:
-    """Return the root link of the URDF in the arm's base link, joints between them at zero."""
-    robot = fit.robot
-    if robot.base == robot.urdf.root:
-        return np.eye(4)
-    T = np.eye(4)
-    link = robot.base
-    while link != robot.urdf.root:
-        joint = robot.urdf.parent_joint(link)
-        assert joint is not None, "every link but the root has a parent"
-        T = joint.origin @ T
-        link = joint.parent
-    return rigid.inverse(T)

@@ -237,12 +237,23 @@ class RelationSection(_Section):
 
 
 class InstrumentSection(_Section):
-    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate."""
+    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate.
 
-    kind: Literal["laser_tracker"]
+    An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
+    its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
+    touches.
+    """
+
+    kind: Literal["laser_tracker", "arm"]
     sigma: LengthFromZero
     sigma_per_metre: LengthFromZero = "0 um"
     station: Position = ("0 m", "0 m", "0 m")
+    model: Name | None = None
+    urdf: Name | None = None
+    tip: Name | None = None
+    tool: Name | None = None
+    point: Position | None = None
+    pivot: Name | None = None
 
 
 class SolverSection(_Section):
@@ -363,8 +374,13 @@ def _tuples(value: Any) -> Any:
 
 def _contradictions(job: Job) -> Iterator[str]:
     """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
+    for name, instrument in job.instruments.items():
+        yield from _instrument_contradictions(_dotted(("instruments", name)), instrument)
     for i, section in enumerate(job.measurements):
         at = f"measurements[{i}]"
+        measured_by = job.instruments.get(section.instrument or "")
+        if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
+            yield f'{at}.observes: an arm that touches sees positions only; write "position".'
         if section.instrument is not None and section.instrument not in job.instruments:
             known = ", ".join(map(repr, job.instruments)) or "none"
             yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
@@ -414,6 +430,24 @@ def _contradictions(job: Job) -> Iterator[str]:
         yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
     if job.tools and job.error_model.tool != "fixed":
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[str]:
+    of_tracker, of_arm = ("sigma_per_metre", "station"), ("model", "urdf", "tip", "tool", "point", "pivot")
+    for key in of_tracker if section.kind == "arm" else of_arm:
+        if key in section.model_fields_set:
+            yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
+    if section.kind != "arm":
+        return
+    if (section.model is None) == (section.urdf is None):
+        yield f"{at}: an arm has either a model, the folder of its results, or a urdf."
+    if section.model is not None and section.tip is not None:
+        yield f"{at}.tip: the model has its own; leave it out."
+    if section.urdf is not None and section.tool is not None:
+        yield f"{at}.tool: a urdf has no tools; give a point on its tip, or a pivot."
+    given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
+    if len(given) > 1 or (section.model is not None and not given):
+        yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."
 
 
 # One sentence for what is wrong. -----------------------------------------------------------------------------------

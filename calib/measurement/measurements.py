@@ -110,6 +110,43 @@ class Measurements:
         )
 
 
+def unmeasured(
+    reading_names: Sequence[str],
+    readings: Array,
+    position: Array,
+    orientation: Array | None = None,
+    *,
+    tools: Sequence[str] = ("tool",),
+    tool: int = 0,
+    where: str,
+) -> Measurements:
+    """Return positions (N, 3) or, with orientations (N, 3, 3), poses that nobody measured, such as predicted ones.
+
+    Their sigmas are 1 m and 1 rad.
+    """
+    n = len(readings)
+    kind: Kind = "position" if orientation is None else "pose"
+    return Measurements(
+        kind=kind,
+        reading_names=tuple(reading_names),
+        readings=read_only(readings),
+        position=read_only(position),
+        orientation=None if orientation is None else read_only(orientation),
+        value=read_only(np.zeros((n, 0))),
+        sigma=read_only(np.ones((n, size(kind)))),
+        tools=tuple(tools),
+        tool=np.full(n, tool, dtype=np.intp),
+        targets=(),
+        target=np.full(n, -1, dtype=np.intp),
+        other=None,
+        offsets=(),
+        offset=-1,
+        group=None,
+        where=where,
+        lines=np.arange(n, dtype=np.intp),
+    )
+
+
 def measurements_from_table(
     table: Table,
     readings: Sequence[Reading],

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from calib.presentation.tables import WIDTH, plain
+from calib.presentation.report.document import Prose, Report
+from calib.presentation.tables import WIDTH, plain, sheet_table
 
 
 def show(*renderables: RenderableType) -> None:
@@ -23,6 +24,23 @@ def write(text: str) -> None:
     """Write text to standard output as it is; what its encoding lacks is written as an escape."""
     encoding = sys.stdout.encoding or "utf-8"
     sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def brief(report: Report) -> list[RenderableType]:
+    """Return what of a report belongs on a terminal: its short tables and sentences, and the verdict at the end."""
+    shown: list[RenderableType] = [warning(text) for text in report.verdict.warnings]
+    for block in report.brief():
+        if not isinstance(block, Prose):
+            shown.append(sheet_table(block))
+        elif block.kind == "code":
+            shown.append(literal("\n".join(block.sentences)))
+        else:
+            shown += map(sentence, block.sentences)
+    verdict = report.verdict
+    good, bad = ("bold green", "green"), ("bold", "bold red")
+    headline, reason = good if verdict.trusted else bad
+    shown.append(Text(_printable(verdict.headline), style=headline))
+    return [*shown, *(Text(_printable(text), style=reason) for text in verdict.reasons)]
 
 
 def sentence(text: str) -> Text:

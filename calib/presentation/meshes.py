@@ -52,6 +52,13 @@ def balls(centres: Array, radius: float, rgb: Rgb, subdivisions: int = 0) -> Tri
     )
 
 
+def diamonds(centres: Array, radius: float, rgb: Rgb) -> Triangles:
+    """Return triangles that draw an octahedron around each of ``centres`` (N, 3)."""
+    corners = radius * np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+    return Triangles((centres[:, None] + corners).reshape(-1, 3), _repeated(faces, len(centres)), rgb)
+
+
 def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) -> Triangles:
     """Return triangles that draw a stick from each of ``starts`` (N, 3) to its end, none where the two coincide."""
     length = np.linalg.norm(ends - starts, axis=1)

@@ -1,31 +1,33 @@
 """The calibration in space: one HTML page with the arm, its frames, and what was measured and predicted.
 
 meshcat draws it. Its server is never started (it would listen on every address of the machine): the page holds
-meshcat's own viewer script and the commands that its server would have sent, and asks the network for nothing.
+meshcat's own viewer script and the commands that its server would have sent, and asks the network for nothing. What
+moves, hides and names things is ``pages/scene.js``.
 """
 
 import base64
-import html
 import io
 import json
 import math
-import string
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
+from calib.presentation.arm import Arm, link_placements
 from calib.presentation.meshes import (
     Rgb,
     Triangles,
     balls,
     creased,
+    diamonds,
     find_mesh,
     joined,
     moved,
@@ -34,13 +36,16 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.robot.urdf import Urdf
 
-# Okabe and Ito's vermillion and blue: told apart by every kind of colour vision, and in grey.
-BEFORE: Rgb = (0.835, 0.369, 0.0)
-AFTER: Rgb = (0.0, 0.447, 0.698)
 MEASURED: Rgb = (0.13, 0.13, 0.13)
+NOMINAL: Rgb = (0.0, 0.447, 0.698)
 TOOL: Rgb = (0.8, 0.475, 0.655)
+MARK: Rgb = (0.0, 0.52, 0.39)
 AXES: tuple[Rgb, Rgb, Rgb] = ((0.80, 0.15, 0.15), (0.13, 0.58, 0.23), (0.15, 0.30, 0.80))
+# matplotlib's "plasma" without its yellow end, which white paper swallows: in order for every kind of colour vision.
+_SCALE = ("0d0887", "46039f", "7201a8", "9c179e", "bd3786", "d8576b", "ed7953", "fb9f3a")
+SCALE: tuple[Rgb, ...] = tuple((int(h[:2], 16) / 255, int(h[2:4], 16) / 255, int(h[4:], 16) / 255) for h in _SCALE)
 _METAL: Rgb = (0.72, 0.74, 0.76)
 _JOINT: Rgb = (0.45, 0.48, 0.52)
 _GRID: Rgb = (0.80, 0.81, 0.83)
@@ -50,28 +55,48 @@ _MOST_FACES = 100_000
 _MOST_POINTS = 1000
 # Below a nanometre an error is rounding, and magnifying it would show noise as a finding.
 _ROUNDING = 1e-9
+_PAGE = "scene.html.jinja"
+_SCRIPT = "scene.js"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mark:
+    """Something beside the arm: a ball at a point, a plate in x and y, or a line along z of ``T`` (4, 4) in the world.
+
+    Marks of one ``layer`` are shown and hidden together. ``size`` in m: the ball's radius, or half the side or length.
+    """
+
+    layer: str
+    name: str
+    kind: Literal["point", "plane", "axis"]
+    T: Array
+    size: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """What a scene shows. All points are in the world (instrument) frame, in m.
 
-    ``urdf`` is a document that the robot room has accepted. ``mesh_roots`` are the folders below which meshes may be
-    read. ``joint_positions`` are by joint name, in rad or m, missing ones 0; mimic joints follow their drivers.
-    ``T_world_base`` (4, 4) places the root link. ``tool_points`` (3,) are by tool name, at the shown pose. ``measured``
-    and the predictions ``before`` and ``after`` calibration are (N, 3), row by row.
+    ``urdf``: the robot; ``mesh_roots``: the folders below which its meshes may be read. ``calibrated``: the arm at
+    every row, and ``nominal`` the nominal one, its difference from it taken ``apart`` times. ``tools`` (3,): points in
+    the tip link. ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which
+    ``rows`` name. ``scales``: how many times the errors before and after calibration are drawn.
     """
 
     title: str
-    urdf: bytes
+    urdf: Urdf
     mesh_roots: tuple[Path, ...]
-    joint_positions: Mapping[str, float]
-    T_world_base: Array
-    tool_points: Mapping[str, Array]
+    calibrated: Arm
+    nominal: Arm
+    apart: float
+    tools: Mapping[str, Array]
     tip: str
+    rows: tuple[str, ...]
     measured: Array
     before: Array
     after: Array
+    scales: tuple[float, float]
+    marks: tuple[Mark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,43 +137,68 @@ def magnification(errors: Array, extent: float) -> float:
 def render_scene(scene: Scene) -> str:
     """Return the scene as one HTML document that needs nothing beside it.
 
-    Raises RobotError when the tip or a joint of ``joint_positions`` is not in the URDF.
+    Raises RobotError when the tip is not in the URDF.
     """
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - calib must not load it on import
+
+    if scene.tip not in scene.urdf.links:
+        raise RobotError(f"tip {scene.tip!r} is not a link of the URDF.")
     # Drawn in the root link's frame: the base stands on the grid whatever way the instrument's axes point.
-    T_base_world = inverse(scene.T_world_base)
+    T_base_world = inverse(scene.calibrated.root)
     rows = _shown_rows(scene)
     measured, before, after = (_moved(x[rows], T_base_world) for x in (scene.measured, scene.before, scene.after))
-    tools = {name: _moved(point, T_base_world) for name, point in scene.tool_points.items()}
-    links = _links(scene)
-    tip = next(link.T for link in links if link.name == scene.tip)
+    first = {name: T[0] for name, T in link_placements(scene.urdf, scene.calibrated).items()}
+    links = _links(scene, first)
 
-    points = [link.T[:3, 3] for link in links] + list(tools.values())
+    points = [link.T[:3, 3] for link in links]
     solids = [_moved(part.vertices, link.T) for link in links for part in link.parts]
     box = np.concatenate([np.array(points), measured, before, after, *solids])
     extent = max(float(np.ptp(box, axis=0).max()), 1e-3)
     cell = _round_number(extent / 10.0)
     # A tracker that stands metres away would shrink the robot to a dot; it is there for those who zoom out.
-    near = float(np.linalg.norm(T_base_world[:3, 3] - box.mean(axis=0))) < extent
+    near = float(np.linalg.norm(T_base_world[:3, 3] - box.mean(axis=0))) < 0.7 * extent
     box = np.concatenate([box, T_base_world[None, :3, 3]]) if near else box
     low, high = box.min(axis=0), box.max(axis=0)
 
-    scales = magnification(scene.before - scene.measured, extent), magnification(scene.after - scene.measured, extent)
+    errors = [1e3 * np.linalg.norm(x - scene.measured, axis=1) for x in (scene.before, scene.after)]
+    edges = _edges(np.concatenate(errors))
     drawings = [
         *_robot(links, extent),
-        *_frames(T_base_world, tip, tools, extent),
-        *_clouds(measured, before, after, scales, extent),
+        *_frames(T_base_world, first[scene.tip], scene.tools, extent),
+        *_clouds(measured, before, after, [e[rows] for e in errors], edges, scene.scales, extent),
+        *_marks(scene.marks, T_base_world),
     ]
     page = {
         "commands": _commands(drawings, _grid(low, high, cell)),
         "outline": _outline(box).tolist(),
         "labels": _labels(scene),
+        "joints": [
+            {"parent": _node(j.parent), "child": _node(j.child), "axis": j.axis.tolist(), "kind": _kind(j.type)}
+            for j in scene.urdf.joints
+        ],
+        "root": _node(scene.urdf.root),
+        "tip": _node(scene.tip),
+        "nominal": _hex(NOMINAL),
+        "apart": scene.apart,
+        "arms": {
+            "robot": _arm(scene.calibrated, T_base_world, rows),
+            "nominal": _arm(scene.nominal, T_base_world, rows),
+        },
+        "rows": [scene.rows[n] for n in rows],
+        "points": measured.round(6).tolist(),
+        "errors": [[round(float(e[n]), 4) for e in errors] for n in rows],
+        "current": 0.011 * extent,
     }
-    return _PAGE.substitute(
-        title=html.escape(scene.title),
-        legend=_legend(scene, links, scales, cell),
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    pages = files("calib.presentation").joinpath("pages")
+    template = environment.from_string(pages.joinpath(_PAGE).read_text(encoding="utf-8"))
+    return template.render(
+        title=scene.title,
+        legend=_legend(scene, links, errors, edges, cell),
         licences=(_asset("LICENSE") + _asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace("</", "< /"),
         viewer=_asset("dist/main.min.js"),
-        page=json.dumps(page).replace("<", "\\u003c"),
+        script=pages.joinpath(_SCRIPT).read_text(encoding="utf-8"),
+        page=json.dumps(page, separators=(",", ":")).replace("<", "\\u003c"),
     )
 
 
@@ -161,18 +211,32 @@ def _shown_rows(scene: Scene) -> IntArray:
     return np.sort(ranked[np.linspace(0, n - 1, _MOST_POINTS).round().astype(np.intp)])
 
 
-def _links(scene: Scene) -> tuple[_Link, ...]:
+def _arm(arm: Arm, T_base_world: Array, rows: IntArray) -> dict[str, Any]:
+    """Return an arm as the page's script reads it: matrices column by column, positions to a microradian."""
+    return {
+        "root": (T_base_world @ arm.root).T.ravel().tolist(),
+        "origins": np.swapaxes(arm.origins, 1, 2).reshape(-1, 16).tolist(),
+        "positions": arm.positions[rows].round(6).tolist(),
+    }
+
+
+def _kind(joint: str) -> str:
+    return {"revolute": "turn", "continuous": "turn", "prismatic": "slide"}.get(joint, "fixed")
+
+
+def _edges(errors: Array) -> Array:
+    """Return the limits (n + 1,) in mm between the n colours of errors (N,) in mm, each as many times the last."""
+    positive = errors[errors > 1e3 * _ROUNDING]
+    if not positive.size:
+        return np.linspace(0.0, 1.0, len(SCALE) + 1)
+    high = float(positive.max())
+    return np.geomspace(min(float(np.percentile(positive, 5.0)), 0.2 * high), high, len(SCALE) + 1)
+
+
+def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
     import yourdfpy  # noqa: PLC0415 - import calib must not load it
 
-    model = yourdfpy.URDF.load(io.BytesIO(scene.urdf), load_meshes=False)
-    unknown = sorted(set(scene.joint_positions) - set(model.joint_map))
-    if unknown:
-        raise RobotError(f"joint {unknown[0]!r} of the pose to show is not in the URDF.")
-    if scene.tip not in model.link_map:
-        raise RobotError(f"tip {scene.tip!r} is not a link of the URDF.")
-    model.update_cfg({name: float(scene.joint_positions.get(name, 0.0)) for name in model.actuated_joint_names})
-    T = {link.name: np.array(model.get_transform(link.name)) for link in model.robot.links}
-
+    model = yourdfpy.URDF.load(io.BytesIO(scene.urdf.source), load_meshes=False)
     colours = {m.name: _rgb(m.color) for m in model.robot.materials if m.color is not None}
     visuals = {link.name: [_visual(v, colours, scene.mesh_roots) for v in link.visuals] for link in model.robot.links}
     owned = [(name, part) for name, found in visuals.items() for parts in found for part in parts or ()]
@@ -215,7 +279,7 @@ def _robot(links: Sequence[_Link], extent: float) -> Iterator[_Drawing]:
             ends = _moved(link.carries, inverse(link.T))
             parts.append(sticks(np.zeros_like(ends), ends, 0.012 * extent, _METAL, sides=24))
             parts.append(balls(np.zeros((1, 3)), 0.02 * extent, _JOINT, subdivisions=3))
-        yield _Drawing(("robot", link.name), joined(parts), link.T, flat=False)
+        yield _Drawing(("robot", _node(link.name)), joined(parts), link.T, flat=False)
 
 
 def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], extent: float) -> Iterator[_Drawing]:
@@ -225,30 +289,64 @@ def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], 
     yield _Drawing(("frames", "instrument"), triad, T_base_world)
     yield _Drawing(("frames", "tip"), triad, T_base_tip)
     for name, point in tools.items():
-        offset = T_base_tip[None, :3, 3] - point
         tool = [
-            sticks(np.zeros((1, 3)), offset, 0.003 * extent, TOOL, sides=12),
+            sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12),
             balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3),
         ]
-        yield _Drawing(("frames", "tools", name), joined(tool), translation(point))
+        yield _Drawing(("frames", "tip", "tools", _node(name)), joined(tool), translation(point))
 
 
 def _clouds(
-    measured: Array, before: Array, after: Array, scales: tuple[float, float], extent: float
+    measured: Array,
+    before: Array,
+    after: Array,
+    errors: Sequence[Array],
+    edges: Array,
+    scales: tuple[float, float],
+    extent: float,
 ) -> Iterator[_Drawing]:
     """Yield the points, and the error vectors of both predictions at one scale, so that they compare at a glance.
 
-    The errors that calibration left are there a second time at their own scale, hidden until the reader asks.
+    Coloured by the error, balls before and diamonds after. The errors that calibration left are there a second time at
+    their own scale, hidden until the reader asks.
     """
     radius, width = 0.004 * extent, 0.0011 * extent
     yield _Drawing(("measured",), [balls(measured, radius, MEASURED)], np.eye(4))
-    layers = [("before", before, BEFORE, scales[0]), ("after", after, AFTER, scales[0])]
+    layers = [("before", before, errors[0], scales[0]), ("after", after, errors[1], scales[0])]
     if scales[1] > scales[0]:
-        layers.append(("after_magnified", after, AFTER, scales[1]))
-    for name, predicted, rgb, scale in layers:
+        layers.append(("after_magnified", after, errors[1], scales[1]))
+    for name, predicted, error, scale in layers:
         ends = measured + scale * (predicted - measured)
-        parts = [sticks(measured, ends, width, rgb), balls(ends, 1.3 * radius, rgb)]
-        yield _Drawing((name,), joined(parts), np.eye(4), opacity=0.75, visible=name != "after_magnified")
+        kinds = np.clip(np.searchsorted(edges, error, side="right") - 1, 0, len(SCALE) - 1)
+        parts = []
+        for k, rgb in enumerate(SCALE):
+            which = kinds == k
+            if which.any():
+                end = (
+                    balls(ends[which], 1.2 * radius, rgb)
+                    if name == "before"
+                    else diamonds(ends[which], 1.6 * radius, rgb)
+                )
+                parts += [sticks(measured[which], ends[which], width, rgb), end]
+        yield _Drawing((name,), joined(parts), np.eye(4), visible=name != "after_magnified")
+
+
+def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
+    for mark in marks:
+        opacity = 0.35 if mark.kind == "plane" else 1.0
+        path = ("marks", _node(mark.layer), _node(mark.name))
+        yield _Drawing(path, [_shape(mark)], T_base_world @ mark.T, opacity=opacity)
+
+
+def _shape(mark: Mark) -> Triangles:
+    if mark.kind == "point":
+        return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=2)
+    if mark.kind == "axis":
+        end = np.array([[0.0, 0.0, mark.size]])
+        return sticks(-end, end, 0.02 * mark.size, MARK, sides=12)
+    corners = mark.size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    # Both sides: a plate is seen from below as well.
+    return Triangles(corners, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]]), MARK)
 
 
 def _grid(low: Array, high: Array, cell: float) -> Array:
@@ -268,11 +366,12 @@ def _outline(points: Array) -> Array:
 
 def _labels(scene: Scene) -> list[tuple[str, str]]:
     """Return which nodes of the tree carry which text."""
-    same = np.allclose(scene.T_world_base, np.eye(4), atol=1e-6)
+    same = np.allclose(scene.calibrated.root, np.eye(4), atol=1e-6)
     base = [("frames/base", "base = instrument")] if same else [("frames/base", "base")]
     instrument = [] if same else [("frames/instrument", "instrument")]
-    tools = [(f"frames/tools/{_node(name)}", name) for name in scene.tool_points]
-    return [*base, *instrument, ("frames/tip", scene.tip), *tools]
+    tools = [(f"frames/tip/tools/{_node(name)}", name) for name in scene.tools]
+    marks = [(f"marks/{_node(mark.layer)}/{_node(mark.name)}", mark.name) for mark in scene.marks]
+    return [*base, *instrument, ("frames/tip", scene.tip), *tools, *marks]
 
 
 def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
@@ -319,38 +418,32 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
     return [base64.b64encode(umsgpack.packb(command.lower())).decode() for command in commands]
 
 
-def _legend(scene: Scene, links: Sequence[_Link], scales: tuple[float, float], cell: float) -> str:
-    """Return the legend's HTML: what each colour is, the errors in mm, and how much they are magnified."""
+def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges: Array, cell: float) -> dict[str, Any]:
+    """Return the texts of the legend: the errors in mm, how much they are magnified, and what the colours are."""
     n, missing = len(scene.measured), sum(link.missing for link in links)
-    rows = [f"<tr><td>{_dot(MEASURED)}<td>measured<td colspan=3>{n} points"] if n else []
-    if n:
-        rows += [
-            f"<tr><td>{_dot(rgb)}<td>{name}<td>{rms:.3f}<td>{worst:.3f}<td{mark}>&times;{scales[0]:g}"
-            for name, rgb, mark, (rms, worst) in (
-                ("before", BEFORE, "", _rms_max_mm(scene.before - scene.measured)),
-                ("after", AFTER, " id=scale", _rms_max_mm(scene.after - scene.measured)),
-            )
-        ]
     notes = []
     if n > _MOST_POINTS:
         notes.append(f"{_MOST_POINTS} of the {n} points are drawn, the worst among them; the figures are of all.")
     if missing:
         notes.append(f"{missing} mesh{'es' if missing > 1 else ''} not found, drawn as sticks.")
-    axes = " ".join(f"<b style='color:{_css(rgb)}'>{axis}</b>" for axis, rgb in zip("xyz", AXES, strict=True))
-    notes.append(f"Frames {axes}. Grid {cell:g} m.")
-    magnify = (
-        f"<label><input type=checkbox id=magnify data-scales='{scales[0]:g} {scales[1]:g}'> "
-        f"magnify after to &times;{scales[1]:g}</label>"
-        if scales[1] > scales[0]
-        else ""
-    )
-    header = "<tr><th><th>error in mm<th>rms<th>max<th>drawn" if n else ""
-    return f"<table>{header}{''.join(rows)}</table>{magnify}" + "".join(f"<p>{note}" for note in notes)
-
-
-def _rms_max_mm(errors: Array) -> tuple[float, float]:
-    length = 1e3 * np.linalg.norm(errors, axis=1)
-    return float(np.sqrt(np.mean(length**2))), float(length.max())
+    figures = [
+        {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
+        for name, e in zip(("before", "after"), errors, strict=True)
+        if n and any(map(np.any, errors))
+    ]
+    return {
+        "n": n,
+        "figures": figures,
+        "scales": [f"{scale:g}" for scale in scene.scales],
+        "apart": f"{scene.apart:g}",
+        "colours": [_css(rgb) for rgb in SCALE],
+        "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
+        "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],
+        "dots": {"measured": _css(MEASURED), "nominal": _css(NOMINAL), "marks": _css(MARK)},
+        "marks": [(_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks)],
+        "cell": f"{cell:g}",
+        "notes": notes,
+    }
 
 
 def _moved(points: Array, T: Array) -> Array:
@@ -362,6 +455,10 @@ def _round_number(x: float) -> float:
     power = math.floor(math.log10(x))
     rounds = [float(f"{m}e{p}") for p in (power, power + 1) for m in (1, 2, 5)]
     return min(rounds, key=lambda r: abs(math.log(r / x)))
+
+
+def _two_digits(x: float) -> str:
+    return np.format_float_positional(x, 2, unique=False, fractional=False, trim="-")
 
 
 def _rgb(color: Any) -> Rgb:
@@ -378,10 +475,6 @@ def _css(rgb: Rgb) -> str:
     return f"#{_hex(rgb):06x}"
 
 
-def _dot(rgb: Rgb) -> str:
-    return f"<i style='background:{_css(rgb)}'></i>"
-
-
 def _node(name: str) -> str:
     """Return a name as one step of a path in the viewer's tree."""
     return name.replace("/", "_") or "_"
@@ -393,126 +486,3 @@ def _asset(name: str) -> str:
         warnings.simplefilter("ignore")
         import meshcat  # noqa: PLC0415
     return (Path(meshcat.viewer_assets_path()) / name).read_text(encoding="utf-8")
-
-
-_PAGE = string.Template("""\
-<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline'; \
-style-src 'unsafe-inline'; img-src data: blob:">
-<title>$title</title>
-<style>
-html, body { margin: 0; height: 100%; overflow: hidden; background: #fff; color: #222; }
-#pane { width: 100vw; height: 100vh; overflow: hidden; }
-#legend, .label { font: 13px/1.45 system-ui, sans-serif; }
-#legend { position: absolute; left: 12px; top: 12px; width: 290px; padding: 12px 14px; border-radius: 8px;
-  box-sizing: border-box; background: rgba(255, 255, 255, .92); box-shadow: 0 1px 6px rgba(0, 0, 0, .18); }
-#legend h1 { font-size: 16px; line-height: 1.3; margin: 0 0 6px; overflow-wrap: anywhere; }
-#legend p { margin: 6px 0 0; color: #555; }
-#legend label { display: block; margin-top: 6px; }
-#legend table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-#legend th { font-weight: normal; color: #666; text-align: right; }
-#legend td { text-align: right; padding: 1px 0 1px 6px; }
-#legend tr > :first-child, #legend tr > :nth-child(2) { text-align: left; padding-left: 0; }
-#legend tr > :first-child { width: 18px; }
-#legend i { display: inline-block; width: 11px; height: 11px; border-radius: 50%; vertical-align: -1px; }
-.label { position: absolute; left: 0; top: 0; padding: 0 4px; border-radius: 3px; pointer-events: none;
-  background: rgba(255, 255, 255, .75); font-size: 12px; white-space: nowrap; }
-@media (max-width: 640px) {
-  #legend { left: 8px; right: 8px; top: auto; bottom: 8px; width: auto; padding: 8px 12px; }
-  #legend h1 { font-size: 15px; margin-bottom: 2px; }
-  #legend p { margin-top: 2px; }
-}
-</style>
-</head>
-<body>
-<div id="pane"></div>
-<div id="legend"><h1>$title</h1>$legend</div>
-<script type="text/plain" id="licences">$licences</script>
-<script>$viewer</script>
-<script type="application/json" id="page">$page</script>
-<script>
-const page = JSON.parse(document.getElementById("page").textContent);
-const legend = document.getElementById("legend"), pane = document.getElementById("pane");
-const viewer = new MeshCat.Viewer(pane);
-for (const command of page.commands)
-  viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
-
-// three.js has y up, the scene z.
-const outline = page.outline.map(([x, y, z]) => new MeshCat.THREE.Vector3(x, z, -y));
-const camera = viewer.camera, back = new MeshCat.THREE.Vector3(0.72, 0.42, 0.9).normalize();
-let touched = false;
-viewer.controls.addEventListener("start", () => { touched = true; });
-
-// Centre the outline in the part of the pane that the legend leaves free, and step back until all of it is inside.
-function fit() {
-  const w = pane.offsetWidth, h = window.innerHeight, cover = legend.getBoundingClientRect();
-  const wide = cover.width < 0.5 * w;
-  const free = wide ? [cover.right, 0, w, h] : [0, 24, w, cover.top];
-  const [fw, fh] = [free[2] - free[0], free[3] - free[1]];
-  camera.fov = 35;
-  const t = Math.tan(camera.fov * Math.PI / 360), tx = t * fw / h, ty = t * fh / h;
-  const right = new MeshCat.THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
-  const target = new MeshCat.THREE.Vector3();
-  for (const axis of [right, up, back]) {
-    const along = outline.map(p => p.dot(axis));
-    target.addScaledVector(axis, (Math.min(...along) + Math.max(...along)) / 2);
-  }
-  let distance = 0;
-  for (const p of outline) {
-    const v = p.clone().sub(target);
-    const side = Math.max(Math.abs(v.dot(right)) / tx, Math.abs(v.dot(up)) / ty);
-    distance = Math.max(distance, v.dot(back) + side);
-  }
-  distance *= 1.08;
-  camera.near = distance / 500;
-  camera.far = distance * 50;
-  camera.setViewOffset(w, h, (w - free[0] - free[2]) / 2, (h - free[1] - free[3]) / 2, w, h);
-  if (!touched) {
-    viewer.controls.target.copy(target);
-    camera.position.copy(target).addScaledVector(back, distance);
-  }
-  viewer.set_dirty();
-}
-
-// Names of the frames, kept over their origins; a frame switched off in the tree takes its name along.
-const labels = page.labels.map(([path, text]) => {
-  const element = document.body.appendChild(document.createElement("div"));
-  element.className = "label";
-  element.textContent = text;
-  return [element, viewer.scene_tree.find(path.split("/")).object];
-});
-const render = viewer.render.bind(viewer);
-viewer.render = () => {
-  render();
-  for (const [element, object] of labels) {
-    const p = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(camera);
-    let shown = p.z < 1;
-    for (let o = object; o; o = o.parent) shown = shown && o.visible;
-    const x = (p.x + 1) / 2 * pane.offsetWidth + 6, y = (1 - p.y) / 2 * window.innerHeight + 4;
-    element.style.display = shown ? "" : "none";
-    element.style.transform = "translate(" + x + "px, " + y + "px)";
-  }
-};
-
-const magnify = document.getElementById("magnify");
-if (magnify) {
-  const scales = magnify.dataset.scales.split(" "), scale = document.getElementById("scale");
-  const choose = () => {
-    viewer.set_property(["after"], "visible", !magnify.checked);
-    viewer.set_property(["after_magnified"], "visible", magnify.checked);
-    scale.textContent = "\\u00d7" + scales[+magnify.checked];
-    viewer.set_dirty();
-  };
-  magnify.addEventListener("change", choose);
-  choose();
-}
-window.addEventListener("load", fit);
-window.addEventListener("resize", fit);
-</script>
-</body>
-</html>
-""")

@@ -163,6 +163,14 @@ class Robot:
         )
         return lengths + travel
 
+    @property
+    def root_in_base(self) -> Array:
+        """The root link of the URDF (4, 4) in the arm's base link, with joints between them at zero."""
+        T, link = np.eye(4), self.base
+        while (joint := self.urdf.parent_joint(link)) is not None:
+            T, link = joint.origin @ T, joint.parent
+        return rigid.inverse(T)
+
     def no_deviations(self) -> Deviations:
         """Return the deviations of the nominal machine: zeros."""
         return Deviations(
@@ -176,8 +184,7 @@ class Robot:
     ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
-        rows do not have.
+        Raises PoseError for a row where a loop cannot close.
         """
         return TipModel(self, deviations).joint_positions(readings, conditions)
 

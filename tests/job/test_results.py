@@ -13,7 +13,7 @@ import yourdfpy
 
 import calib
 from calib.foundations.errors import OutputError
-from calib.job import results
+from calib.job import results, versions
 from calib.job.inputs import load
 from calib.job.results import write_results
 from calib.job.run import Outcome
@@ -22,7 +22,10 @@ from tests.identification import machines
 from tests.identification.machines import Array
 from tests.job.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
 
-FILES = ["calibrated.urdf", "job.json", "model.json", "nominal.urdf", "residuals.csv", "result.json", "scene.html"]
+FILES = [
+    *("calibrated.urdf", "job.json", "model.json", "nominal.urdf"),
+    *("report.html", "report.md", "residuals.csv", "result.json", "scene.html", "uncertainty.json"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +260,7 @@ def test_old_results_survive_an_error_at_the_last_moment(
 def test_libraries_known_by_another_name_do_not_cost_the_results(
     outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results, "_LIBRARIES", ("no-such-distribution",))
+    monkeypatch.setattr(versions, "_LIBRARIES", ("no-such-distribution",))
     assert results.result(outcome)["versions"]["no-such-distribution"] is None
 
 

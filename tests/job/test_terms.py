@@ -12,7 +12,8 @@ import calib
 from calib.job.inputs import load
 from calib.job.results import write_results
 from calib.job.run import Outcome, run
-from calib.presentation.tables import choice_table, plain
+from calib.presentation.sheets import choice_sheet
+from calib.presentation.tables import plain, sheet_table
 from tests.job import cases
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
@@ -72,7 +73,7 @@ def test_the_result_tells_the_choice(given: tuple[Outcome, Path], chosen: tuple[
     found = {record["name"]: record for record in result["parameters"]}
     assert taken == {name for name in found if name.split(".")[-1].split("_")[0] in ("cos", "sin", "gain", "elastic")}
     assert {found[name]["unit"] for name in taken if name.endswith("gain")} <= {"1"}
-    told = plain(choice_table(outcome.choice))
+    told = plain(sheet_table(choice_sheet(outcome.choice)))
     assert "geometry alone" in " ".join(told.split())
     assert told.count("yes") == outcome.choice.taken + 1
     assert max(map(len, told.splitlines())) <= 80

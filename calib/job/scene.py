@@ -1,0 +1,83 @@
+"""The scene of an outcome."""
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.foundations.errors import PoseError
+from calib.job.run import JudgedSet, Outcome
+from calib.measurement.kinds import size
+from calib.presentation.arm import Arm, arm_of
+from calib.presentation.scene import Scene, magnification
+from calib.robot.robot import Deviations
+
+
+def scene_of(outcome: Outcome) -> Scene:
+    """Return the scene of a finished calibration: every row of every table that tells a point, in the job's order.
+
+    A socket's point is where the calibrated robot says it is; tables of lengths and heights have no points to draw.
+    """
+    fit, robot = outcome.fit, outcome.fit.robot
+    root = robot.root_in_base
+    sets = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
+    points = [_points(outcome, judged) for judged in sets]
+    readings = np.concatenate([judged.data.readings for judged in sets or outcome.sets])
+    measured = np.concatenate([np.zeros((0, 3)), *points])
+    before = measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged in sets)])
+    after = measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged in sets)])
+    calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root)
+    extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
+    scales = magnification(before - measured, extent), magnification(after - measured, extent)
+    nominal, apart = _nominal(outcome, readings, root, scales[0])
+    return Scene(
+        title=f"{robot.urdf.name or robot.urdf.where}: calibration",
+        urdf=robot.urdf,
+        mesh_roots=outcome.inputs.mesh_roots,
+        calibrated=calibrated,
+        nominal=nominal,
+        apart=apart,
+        tools={
+            name: tool[:3, 3] for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
+        },
+        tip=robot.tip,
+        rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),
+        measured=measured,
+        before=before,
+        after=after,
+        scales=scales,
+    )
+
+
+def _points(outcome: Outcome, judged: JudgedSet) -> Array:
+    """Return the points (N, 3) that a table measured, in the instrument's frame."""
+    data, fit = judged.data, outcome.fit
+    if data.position is not None:
+        return data.position
+    placed = fit.machine.frames.base @ fit.robot.tips(data.readings, fit.deviations, data.conditions)
+    names = fit.measurements[0].tools
+    own = np.array([names.index(tool) for tool in data.tools])[data.tool]
+    return np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3] + judged.after[:, :3])
+
+
+def _nominal(outcome: Outcome, readings: Array, root: Array, apart: float) -> tuple[Arm, float]:
+    """Return the nominal arm, its difference from the calibrated one taken ``apart`` times, or as often as loops allow.
+
+    Deviations and base are led on beyond the nominal ones, to first order, so that its tool goes to where the errors
+    before calibration, drawn as often, end.
+    """
+    fit = outcome.fit
+    for times in (*(apart / k for k in (1.0, 2.0, 5.0, 10.0, 100.0) if apart / k > 1.0), 1.0):
+        d = fit.deviations
+        try:
+            led = Deviations((1.0 - times) * d.placements, (1.0 - times) * d.offsets, (1.0 - times) * d.terms)
+            base = _beyond(fit.machine.frames.base, fit.nominal.frames.base, times)
+            return arm_of(fit.robot, led, readings, base @ root), times
+        except PoseError:  # a loop that does not close so far away
+            continue
+    raise AssertionError("the nominal robot closed its loops when it was read")
+
+
+def _beyond(start: Array, end: Array, times: float) -> Array:
+    """Return the pose (4, 4) to which the way from ``start`` to ``end`` leads when it is gone ``times`` times."""
+    turn = rigid.log3(start[:3, :3].T @ end[:3, :3])
+    return rigid.placement(start[:3, :3] @ rigid.exp3(times * turn), start[:3, 3] + times * (end[:3, 3] - start[:3, 3]))

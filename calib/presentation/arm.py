@@ -1,0 +1,79 @@
+"""An arm through many poses, as tables that a viewer needs no kinematics library to follow: origins and positions.
+
+A link sits in its parent at ``origin @ motion(position)``: that is all of a URDF's kinematics. Closed loops, couplings
+and offsets are in the positions already.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.robot import deviation
+from calib.robot.robot import Deviations, Robot
+from calib.robot.urdf import Urdf, UrdfJoint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """An arm through N poses. ``root`` (4, 4): its root link in the world.
+
+    ``origins`` (J, 4, 4) and ``positions`` (N, J): of the joints in the order of the URDF, in rad or m, 0 where fixed.
+    """
+
+    root: Array
+    origins: Array
+    positions: Array
+
+
+def arm_of(robot: Robot, deviations: Deviations, readings: Array, root: Array) -> Arm:
+    """Return an arm at readings (N, nr). Joints beside the arm rest at 0, or follow what they mimic.
+
+    Raises PoseError for a row where a closed loop cannot close.
+    """
+    urdf = robot.urdf
+    column = {joint.name: k for k, joint in enumerate(urdf.joints)}
+    origins = np.array([joint.origin for joint in urdf.joints]).reshape(-1, 4, 4)
+    for link, d in zip(robot.chain, deviations.placements, strict=True):
+        k = column[link.name]
+        origins[k] = origins[k] @ link.frame @ deviation.motion(d) @ rigid.inverse(link.frame)
+    positions = np.zeros((len(readings), len(urdf.joints)))
+    known = [column[robot.chain[i].name] for i in robot.moving]
+    positions[:, known] = robot.joint_positions(readings, deviations)
+    for k, joint in enumerate(urdf.joints):
+        if k not in known:
+            positions[:, k] = _following(urdf, joint, column, positions, known)
+    return Arm(root, origins, positions)
+
+
+def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
+    """Return the placements (N, 4, 4) of all links of an arm in its root link."""
+    n = len(arm.positions)
+    found = {urdf.root: np.tile(np.eye(4), (n, 1, 1))}
+    waiting = list(range(len(urdf.joints)))
+    while waiting:
+        ready = [k for k in waiting if urdf.joints[k].parent in found]
+        for k in ready:
+            joint = urdf.joints[k]
+            found[joint.child] = found[joint.parent] @ arm.origins[k] @ _motions(joint, arm.positions[:, k])
+        waiting = [k for k in waiting if k not in ready]
+    return found
+
+
+def _following(urdf: Urdf, joint: UrdfJoint, column: dict[str, int], positions: Array, known: list[int]) -> Array:
+    """Return the positions (N,) of a joint that is not on the arm: those of its driver, or 0."""
+    if joint.mimic is None:
+        return np.zeros(len(positions))
+    k = column[joint.mimic.joint]
+    driver = positions[:, k] if k in known else _following(urdf, urdf.joints[k], column, positions, known)
+    return joint.mimic.multiplier * driver + joint.mimic.offset
+
+
+def _motions(joint: UrdfJoint, q: Array) -> Array:
+    """Return the motions (N, 4, 4) of a joint at positions q (N,)."""
+    if joint.type == "prismatic":
+        return rigid.translation(q[:, None] * joint.axis)
+    if joint.type in ("revolute", "continuous"):
+        return rigid.placement(rigid.rotation_about(joint.axis, q), np.zeros(3))
+    return np.eye(4)

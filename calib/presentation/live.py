@@ -1,0 +1,167 @@
+"""The scene, live: served to this machine alone, with joints to be moved by hand and new results shown by themselves.
+
+meshcat's own server listens on every address of the machine, on a second port for commands as well, and knows neither
+loops nor errors. Here its viewer, which the page of a scene holds, is served by tornado on 127.0.0.1 and on one port;
+what moves is computed by the calibrated model.
+"""
+
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.compensation.model_file import CalibratedModel, load_model
+from calib.foundations.errors import CalibError, OutputError, PoseError
+from calib.foundations.units import UNITS
+from calib.presentation.arm import arm_of
+from calib.robot.robot import Deviations
+
+ADDRESS = "127.0.0.1"
+# How often a folder is looked at for newer results, in s.
+_EVERY = 1.0
+# Shown of joints without limits: one turn, or one metre, to both sides.
+_TURN, _METRE = np.pi, 1.0
+_LONGEST_MESSAGE = 100_000
+
+
+def serve(
+    folder: Path, page: str, others: tuple[str, ...], port: int, started: Callable[[str], None]
+) -> Callable[[], Awaitable[None]]:
+    """Return what serves the scene of a folder of results until it is cancelled.
+
+    ``page`` and ``others``: names of the pages in the folder, the first one also without a name. ``port`` 0: any free
+    one. ``started`` is told the address. Raises OutputError when there is nothing to show, or no port.
+    """
+    model = load_model(folder)
+    if not (folder / page).is_file():
+        raise OutputError(f"{folder}: holds no {page}; run calib calibrate again.")
+
+    async def run() -> None:
+        await _run(folder, model, (page, *others), port, started)
+
+    return run
+
+
+async def _run(
+    folder: Path, model: CalibratedModel, pages: tuple[str, ...], port: int, started: Callable[[str], None]
+) -> None:
+    import asyncio  # noqa: PLC0415 - calib must load none of these on import
+
+    from tornado.httpserver import HTTPServer  # noqa: PLC0415
+    from tornado.netutil import bind_sockets  # noqa: PLC0415
+    from tornado.web import Application, RequestHandler  # noqa: PLC0415
+    from tornado.websocket import WebSocketHandler  # noqa: PLC0415
+
+    listening: set[Any] = set()
+
+    class Page(RequestHandler):
+        def get(self, name: str) -> None:
+            try:
+                self.finish((folder / (name or pages[0])).read_bytes())
+            except OSError:  # a page that older results have not, or the moment in which results are exchanged
+                self.send_error(404)
+
+        def set_default_headers(self) -> None:
+            self.set_header("Cache-Control", "no-store")
+
+    class Live(WebSocketHandler):
+        def open(self, *_: str, **__: str) -> None:
+            listening.add(self)
+            self.write_message(json.dumps({"readings": sliders(model)}))
+
+        def on_message(self, message: str | bytes) -> None:
+            self.write_message(json.dumps(answer(model, message)))
+
+        def on_close(self) -> None:
+            listening.discard(self)
+
+    # A page of another site may send its readers here by a name of its own; it is not answered.
+    app = Application(websocket_max_message_size=_LONGEST_MESSAGE, log_function=lambda _: None)
+    names = "|".join(map(_literally, pages))
+    app.add_handlers(r"(127\.0\.0\.1|localhost)", [(rf"/({names})?", Page), ("/live", Live)])
+    server = HTTPServer(app)
+    try:
+        sockets = bind_sockets(port, ADDRESS)
+    except (OSError, OverflowError) as e:
+        raise OutputError(f"port {port}: cannot be listened on ({e}).") from e
+    server.add_sockets(sockets)
+    started(f"http://{ADDRESS}:{sockets[0].getsockname()[1]}/")
+    seen = _stamp(folder)
+    try:
+        while True:
+            await asyncio.sleep(_EVERY)
+            now = _stamp(folder)
+            if now not in (seen, None):
+                try:
+                    model, seen = load_model(folder), now
+                except CalibError:  # half way through an exchange; the next look finds it
+                    continue
+                for page in listening:
+                    page.write_message(json.dumps({"reload": True}))
+    finally:
+        server.stop()
+        await server.close_all_connections()
+
+
+def sliders(model: CalibratedModel) -> list[dict[str, Any]]:
+    """Return what a person may move: name, unit, limits and a first value of every reading, in degrees and mm."""
+    found = []
+    for reading in model.robot.readings:
+        angle = reading.dimension == "angle"
+        unit, widest = ("deg", _TURN) if angle else ("mm", _METRE)
+        factor = UNITS[unit].factor
+        lower = -widest if reading.lower is None else reading.lower
+        upper = widest if reading.upper is None else reading.upper
+        value = min(max(0.0, lower), upper)
+        limits = {"lower": lower / factor, "upper": upper / factor, "value": value / factor}
+        found.append({"name": reading.name, "unit": unit, **limits})
+    return found
+
+
+def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
+    """Return the positions of both arms' joints at the readings that a page asks for, and how far their tips are apart.
+
+    The nominal arm's difference is taken as often as the page draws it; the distance told is the true one, of both
+    arms on the same base. Whatever cannot be answered is said in a sentence.
+    """
+    robot = model.robot
+    try:
+        asked = json.loads(message)
+        shown = np.array(asked["readings"], dtype=np.float64)
+        apart = float(asked["apart"])
+        factors = [UNITS["deg" if reading.dimension == "angle" else "mm"].factor for reading in robot.readings]
+        readings = (shown * factors)[None]
+        if not (np.isfinite(readings).all() and np.isfinite(apart)):
+            raise ValueError("not finite")
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return {"sentence": "This is no question that the server knows."}
+    d = model.deviations
+    led = Deviations(*((1.0 - apart) * part for part in (d.placements, d.offsets, d.terms)))
+    try:
+        positions = {
+            name: arm_of(robot, deviations, readings, np.eye(4)).positions[0].tolist()
+            for name, deviations in (("robot", d), ("nominal", led))
+        }
+        tips = robot.tips(readings, d)[0], robot.tips(readings)[0]
+    except PoseError as e:
+        return {"sentence": f"At these readings {e.reason}."}
+    distance = 1e3 * float(np.linalg.norm(tips[0][:3, 3] - tips[1][:3, 3]))
+    return {
+        "positions": positions,
+        "sentence": f"The tips of the nominal and the calibrated arm, on one base, are {distance:.3f} mm apart here.",
+    }
+
+
+def _literally(name: str) -> str:
+    return name.replace(".", r"\.")
+
+
+def _stamp(folder: Path) -> tuple[int, int] | None:
+    """Return what changes when a folder of results is replaced; None while it is away."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns

@@ -1,0 +1,98 @@
+"""What a report says, as plain data: finished texts, tables and drawings, the same for every way of showing them.
+
+Nothing that shows a document computes a number; every number in it is text already, rounded once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of a sheet. ``strong``: what the reader looks for; ``ends_group``: a gap follows."""
+
+    cells: tuple[str, ...]
+    strong: bool = False
+    ends_group: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A table. ``numbers``: the columns that are set to the right. ``brief``: the terminal shows it too."""
+
+    title: str
+    columns: tuple[str, ...]
+    numbers: frozenset[str]
+    rows: tuple[Row, ...]
+    caption: str = ""
+    brief: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A drawing: one ``<svg>`` element, and in words what a reader sees in it."""
+
+    title: str
+    svg: str
+    alternative: str
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Prose:
+    """Sentences: running text, a list with a point for each, or commands to be typed."""
+
+    sentences: tuple[str, ...]
+    kind: Literal["text", "list", "code"] = "text"
+    brief: bool = False
+
+
+Block = Sheet | Picture | Prose
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of a report. ``key``: its place in the page, a word of lower-case letters."""
+
+    key: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One figure of the verdict: what it is, and its value with its unit."""
+
+    label: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer before all else. ``headline``: better by how much, and on which data; ``reasons``: why (not) trusted.
+
+    ``warnings``: what was doubtful, but usable, in the input.
+    """
+
+    trusted: bool
+    headline: str
+    reasons: tuple[str, ...]
+    tiles: tuple[Tile, ...]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A whole report."""
+
+    title: str
+    verdict: Verdict
+    sections: tuple[Section, ...]
+
+    def brief(self) -> Iterator[Sheet | Prose]:
+        """Yield the tables and sentences that a terminal shows."""
+        for section in self.sections:
+            for block in section.blocks:
+                if not isinstance(block, Picture) and block.brief:
+                    yield block

@@ -1,0 +1,45 @@
+"""A report as Markdown, for a repository: the same words and tables, pictures by what they show."""
+
+import re
+from collections.abc import Iterator
+
+from calib.presentation.report.document import Block, Prose, Report, Sheet
+
+# What Markdown or HTML in it would take for its own.
+_SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
+
+
+def render_markdown(report: Report) -> str:
+    """Return a report as Markdown."""
+    verdict = report.verdict
+    parts = [f"# {_plain(report.title)}", f"**{_plain(verdict.headline)}**", *map(_plain, verdict.reasons)]
+    parts += [f"Warning: {_plain(warning)}" for warning in verdict.warnings]
+    for section in report.sections:
+        parts.append(f"## {_plain(section.title)}")
+        for block in section.blocks:
+            parts += _block(block)
+    return "\n\n".join(parts) + "\n"
+
+
+def _block(block: Block) -> Iterator[str]:
+    if isinstance(block, Sheet):
+        yield f"**{_plain(block.title)}**"
+        rulers = ["--:" if name in block.numbers else "---" for name in block.columns]
+        cells = [map(_plain, block.columns), rulers, *(map(_plain, row.cells) for row in block.rows)]
+        yield "\n".join(f"| {' | '.join(row)} |" for row in cells)
+        if block.caption:
+            yield _plain(block.caption)
+    elif not isinstance(block, Prose):
+        yield f"*{_plain(block.title)} (drawn in report.html).* {_plain(block.alternative)}"
+    elif block.kind == "code":
+        # Four blanks, not a fence: no text inside can end it.
+        yield "\n".join(f"    {line}" for line in block.sentences)
+    elif block.kind == "list":
+        yield "\n".join(f"- {_plain(sentence)}" for sentence in block.sentences)
+    else:
+        yield " ".join(map(_plain, block.sentences))
+
+
+def _plain(text: str) -> str:
+    """Return text that shows as it stands, on one line."""
+    return _SPECIAL.sub(r"\\\1", " ".join(text.split()))

@@ -1,0 +1,418 @@
+"""The parts of a report, each made by one function from what the rooms before have found.
+
+A part that has nothing to say is None, or is left out by whoever lists them.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from calib.assessment.choice import Choice
+from calib.assessment.metrics import Metrics, error_norms
+from calib.foundations.arrays import Array, IntArray
+from calib.identification.fit import Fit
+from calib.identification.identifiability import USABLE
+from calib.identification.total_differential import Trace
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
+from calib.presentation.report.charts import (
+    Axis,
+    Bars,
+    Level,
+    Line,
+    Mark,
+    Points,
+    chart,
+    linear,
+    logarithmic,
+    map_of,
+    matrix,
+)
+from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
+from calib.presentation.sheets import (
+    SHOWN,
+    choice_sheet,
+    count,
+    error_sheet,
+    figure,
+    level_sheet,
+    lost_sentences,
+    noise_sentences,
+    parameter_sheet,
+    rank_sentences,
+)
+from calib.presentation.sheets import Level as LevelFigures
+
+Use = Literal["identification", "validation"]
+
+_KEY = (("before", "before"), ("after", "after"))
+# More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
+_MOST_DOTS = 2000
+_BINS = 24
+_ANGLES = ("rx", "ry", "rz")
+
+
+class Judged(Protocol):
+    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
+
+    @property
+    def use(self) -> Use:
+        """What the table is for."""
+
+    @property
+    def file(self) -> str:
+        """Its name in the job."""
+
+    @property
+    def data(self) -> Measurements:
+        """Its rows."""
+
+    @property
+    def before(self) -> Array:
+        """Residuals of the nominal robot, base and tool fitted."""
+
+    @property
+    def after(self) -> Array:
+        """Residuals of the calibrated one."""
+
+
+class _Errors(NamedTuple):
+    """Error norms (N,) of one quantity over all tables of one use, ``sets``, in the unit ``shown``."""
+
+    quantity: str
+    before: Array
+    after: Array
+    shown: str
+    sets: tuple[Judged, ...]
+
+
+def judged_use(sets: Sequence[Judged]) -> Use:
+    """Return by which data a calibration is judged: those held out, where there are any."""
+    return "validation" if any(judged.use == "validation" for judged in sets) else "identification"
+
+
+def verdict(
+    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], doubts: Sequence[str], warnings: Sequence[str]
+) -> Verdict:
+    """Return the answer: how much better, on which data, to be trusted or not."""
+    held_out = "validation" in figures
+    judged = figures["validation" if held_out else "identification"]
+    said, tiles = [], []
+    for quantity, after in judged["after"].items():
+        before = judged["before"][quantity]
+        rows = "rows it never saw" if held_out else "rows it was fitted to"
+        names = (figure(before.rms, before.unit), figure(after.rms, after.unit))
+        if after.rms < before.rms:
+            # Data without noise leave rounding alone, and a ratio of it is no figure.
+            ratio = before.rms / max(after.rms, 1e-6 * before.rms)
+            times = f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.1f}"
+            fall = f"the {quantity} error falls from {names[0]} to {names[1]} rms"
+            said.append(f"{times} times better: on {after.n} {rows}, {fall}.")
+            tiles.append(Tile(f"{quantity} error smaller by", f"{times} times"))
+        else:
+            said.append(f"No better: on {after.n} {rows}, the {quantity} error goes from {names[0]} to {names[1]} rms.")
+        tiles += [Tile(f"{quantity}, before (rms)", names[0]), Tile(f"{quantity}, after (rms)", names[1])]
+        tiles.append(Tile(f"{quantity}, after (largest)", figure(after.max, after.unit)))
+    if doubts:
+        reasons = tuple(f"Not to be trusted: {doubt}" for doubt in doubts)
+    elif held_out:
+        reasons = ("To be trusted: the solver converged, and the figures are of data that took no part in the fit.",)
+    else:
+        reasons = (
+            "To be trusted with care: the solver converged, but no data were held out; how well the robot predicts "
+            "other poses is not shown.",
+        )
+    return Verdict(not doubts, " ".join(said), reasons, tuple(tiles), tuple(warnings))
+
+
+def errors(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], lost: float) -> Section:
+    """Return the before/after table, and what the calibrated URDF alone cannot hold."""
+    blocks: list[Block] = [error_sheet(figures)]
+    if sentences := lost_sentences(lost):
+        blocks.append(Prose(sentences, brief=True))
+    return Section("errors", "Before and after", tuple(blocks))
+
+
+def levels(found: Sequence[LevelFigures]) -> Section:
+    """Return what each level brought."""
+    blocks: list[Block] = [level_sheet(found)]
+    for quantity, first in found[0][3].items():
+        factor, unit = SHOWN[first.unit]
+        rms = np.array([figures[quantity].rms for *_, figures in found]) * factor
+        x = Axis("level", -0.5, len(found) - 0.5, names=tuple(name[:14] for name, *_ in found))
+        steps = np.arange(len(found), dtype=np.float64)
+        marks: list[Mark] = [Line("after", steps, rms), Points("after", steps, rms, 9.0)]
+        said = ", ".join(f"{name} {value:.4f}" for (name, *_), value in zip(found, rms, strict=True))
+        drawn = chart(x, logarithmic(f"{quantity} error, rms [{unit}]", rms), marks)
+        blocks.append(Picture(f"{quantity.capitalize()} error after each level", drawn, f"In {unit}: {said}."))
+    return Section("levels", "Levels", tuple(blocks))
+
+
+def trace(followed: Trace) -> Section:
+    """Return every iteration of the total differential."""
+    return Section("trace", "Iterations", (Prose(tuple(str(followed).splitlines()), "code", brief=True),))
+
+
+def chosen(choice: Choice) -> Section:
+    """Return which joint terms were chosen, and what held-out data said of them."""
+    return Section("terms", "Joint terms", (choice_sheet(choice),))
+
+
+def distribution(sets: Sequence[Judged]) -> Section:
+    """Return how errors are distributed: histogram and cumulative curve."""
+    use = judged_use(sets)
+    pictures = [p for found in _errors(sets, use) for p in (_histogram(found, use), _cumulative(found, use))]
+    return Section("distribution", "How errors are distributed", tuple(pictures))
+
+
+def poses(sets: Sequence[Judged]) -> Section:
+    """Return the error of every pose, and of every axis."""
+    blocks: list[Block] = []
+    every = [errors for use in dict.fromkeys(judged.use for judged in sets) for errors in _errors(sets, use)]
+    for name in dict.fromkeys(errors.quantity for errors in every):
+        found = [errors for errors in every if errors.quantity == name]
+        first = found[0]
+        before, after = (np.concatenate([errors[i] for errors in found]) for i in (1, 2))
+        rows, number = _drawn(after), np.arange(1.0, len(after) + 1.0)
+        edge = sum(len(errors.after) for errors in found if errors.sets[0].use == "identification")
+        x = linear("row", np.array([0.0, len(after)]))
+        y = logarithmic(f"error [{first.shown}]", np.concatenate([before, after]))
+        marks: list[Mark] = [
+            Points("before", number[rows], before[rows]),
+            Points("after", number[rows], after[rows]),
+        ]
+        held_out = ""
+        if 0 < edge < len(after):
+            marks.append(Line("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
+            held_out = f" Rows from {edge + 1} on, right of the line, were held out."
+        worst = int(np.argmax(after))
+        at = [f"{j.file}, line {line}" for errors in found for j in errors.sets for line in j.data.lines][worst]
+        said = f"The largest one after calibration is {after[worst]:.4f} {first.shown}, from {at}.{held_out}"
+        blocks.append(Picture(f"{first.quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
+    use = judged_use(sets)
+    blocks += _per_axis([judged for judged in sets if judged.use == use], use)
+    return Section("poses", "Error of every pose and axis", tuple(blocks))
+
+
+def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
+    """Return the error that is left over every joint's reading: a pattern is something not modelled."""
+    use = judged_use(sets)
+    error = _errors(sets, use)[0]
+    readings = np.concatenate([judged.data.readings for judged in error.sets])
+    pictures = []
+    for reading, values in zip(fit.robot.readings, readings.T, strict=True):
+        factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
+        at, rows = values * factor, _drawn(error.after)
+        centres, means = _running_mean(at, error.after)
+        marks: list[Mark] = [Points("after", at[rows], error.after[rows], 3.0), Line("soft", centres, means)]
+        y = linear(f"error [{error.shown}]", error.after, from_zero=True)
+        said = (
+            f"The mean over eighths of the rows is between {means.min():.4f} and {means.max():.4f} {error.shown}."
+            if means.size
+            else "There are too few rows for a mean."
+        )
+        key = (("after", "after"), ("soft", "mean"))
+        drawn = chart(linear(f"{reading.name[:40]} [{unit}]", at), y, marks, key)
+        pictures.append(Picture(f"Over {reading.name}", drawn, said))
+    return Section("joints", "Error over joint readings", tuple(pictures))
+
+
+def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
+    """Return the position error that is left over where the tool is, in the robot's base frame."""
+    use = judged_use(sets)
+    error = _errors(sets, use)[0]
+    chosen = error.sets
+    tools = fit.machine.frames.tools[:, :3, 3]
+    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in (j.data for j in chosen)]
+    points = np.concatenate(
+        [
+            T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
+            for T, judged in zip(tips, chosen, strict=True)
+        ]
+    )
+    far = np.argsort(np.linalg.norm(points[:, :2], axis=1))
+    thirds = [part for part in np.array_split(error.after[far], 3) if part.size]
+    means = ", ".join(f"{part.mean():.4f}" for part in thirds)
+    said = f"Mean errors of the nearest, middle and farthest third from the base axis: {means} {error.shown}."
+    rows = _drawn(error.after)
+    pictures = [
+        Picture(title, map_of(points[rows][:, axes], (names[0], names[1]), error.after[rows], error.shown), said)
+        for title, axes, names in (("From above", [0, 1], "xy"), ("From the side", [0, 2], "xz"))
+    ]
+    return Section("workspace", "Error over the workspace", tuple(pictures))
+
+
+def parameters(fit: Fit) -> Section:
+    """Return all parameters."""
+    said = (
+        "A parameter that is seen only in combination has no sigma: other values of it, with changes of others, fit "
+        "the data as well. Weakly seen ones are known no better than half an ordinary deviation, or half their prior."
+    )
+    sentences = (said,) if fit.blind.any() or fit.weak.any() else ()
+    return Section("parameters", "Parameters", (parameter_sheet(fit), *([Prose(sentences)] if sentences else [])))
+
+
+def correlations(fit: Fit) -> Section | None:
+    """Return how the errors of the parameters that the data see go together; None where fewer than two are seen."""
+    seen = np.flatnonzero(~fit.blind & (np.diag(fit.covariance) > 0.0))
+    if len(seen) < 2:
+        return None
+    C = fit.covariance[np.ix_(seen, seen)]
+    sigma = np.sqrt(np.diag(C))
+    r = C / np.outer(sigma, sigma)
+    names = [fit.parameters[k].name for k in seen]
+    pairs = sorted(((i, j) for i in range(len(seen)) for j in range(i)), key=lambda ij: (-abs(r[ij]), ij))
+    strongest = pairs[:8]
+    sheet = Sheet(
+        "Strongest correlations",
+        ("parameter", "and", "correlation"),
+        frozenset(("correlation",)),
+        tuple(Row((names[i], names[j], f"{r[i, j]:+.3f}")) for i, j in strongest),
+        "of the uncertainties, not of the values; parameters seen only in combination are left out",
+    )
+    high = sum(abs(r[ij]) > 0.9 for ij in pairs)
+    i, j = strongest[0]
+    said = (
+        f"Of {count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is {names[i]} with "
+        f"{names[j]}, {r[i, j]:+.3f}. Blue is positive, orange negative."
+    )
+    return Section("correlations", "Correlations", (Picture("Correlations", matrix(r, names), said, wide=True), sheet))
+
+
+def seen(fit: Fit) -> Section:
+    """Return the rank, and every blind direction in words."""
+    values = fit.singular_values
+    number = np.arange(1.0, len(values) + 1.0)
+    weak = values < USABLE
+    y = logarithmic("singular value", np.append(values, USABLE))
+    marks: list[Mark] = [
+        Points("after", number[~weak], values[~weak], 6.0),
+        Points("before", number[weak], values[weak], 6.0),
+        Level(USABLE, "usable above"),
+    ]
+    drawn = chart(linear("direction", np.append(number, 0.0)), y, marks)
+    said = (
+        f"Rank {fit.rank}, usable {fit.usable_rank} of {len(values)} directions. The inverse of a singular value is "
+        "what is left uncertain along its direction, in ordinary deviations (1 mm, 1 mrad or the prior). Dots on the "
+        "lower edge lie below it."
+    )
+    blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("What the data see", drawn, said)]
+    if fit.blind_directions:
+        blocks.append(Prose(tuple(map(str, fit.blind_directions)), "list"))
+    return Section("rank", "What the data can see", tuple(blocks))
+
+
+def noise(fit: Fit) -> Section:
+    """Return the noise of every set."""
+    return Section("noise", "Noise", (Prose(noise_sentences(fit), brief=True),))
+
+
+def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping[str, str]) -> Section:
+    """Return what made this: the command, the versions and the inputs' SHA-256."""
+    files = Sheet("Inputs", ("file", "SHA-256"), frozenset(), tuple(Row(item) for item in inputs.items()))
+    libraries = Sheet(
+        "Versions",
+        ("library", "version"),
+        frozenset(),
+        tuple(Row((name, version or "unknown")) for name, version in versions.items()),
+    )
+    return Section("provenance", "How to reproduce this", (Prose((command,), "code"), files, libraries))
+
+
+def _errors(sets: Sequence[Judged], use: Use) -> list[_Errors]:
+    """Return the errors of every quantity over all tables of one use."""
+    found: dict[str, list[Judged]] = {}
+    units = {}
+    for judged in sets:
+        for quantity in QUANTITIES[judged.data.kind] if judged.use == use else ():
+            found.setdefault(quantity.name, []).append(judged)
+            units[quantity.name] = SHOWN[quantity.unit]
+    out = []
+    for name, own in found.items():
+        factor, shown = units[name]
+        before, after = (
+            np.concatenate([error_norms(judged.data.kind, r)[name] for judged, r in zip(own, rs, strict=True)]) * factor
+            for rs in ([judged.before for judged in own], [judged.after for judged in own])
+        )
+        out.append(_Errors(name, before, after, shown, tuple(own)))
+    return out
+
+
+def _drawn(values: Array) -> IntArray:
+    """Return the rows to draw: all, or as many as are allowed, evenly over their ranks, the largest among them."""
+    if len(values) <= _MOST_DOTS:
+        return np.arange(len(values))
+    return np.sort(np.argsort(values)[np.linspace(0, len(values) - 1, _MOST_DOTS).round().astype(np.intp)])
+
+
+def _histogram(found: _Errors, use: Use) -> Picture:
+    x = logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
+    edges = np.geomspace(x.low, x.high, _BINS + 1)
+    bars = [
+        Bars(name, edges, np.histogram(np.clip(values, x.low, x.high), edges)[0].astype(np.float64))
+        for name, values in (("before", found.before), ("after", found.after))
+    ]
+    y = linear("rows", np.concatenate([bar.heights for bar in bars]), from_zero=True)
+    said = (
+        f"Half of the errors of the {use} data are below {np.median(found.before):.4f} {found.shown} before "
+        f"calibration and below {np.median(found.after):.4f} {found.shown} after it."
+    )
+    return Picture(f"Histogram, {found.quantity}", chart(x, y, bars, _KEY), said)
+
+
+def _cumulative(found: _Errors, use: Use) -> Picture:
+    x = logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
+    lines = []
+    for name, values in (("before", found.before), ("after", found.after)):
+        ranked = np.sort(values)[_drawn(np.sort(values))]
+        share = 100.0 * np.linspace(1.0 / len(values), 1.0, len(ranked))
+        # A staircase: each error adds its row where it lies.
+        lines.append(Line(name, np.repeat(ranked, 2), np.column_stack([np.append(0.0, share[:-1]), share]).ravel()))
+    level = Level(95.0, "95 %")
+    said = (
+        f"95 % of the {use} rows are within {np.percentile(found.before, 95.0):.4f} {found.shown} before calibration "
+        f"and within {np.percentile(found.after, 95.0):.4f} {found.shown} after it."
+    )
+    y = Axis("rows within it [%]", 0.0, 100.0)
+    return Picture(f"Cumulative curve, {found.quantity}", chart(x, y, [*lines, level], _KEY), said)
+
+
+def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
+    """Return mean, spread and largest error along every axis, and the errors left as dots."""
+    rows, pictures = [], []
+    for first, axes, unit in ((0, ("x", "y", "z"), "m"), (3, _ANGLES, "rad")):
+        chosen = [judged for judged in sets if judged.after.shape[1] >= first + len(axes)]
+        if not chosen:
+            continue
+        factor, shown = SHOWN[unit]
+        before, after = (
+            np.concatenate([r[:, first : first + 3] for r in rs]) * factor
+            for rs in ([judged.before for judged in chosen], [judged.after for judged in chosen])
+        )
+        for when, values in (("before", before), ("after", after)):
+            for k, axis in enumerate(axes):
+                v = values[:, k]
+                cells = (axis, when, f"{v.mean():+.4f}", f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
+                rows.append(Row(cells, strong=when == "after", ends_group=k == 2))
+        y = Axis("axis", -0.6, len(axes) - 0.4, names=axes)
+        drawn = _drawn(np.linalg.norm(after, axis=1))
+        # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
+        lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
+        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, 3.0) for k in range(len(axes))]
+        biases = ", ".join(f"{axis} {mean:+.4f}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
+        title = f"Errors left along {', '.join(axes)}"
+        picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)
+        pictures.append(Picture(title, picture, f"Means in {shown}: {biases}."))
+    columns = ("axis", "robot", "mean", "spread", "largest", "unit")
+    numbers = frozenset(("mean", "spread", "largest"))
+    caption = f"{use} data, in the instrument's frame; spread: one standard deviation"
+    return [*pictures, Sheet("Errors along the axes", columns, numbers, tuple(rows), caption)]
+
+
+def _running_mean(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the means of x and y over eight parts of the rows in the order of x; nothing of less than 16 rows."""
+    if len(x) < 16:
+        return np.zeros(0), np.zeros(0)
+    parts = np.array_split(np.argsort(x, kind="stable"), 8)
+    return np.array([x[part].mean() for part in parts]), np.array([y[part].mean() for part in parts])

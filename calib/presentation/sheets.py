@@ -1,0 +1,168 @@
+"""A fit and its figures as tables and sentences for people: millimetres and degrees, each number rounded once."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.assessment.choice import Choice
+from calib.assessment.metrics import Metrics
+from calib.identification.fit import Fit
+from calib.identification.parameters import Parameter
+from calib.measurement.kinds import QUANTITIES, size
+from calib.presentation.report.document import Row, Sheet
+
+# What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
+SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "px": (1.0, "px"),
+    "1": (1e6, "ppm"),
+    "rad/Nm": (1e6, "urad/Nm"),
+    "m/N": (1e6, "um/N"),
+    "rad/K": (1e6, "urad/K"),
+    "m/K": (1e6, "um/K"),
+}
+# A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
+Level = tuple[str, int, int, Mapping[str, Metrics]]
+
+
+def figure(value: float, unit: str) -> str:
+    """Return a length in m or an angle in rad as text with its unit: ``0.0371 mm``."""
+    factor, name = SHOWN[unit]
+    return f"{value * factor:.4f} {name}"
+
+
+def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> Sheet:
+    """Return the before/after table of ``figures[use][when][quantity]``."""
+    rows = []
+    for use, whens in figures.items():
+        for quantity in next(iter(whens.values())):
+            for when, found in whens.items():
+                m = found[quantity]
+                factor, unit = SHOWN[m.unit]
+                values = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
+                after = when == "after"
+                rows.append(Row((use, when, str(m.n), *values, unit), strong=after, ends_group=after))
+    return Sheet(
+        "Tip errors, measured minus predicted",
+        ("data", "robot", "n", "mean", "rms", "p95", "max", "unit"),
+        frozenset(("n", "mean", "rms", "p95", "max")),
+        tuple(rows),
+        "before: nominal robot, base and tool fitted",
+        brief=True,
+    )
+
+
+def level_sheet(levels: Sequence[Level]) -> Sheet:
+    """Return what every level brought."""
+    rows = []
+    for name, free, rank, figures in levels:
+        for m in figures.values():
+            factor, unit = SHOWN[m.unit]
+            rows.append(Row((name, str(free), str(rank), *(f"{v * factor:.4f}" for v in (m.mean, m.rms, m.max)), unit)))
+    return Sheet(
+        "Levels",
+        ("level", "free", "rank", "mean", "rms", "max", "unit"),
+        frozenset(("free", "rank", "mean", "rms", "max")),
+        tuple(rows),
+        "tip errors of the data held out, base and tool fitted anew after each level",
+        brief=True,
+    )
+
+
+def choice_sheet(choice: Choice) -> Sheet:
+    """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
+    start, steps = choice.steps[0].held_out.rms, choice.steps
+    least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
+    quantity = next(iter(steps[0].rms))
+    factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
+    rows = []
+    for k in dict.fromkeys((*range(choice.taken + 1), least)):
+        step = steps[k]
+        name = "geometry alone" if step.added is None else step.added.name
+        figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
+        said = "yes" if k <= choice.taken else "no: the least"
+        rows.append(Row((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)))
+    return Sheet(
+        "Joint terms by what held-out data say",
+        ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
+        frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
+        tuple(rows),
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+        brief=True,
+    )
+
+
+def parameter_sheet(fit: Fit) -> Sheet:
+    """Return all parameters with values, sigmas and flags."""
+    rows = []
+    for parameter, value, sigma, blind, weak in zip(
+        fit.parameters, fit.values, fit.sigmas, fit.blind, fit.weak, strict=True
+    ):
+        factor, unit = SHOWN[parameter.unit]
+        seen = "only in combination" if blind else "weakly" if weak else "yes"
+        sure = "-" if blind else f"{sigma * factor:.4f}"
+        rows.append(Row((parameter.name, f"{value * factor:+.4f}", sure, unit, seen)))
+    return Sheet(
+        "Parameters",
+        ("parameter", "value", "sigma", "unit", "seen by the data"),
+        frozenset(("value", "sigma")),
+        tuple(rows),
+    )
+
+
+def noise_sentences(fit: Fit) -> tuple[str, ...]:
+    """Return the noise of every set of measurements and quantity."""
+    said = []
+    for noise in fit.noise:
+        kind = fit.measurements[noise.measurements].kind
+        unit = next(quantity.unit for quantity in QUANTITIES[kind] if quantity.name == noise.quantity)
+        instrument = f"{figure(noise.instrument, unit)} instrument" if noise.instrument else "instrument not stated"
+        chi = "" if np.isnan(noise.chi_square) else f", chi-square per degree of freedom {noise.chi_square:.3g}"
+        of = f" of {Path(fit.measurements[noise.measurements].where).name}" if len(fit.measurements) > 1 else ""
+        model = figure(noise.model, unit)
+        what = noise.quantity.replace("_", " ")
+        said.append(
+            f"Noise of one {what} {'coordinate' if size(kind) > 1 else 'value'}{of}: {instrument}, {model} model{chi}."
+        )
+    return tuple(said)
+
+
+def rank_sentences(fit: Fit) -> tuple[str, ...]:
+    """Return what the data see, and what was done about the rest."""
+    blind, held = len(fit.blind_directions), len(fit.held)
+    weak = [p.name for p, w in zip(fit.parameters, fit.weak, strict=True) if w]
+    named = (f"Weakly seen: {', '.join(weak[:6])}{' and more' if len(weak) > 6 else ''}.",) if weak else ()
+    if not blind:
+        return (f"The data see all {fit.rank} parameters.", *named)
+    done = {
+        "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
+        "minimal": f"{count(held, 'parameter was', 'parameters were')} held at the nominal value",
+    }[fit.policy]
+    done = "where priors do not decide, " + done if _priors(fit.parameters) else done
+    weak_rank = fit.rank - fit.usable_rank
+    too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
+    return (
+        f"The data see {fit.rank} of {len(fit.parameters) + held} parameters{too_weak}. "
+        f"{count(blind, 'direction is', 'directions are')} blind; {done}. "
+        f"No prediction at poses like these depends on it.",
+        *named,
+    )
+
+
+def lost_sentences(lost: float) -> tuple[str, ...]:
+    """Return what a person must know who takes the calibrated URDF alone, where it cannot hold the machine."""
+    if lost == 0.0:
+        return ()
+    off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
+    return (f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.",)
+
+
+def count(n: int, one: str, several: str) -> str:
+    """Return a number and what is counted, in the right form."""
+    return f"{n} {one if n == 1 else several}"
+
+
+def _priors(parameters: Sequence[Parameter]) -> bool:
+    return any(parameter.prior is not None for parameter in parameters)

@@ -1,0 +1,233 @@
+"""Scene and report as a person meets them: in a real browser, from files, without a network."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.foundations.rigid import inverse
+from calib.job.inputs import load
+from calib.job.results import write_results
+from calib.job.run import Outcome, run
+from calib.job.scene import scene_of
+from calib.presentation.arm import link_placements
+from scripts.browser import CHROMIUM, Page, browser
+from tests.job.cases import CASE, JOB
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
+
+WIDTHS = (1280, 390)
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    """The IRB2400: loops, levels, many rows."""
+    return run(load(CASE.parent / "irb2400" / JOB))
+
+
+@pytest.fixture(scope="module")
+def out(outcome: Outcome, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("browser") / "out"
+    write_results(outcome, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Page]:
+    with browser() as page:
+        yield page
+
+
+@pytest.fixture
+def page(chromium: Page) -> Iterator[Page]:
+    """The browser's page; whatever a test does with it, nothing goes wrong and nothing but files is asked for."""
+    chromium.trouble.clear()
+    chromium.requests.clear()
+    chromium.media()
+    yield chromium
+    assert chromium.trouble == []
+    assert [address[:60] for address in chromium.requests if not address.startswith(("file:", "data:", "blob:"))] == []
+
+
+def pixels(page: Page, file: Path) -> Any:
+    from PIL import Image
+
+    page.screenshot(file)
+    return np.asarray(Image.open(file).convert("RGB")).astype(int)
+
+
+# The report. ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_report_is_as_wide_as_the_window_and_its_tables_scroll_in_their_boxes(
+    page: Page, out: Path, width: int, tmp_path: Path
+) -> None:
+    page.size(width, 800)
+    page.open((out / "report.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    outside = """[...document.querySelectorAll("body *")].filter(e => e.getBoundingClientRect().right > innerWidth + 1
+        && !e.closest(".scroll, pre")).map(e => e.outerHTML.slice(0, 80))"""
+    assert page.evaluate(outside) == []
+    # The picture is not empty: words, and the green of the verdict.
+    picture = pixels(page, tmp_path / "report.png")
+    assert picture.shape == (800, width, 3)
+    assert (np.abs(picture - (20, 113, 63)).max(axis=2) < 12).sum() > 200
+
+
+def test_report_says_what_the_result_says(page: Page, out: Path) -> None:
+    found = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    page.size(1280, 800)
+    page.open((out / "report.html").as_uri())
+    before, after = (found["metrics"]["validation"][when]["position"] for when in ("before", "after"))
+    said = page.evaluate("document.querySelector('#verdict .headline').innerText")
+    numbers = [float(x) for x in re.findall(r"\d+(?:\.\d+)?", said)]
+    assert numbers == [
+        round(before["rms"] / after["rms"]),
+        after["n"],
+        round(1e3 * before["rms"], 4),
+        round(1e3 * after["rms"], 4),
+    ]
+    assert page.evaluate("document.querySelector('#verdict').className") == "verdict"  # not doubted, as the result
+    assert found["trusted"]
+    rows = page.evaluate(
+        "[...document.querySelectorAll('#errors tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
+    )
+    for use, when, n, *figures, unit in rows:
+        m = found["metrics"][use][when]["position"]
+        assert (int(n), unit) == (m["n"], "mm")
+        assert [float(x) for x in figures] == [round(1e3 * m[name], 4) for name in ("mean", "rms", "p95", "max")]
+    assert len(rows) == 4
+    names = page.evaluate("[...document.querySelectorAll('#parameters tbody tr')].map(r => r.cells[0].innerText)")
+    assert names == [record["name"] for record in found["parameters"]]
+
+
+def test_report_can_be_read_in_light_in_dark_and_on_paper(page: Page, out: Path) -> None:
+    """Text and marks against what lies behind them, by the contrast of WCAG 2: 4.5 for words, 3 for marks."""
+    contrast = """(() => {
+      const luminance = c => c.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255)
+        .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+        .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+      const behind = e => { for (; e; e = e.parentElement) { const c = getComputedStyle(e).backgroundColor;
+        if (!/, 0\\)$/.test(c)) return c; } return "rgb(255, 255, 255)"; };
+      const ratio = (a, b) => { const [x, y] = [luminance(a), luminance(b)].sort((p, q) => q - p);
+        return (x + 0.05) / (y + 0.05); };
+      const worst = (selector, kind) => Math.min(...[...document.querySelectorAll(selector)]
+        .map(e => ratio(getComputedStyle(e)[kind], behind(e))));
+      return { words: worst("h1, h2, h3, p, td, th, a, dt, dd, li, figcaption, pre", "color"),
+        svg: worst("svg text", "fill"), marks: worst("svg .dot, svg .line", "color") };
+    })()"""
+    page.size(1280, 800)
+    for medium, scheme in (("", "light"), ("", "dark"), ("print", "dark")):
+        page.media(medium, prefers_color_scheme=scheme)
+        page.open((out / "report.html").as_uri())
+        found = page.evaluate(contrast)
+        assert found["words"] > 4.5, (medium, scheme)
+        assert found["svg"] > 4.5, (medium, scheme)
+        assert found["marks"] > 3.0, (medium, scheme)
+        paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (paper == "rgb(255, 255, 255)") == (scheme == "light" or medium == "print")
+
+
+def test_marks_of_the_report_have_colours(page: Page, out: Path) -> None:
+    page.size(1280, 800)
+    page.media(prefers_color_scheme="light")
+    page.open((out / "report.html").as_uri())
+    colours = """name => [...new Set([...document.querySelectorAll("svg ." + name)]
+        .map(e => getComputedStyle(e).color))]"""
+    found = [page.evaluate(f"({colours})('{name}')") for name in ("before", "after", *(f"scale-{k}" for k in range(6)))]
+    assert all(len(colour) == 1 for colour in found)
+    assert len({colour[0] for colour in found}) == 8
+
+
+# The scene. -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_scene_opens_and_draws(page: Page, out: Path, width: int, tmp_path: Path) -> None:
+    page.size(width, 800)
+    page.open((out / "scene.html").as_uri())
+    page.evaluate("new Promise(done => setTimeout(done, 300))")
+    picture = pixels(page, tmp_path / "scene.png")
+    orange = (picture[:, :, 0] > 150) & (picture[:, :, 1] < 110) & (picture[:, :, 2] < 60)
+    legend = page.evaluate("document.getElementById('legend').getBoundingClientRect().toJSON()")
+    a, b = int(legend["top"]), int(legend["bottom"])
+    orange[a:b, int(legend["left"]) : int(legend["right"])] = False
+    assert orange.sum() > 0.004 * orange.size  # the arm is orange, and not under the legend
+    assert page.evaluate("document.getElementById('legend').scrollWidth <= innerWidth")
+
+
+def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Outcome) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    for row in (0, 250):
+        page.evaluate(f"pose.value = {row}; pose.dispatchEvent(new Event('input')); true")
+        for name, arm in (("robot", s.calibrated), ("nominal", s.nominal)):
+            shift = inverse(s.calibrated.root) @ arm.root
+            links = link_placements(s.urdf, arm)
+            for link in ("rod_end", "rear_lever_pin", "tool0", "lower_arm"):
+                node = f"viewer.scene_tree.find(['{name}', '{link}']).object"
+                matrix = page.evaluate(f"{node}.updateMatrix(), {node}.matrix.elements")
+                found = np.array(matrix).reshape(4, 4).T
+                np.testing.assert_allclose(found, shift @ links[link][row], atol=5e-6)
+        said = page.evaluate("document.getElementById('row').innerText")
+        before, after = (1e3 * np.linalg.norm((x - s.measured)[row]) for x in (s.before, s.after))
+        assert said == f"Pose {row + 1} of 492, {s.rows[row]}: before {before:.3f} mm, after {after:.3f} mm"
+
+
+def test_parallelogram_moves_when_it_is_played(page: Page, out: Path) -> None:
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    rod = "viewer.scene_tree.find(['robot', 'rod']).object.quaternion.toArray()"
+    first = page.evaluate(rod)
+    page.evaluate("play.click(); true")
+    page.wait_for("at > 0.5")
+    assert np.abs(np.array(page.evaluate(rod)) - first).max() > 1e-3
+    page.evaluate("play.click(); true")
+    assert page.evaluate("playing") == 0
+    assert page.evaluate("Number.isInteger(at)")
+
+
+def test_every_layer_has_its_switch(page: Page, out: Path) -> None:
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    layers = page.evaluate("boxes.map(box => box.dataset.layer)")
+    assert layers == ["measured", "before", "after", "robot", "nominal", "frames", "labels", "Grid"]
+    for layer in layers:
+        shown = (
+            "labels.filter(l => l.element.style.display === '').length > 0"
+            if layer == "labels"
+            else f"viewer.scene_tree.find({layer.split('/')!r}).object.visible"
+        )
+        click = f"boxes.find(box => box.dataset.layer === '{layer}').click(), viewer.render(), {shown}"
+        assert page.evaluate(shown) is True, layer
+        assert page.evaluate(click) is False, layer
+        assert page.evaluate(click) is True, layer
+    page.evaluate("magnify.click(); true")
+    visible = "['after', 'after_magnified'].map(name => viewer.scene_tree.find([name]).object.visible)"
+    assert page.evaluate(visible) == [False, True]
+    assert page.evaluate("document.getElementById('drawn-after').innerText") == "×2000"
+    page.evaluate("boxes.find(box => box.dataset.layer === 'after').click(); true")
+    assert page.evaluate(visible) == [False, False]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_names_keep_off_each_other_and_inside_the_window(page: Page, out: Path, width: int) -> None:
+    page.size(width, 800)
+    page.open((out / "scene.html").as_uri())
+    for row in (0, 40, 250):
+        boxes = page.evaluate(
+            f"show({row}), viewer.render(), labels.filter(l => l.element.style.display === '')"
+            ".map(l => l.element.getBoundingClientRect()).map(r => [r.left, r.top, r.right, r.bottom])"
+        )
+        assert len(boxes) >= 3
+        for k, a in enumerate(boxes):
+            assert a[0] >= 0
+            assert a[2] <= width
+            for b in boxes[:k]:
+                assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
