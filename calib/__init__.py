@@ -11,7 +11,12 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.assessment.acceptance import verify
+from calib.assessment.advice import advice
+from calib.assessment.bootstrap import bootstrap
 from calib.assessment.choice import choose_terms
+from calib.assessment.drift import compare
+from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.compensation.urdf import write_urdf
@@ -57,16 +62,24 @@ __all__ = [
     "Robot",
     "RobotError",
     "Trace",
+    "advice",
+    "bootstrap",
     "choose_terms",
     "commands",
+    "compare",
     "dh",
     "error_model",
     "identify",
     "load_model",
     "load_robot",
+    "outside_identified",
     "positioner",
     "read_measurements",
     "table",
+    "tool_uncertainty",
     "total_differential",
+    "uncertainty_map",
+    "uncertainty_of",
+    "verify",
     "write_urdf",
 ]

@@ -15,7 +15,6 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import Frames, values_at
-from calib.identification.parameters import scales
 from calib.identification.start import start_frames, with_common_names
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
@@ -109,7 +108,7 @@ def _tried(model: ErrorModel, sets: Sequence[Measurements], blind: Sequence[Blin
     for remedy in ("orientation", "points"):
         trial = _trial(remedy, model, sets, frames)
         if trial is not None:
-            J, own = _scaled(trial)
+            J, own = _per_unit(trial)
             new = [k for k, name in enumerate(own) if name not in names]
             for direction, helpful in zip(blind, found, strict=True):
                 if _shown(J, own, new, direction):
@@ -154,21 +153,20 @@ def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> 
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 
 
-def _scaled(problem: Problem) -> tuple[Array, list[str]]:
-    """Return the Jacobian of a problem at its start, in mm and mrad and ordinary deviations, and parameter names."""
+def _per_unit(problem: Problem) -> tuple[Array, list[str]]:
+    """Return the Jacobian (rows, p) of a problem at its start, in m and rad per SI unit, and parameter names."""
     x = values_at(problem.model.robot, problem.parameters, problem.reference)
     J = np.concatenate([part.reshape(-1, len(x)) for part in jacobian(problem, x)])
-    return J * scales(problem.parameters) * 1e3, [parameter.name for parameter in problem.parameters]
+    return J, [parameter.name for parameter in problem.parameters]
 
 
 def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: BlindDirection) -> bool:
     """Whether a direction moves the residuals, whatever the new unknowns do to undo it."""
     number = {name: k for k, name in enumerate(names)}
     columns = np.array([number[name] for name in direction.shares])
-    # In ordinary deviations: 1 of the parameter itself, minus what the others imitate.
-    shares = np.array(list(direction.shares.values()))
-    amounts = shares / np.abs(shares[0]) * np.where(np.arange(len(shares)) == 0, 1.0, -1.0)
-    moved = J[:, columns] * amounts
+    # The parameter itself moves one way; what the others imitate is taken back.
+    signs = np.where(np.arange(len(columns)) == 0, 1.0, -1.0)
+    moved = J[:, columns] * (np.array(list(direction.shares.values())) * signs)
     rest = moved.sum(axis=1)
     if new:
         rest = rest - J[:, new] @ np.linalg.lstsq(J[:, new], rest, rcond=None)[0]

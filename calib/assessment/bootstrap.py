@@ -21,6 +21,7 @@ from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import ordinary
 
 Kind = Literal["residuals", "poses"]
 
@@ -88,7 +89,7 @@ def bootstrap(
             failed += 1
         else:
             machine = again.machine
-            tips = again.model.robot.tips(where, machine.deviations)
+            tips = again.model.robot.tips(where, machine.deviations, ordinary(where))
             values.append(again.values)
             positions.append((machine.frames.base @ tips @ machine.frames.tools[tools.index(tool)])[:, :3, 3])
         progress(done + 1, repetitions)

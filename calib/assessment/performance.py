@@ -19,7 +19,7 @@ from typing import Literal, Protocol, cast
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.identification.pivot import pivot
@@ -357,7 +357,7 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
 
 
 def _results(test: Touches, points: Array) -> list[Result]:
-    places = _rows(test.words["target"])
+    places = rows_by_word(test.words["target"])
     try:
         match test.kind:
             case "cone":
@@ -372,7 +372,9 @@ def _results(test: Touches, points: Array) -> list[Result]:
             case "articulations":
                 group = test.words["group"]
                 return [
-                    articulated_location([points[rows[own]] for own in _rows([group[n] for n in rows]).values()], place)
+                    articulated_location(
+                        [points[rows[own]] for own in rows_by_word([group[n] for n in rows]).values()], place
+                    )
                     for place, rows in places.items()
                 ]
     except MeasurementError as e:
@@ -381,8 +383,8 @@ def _results(test: Touches, points: Array) -> list[Result]:
 
 def _lengths(test: Touches, points: Array) -> Volumetric:
     measured, known = [], []
-    for pair, rows in _rows(test.words["pair"]).items():
-        ends = _rows([test.words["target"][n] for n in rows])
+    for pair, rows in rows_by_word(test.words["pair"]).items():
+        ends = rows_by_word([test.words["target"][n] for n in rows])
         if len(ends) != 2:
             listed = ", ".join(map(repr, ends))
             raise MeasurementError(f"pair {pair!r} has the ends {listed}; a length has two.")
@@ -402,11 +404,3 @@ def _only(test: Touches, column: str, rows: IntArray) -> float:
             f"{lines[n]} of the same target or pair."
         )
     return float(values[0])
-
-
-def _rows(words: Sequence[str]) -> dict[str, IntArray]:
-    """Return the rows of every word, words in the order of their first row."""
-    found: dict[str, list[int]] = {}
-    for n, word in enumerate(words):
-        found.setdefault(word, []).append(n)
-    return {word: np.array(rows, dtype=np.intp) for word, rows in found.items()}

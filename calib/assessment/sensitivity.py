@@ -5,14 +5,13 @@ The total differential of the touched point P = F(x) is dP = J dx, with one colu
 dalpha + df/dtheta dtheta, 25 columns for six joints). The coefficients are those of the nominal robot, analytic and
 exact; what linearising leaves out is seen by setting :func:`predicted_error` beside :func:`exact_error`.
 
-Terms that depend on more than readings count as reached from below, a kelvin above the reference temperature, and with
-a newton metre at every drive.
+Terms that depend on more than readings count as reached from below, and a kelvin above the reference temperature.
 Everywhere ``readings`` (N, k) are encoder readings in rad or m, one column for every reading of the robot, and the
 point is the model's only tool, at its given place.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -192,10 +191,8 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     parameters = model.parameters(tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    poses = replace(
-        unmeasured(names, q, np.zeros((len(q), 3)), where="poses"),
-        conditions=Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q)),
-    )
+    warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
+    poses = unmeasured(names, q, np.zeros((len(q), 3)), conditions=warm, where="poses")
     reference = model.given_frames(tools)
     return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)
 

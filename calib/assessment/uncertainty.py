@@ -5,7 +5,7 @@ see has no covariance; how far it would move the tool is told beside it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,9 @@ from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements, unmeasured
-from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import random_readings
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -153,7 +154,7 @@ def tool_uncertainty(
     tool itself, else those of the arm alone, at the tool's place. Raises MeasurementError for an unknown tool, or
     readings that are not the robot's.
     """
-    J, r = _sqrt_motion(uncertainty, _readings(uncertainty, readings), tool, base=base, tool_pose=tool_pose)
+    J, r = tool_motions(uncertainty, _readings(uncertainty, readings), tool, base=base, tool_pose=tool_pose)
     seen, unseen = J[:, :, :r], J[:, :, r:]
     sizes = np.sqrt(
         np.stack([np.sum(unseen[:, :3] ** 2, axis=(1, 2)), np.sum(unseen[:, 3:] ** 2, axis=(1, 2))], axis=1)
@@ -172,8 +173,7 @@ def common_errors(uncertainty: Uncertainty, data: Measurements) -> Array:
     for k, tool in enumerate(data.tools):
         rows = np.flatnonzero(data.tool == k)
         if len(rows):
-            told = data.conditions.subset(rows)
-            J, r = _sqrt_motion(uncertainty, data.readings[rows], tool, told, base=True, tool_pose=True)
+            J, r = tool_motions(uncertainty, data.readings[rows], tool, base=True, tool_pose=True)
             found[rows] = J[:, :size, :r]
     return found
 
@@ -206,33 +206,21 @@ def uncertainty_map(
 
     Joints without limits turn once. ``progress`` is told how many of how many are done.
     """
-    bounds = joint_limits(uncertainty.robot) if limits is None else limits
-    readings = np.random.default_rng(seed).uniform(bounds[:, 0], bounds[:, 1], (samples, len(bounds)))
+    readings = random_readings(uncertainty.robot, samples, limits, (uncertainty.machine.deviations,), seed=seed)
     found: list[ToolUncertainty] = []
     for chunk in np.array_split(readings, max(samples // 500, 1)):
         found.append(tool_uncertainty(uncertainty, chunk, tool, base=base))
         progress(sum(len(f.unseen) for f in found), samples)
     k = _tool_number(uncertainty, tool)
-    tips = uncertainty.robot.tips(readings, uncertainty.machine.deviations) @ uncertainty.machine.frames.tools[k]
+    tips = (
+        uncertainty.robot.tips(readings, uncertainty.machine.deviations, ordinary(readings))
+        @ uncertainty.machine.frames.tools[k]
+    )
     return UncertaintyMap(
         read_only(readings),
         read_only(tips[:, :3, 3]),
         read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
         read_only(np.concatenate([f.unseen for f in found])),
-    )
-
-
-def joint_limits(robot: Robot) -> Array:
-    """Return the limits (nr, 2) of the readings; a joint without turns once, or slides a metre to either side."""
-    turn = {"angle": np.pi, "length": 1.0}
-    return np.array(
-        [
-            (
-                -turn[reading.dimension] if reading.lower is None else reading.lower,
-                turn[reading.dimension] if reading.upper is None else reading.upper,
-            )
-            for reading in robot.readings
-        ]
     )
 
 
@@ -269,16 +257,13 @@ def _level(fit: Fit, unit: str) -> NoiseLevel | None:
     return NoiseLevel(model, total, float(freedom.sum()) if model > 0.0 else float("inf"))
 
 
-def _sqrt_motion(
-    uncertainty: Uncertainty,
-    readings: Array,
-    tool: str,
-    conditions: Conditions = NO_CONDITIONS,
-    *,
-    base: bool,
-    tool_pose: bool,
+def tool_motions(
+    uncertainty: Uncertainty, readings: Array, tool: str, *, base: bool = True, tool_pose: bool = True
 ) -> tuple[Array, int]:
-    """Return the motions (N, 6, r + k) of the tool for every column of ``factor`` and ``unseen``, and r."""
+    """Return the motions (N, 6, r + k) of the tool for every column of ``factor`` and ``unseen``, and r.
+
+    Arguments and axes as of :func:`tool_uncertainty`.
+    """
     robot, machine = uncertainty.robot, uncertainty.machine
     layout, number = Layout(robot), _tool_number(uncertainty, tool)
     columns = np.hstack([uncertainty.factor, uncertainty.unseen])
@@ -291,17 +276,18 @@ def _sqrt_motion(
         for j, column in enumerate(columns.T)
     )
     model = ErrorModel(robot, (), (), "pose", "pose")
-    placed = machine.frames.base @ robot.tips(readings, machine.deviations, conditions) @ machine.frames.tools[number]
-    predicted = unmeasured(
+    usual = ordinary(readings)
+    placed = machine.frames.base @ robot.tips(readings, machine.deviations, usual) @ machine.frames.tools[number]
+    data = unmeasured(
         [reading.name for reading in robot.readings],
         readings,
         placed[:, :3, 3],
         placed[:, :3, :3],
         tools=uncertainty.tools,
         tool=number,
+        conditions=usual,
         where="prediction",
     )
-    data = replace(predicted, conditions=conditions)
     problem = Problem(model, parameters, machine.frames, (data,))
     with one_thread():
         # Of a residual, measured minus predicted, that is zero: the prediction moves the other way.

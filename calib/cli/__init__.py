@@ -6,10 +6,14 @@ from typing import Annotated
 import typer
 
 import calib
-from calib.cli import commands as commands
 from calib.cli.options import BAD_INPUT, app
 from calib.foundations.errors import CalibError
 from calib.presentation.console import show_error
+
+# In the order in which the help lists their commands.
+from calib.cli import commands as commands  # isort: skip
+from calib.cli import plan as plan  # isort: skip
+from calib.cli import acceptance as acceptance  # isort: skip
 
 
 @app.callback(invoke_without_command=True)

@@ -12,6 +12,7 @@ from calib.assessment.advice import blind_advice
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
+from calib.assessment.uncertainty import outside_identified
 from calib.cli.options import (
     NOT_TRUSTED,
     CommandFile,
@@ -138,6 +139,8 @@ def compensate(
         found = targets_of.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
         write_atomically(out, targets_of.corrected_csv(model, wanted, found))
     if not quiet:
+        if model.uncertainty is not None and found.reached.any():
+            show(*map(warning, outside_identified(model.uncertainty, found.readings[found.reached])))
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
         show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))

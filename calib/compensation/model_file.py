@@ -24,7 +24,7 @@ from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.transmission import JointTerm, TermKind, lacking
+from calib.robot.transmission import JointTerm, TermKind
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -169,9 +169,6 @@ class CalibratedModel:
 
         Raises RobotError for a joint term that needs ``conditions`` which are not given.
         """
-        names = [reading.name for reading in self.robot.readings]
-        if missing := lacking(self.robot.terms, names, conditions):
-            raise RobotError(f"{missing[0]} of the machine needs to be told {missing[1]!r} of every row.")
         return self.robot.tips(readings, self.deviations, conditions)
 
     def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:

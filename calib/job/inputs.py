@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -69,17 +69,32 @@ class Inputs:
         return tuple(section.file for section in self.job.measurements if section.use == use)
 
 
+class JobArm(NamedTuple):
+    """What a job says of the arm and what is free of it; its measurements need not be there yet."""
+
+    job: Job
+    urdf: Path
+    robot: Robot
+    model: ErrorModel
+    mesh_roots: tuple[Path, ...]
+
+
+def load_arm(path: Path) -> JobArm:
+    """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
+    job = read_job(path)
+    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
+    robot = _robot(job, urdf)
+    return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
+
+
 def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
 
     Doubtful but usable things are returned as findings.
     """
     progress("reading the job")
-    job = read_job(path)
-    folder = path.parent
-    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
-    robot = _robot(job, urdf)
-    model = _model(job, robot, path)
+    arm = load_arm(path)
+    job, urdf, robot, model, folder = arm.job, arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
     arms = _arms(job, path)
@@ -119,7 +134,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         validate=held_out,
         nodes=nodes,
         model_sigmas=tuple(_sigmas(section) for section in sections if section.use == "identify"),
-        mesh_roots=_mesh_roots(job, urdf, path),
+        mesh_roots=arm.mesh_roots,
         findings=tuple(findings),
         hashes=hashes,
         files=(

@@ -9,6 +9,7 @@ from calib.job.run import JudgedSet, Outcome
 from calib.measurement.kinds import size
 from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Scene, magnification
+from calib.robot.conditions import Conditions, joined
 from calib.robot.robot import Deviations
 
 
@@ -22,13 +23,14 @@ def scene_of(outcome: Outcome) -> Scene:
     sets = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
     points = [_points(outcome, judged) for judged in sets]
     readings = np.concatenate([judged.data.readings for judged in sets or outcome.sets])
+    conditions = joined([judged.data.conditions for judged in sets or outcome.sets])
     measured = np.concatenate([np.zeros((0, 3)), *points])
     before = measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged in sets)])
     after = measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged in sets)])
-    calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root)
+    calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
-    nominal, apart = _nominal(outcome, readings, root, scales[0])
+    nominal, apart = _nominal(outcome, readings, conditions, root, scales[0])
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -59,7 +61,7 @@ def _points(outcome: Outcome, judged: JudgedSet) -> Array:
     return np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3] + judged.after[:, :3])
 
 
-def _nominal(outcome: Outcome, readings: Array, root: Array, apart: float) -> tuple[Arm, float]:
+def _nominal(outcome: Outcome, readings: Array, conditions: Conditions, root: Array, apart: float) -> tuple[Arm, float]:
     """Return the nominal arm, its difference from the calibrated one taken ``apart`` times, or as often as loops allow.
 
     Deviations and base are led on beyond the nominal ones, to first order, so that its tool goes to where the errors
@@ -71,7 +73,7 @@ def _nominal(outcome: Outcome, readings: Array, root: Array, apart: float) -> tu
         try:
             led = Deviations((1.0 - times) * d.placements, (1.0 - times) * d.offsets, (1.0 - times) * d.terms)
             base = _beyond(fit.machine.frames.base, fit.nominal.frames.base, times)
-            return arm_of(fit.robot, led, readings, base @ root), times
+            return arm_of(fit.robot, led, readings, base @ root, conditions), times
         except PoseError:  # a loop that does not close so far away
             continue
     raise AssertionError("the nominal robot closed its loops when it was read")

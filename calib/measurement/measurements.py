@@ -118,6 +118,7 @@ def unmeasured(
     *,
     tools: Sequence[str] = ("tool",),
     tool: int = 0,
+    conditions: Conditions = NO_CONDITIONS,
     where: str,
 ) -> Measurements:
     """Return positions (N, 3) or, with orientations (N, 3, 3), poses that nobody measured, such as predicted ones.
@@ -144,6 +145,7 @@ def unmeasured(
         group=None,
         where=where,
         lines=np.arange(n, dtype=np.intp),
+        conditions=conditions,
     )
 
 

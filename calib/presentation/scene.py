@@ -28,7 +28,6 @@ from calib.presentation.meshes import (
     balls,
     creased,
     diamonds,
-    find_mesh,
     joined,
     moved,
     primitive,
@@ -36,6 +35,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 
 MEASURED: Rgb = (0.13, 0.13, 0.13)

@@ -74,6 +74,8 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
 def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
+    quantity = next(iter(steps[0].rms))
+    factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
     quantity = next(iter(steps[0].rms))
     factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)

@@ -15,9 +15,6 @@ REFERENCE_TEMPERATURE = 20.0
 class Conditions:
     """Conditions of N rows; None where nobody says, and NaN for a reading of which nobody does.
 
-    What nobody says adds nothing: reached from neither side, at the reference temperature, holding nothing. Where rows
-    were measured or are to be reached, :func:`calib.robot.transmission.lacking` tells what they should say.
-
     ``approach`` (N, nr): the side from which every reading was reached: +1 growing, -1 falling, 0 from neither.
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     """
@@ -36,6 +33,14 @@ class Conditions:
 
 
 NO_CONDITIONS = Conditions()
+
+
+def ordinary(readings: Array) -> Conditions:
+    """Return the conditions of readings (N, nr) of which nothing is said: they add nothing.
+
+    Reached from neither side, at the reference temperature, no torque measured.
+    """
+    return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
 
 
 def joined(parts: Sequence[Conditions]) -> Conditions:

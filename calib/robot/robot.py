@@ -184,7 +184,8 @@ class Robot:
     ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close.
+        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
+        rows do not have.
         """
         return TipModel(self, deviations).joint_positions(readings, conditions)
 

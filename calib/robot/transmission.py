@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.errors import RobotError
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 
 TermKind = Literal["gain", "cos", "sin", "elastic", "torque", "backlash", "thermal"]
@@ -78,10 +79,16 @@ class Transmission:
         self._amounts[np.arange(len(terms)), self.reading] = amounts
         self._orders = np.array([term.order for term in terms], dtype=np.float64)
         self._of = {kind: np.array([term.kind == kind for term in terms]) for kind in get_args(TermKind)}
+        self._terms, self._readings = tuple(terms), tuple(readings)
         self._holding = holding
 
     def bases(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the bases (N, nt) at readings (N, nr), in rad or m per unit of each amount; 0 by what nobody says."""
+        """Return the bases (N, nt) at readings (N, nr), in rad or m per unit of each amount.
+
+        Raises RobotError for a term that needs a condition which the rows do not have.
+        """
+        if missing := lacking(self._terms, self._readings, conditions):
+            raise RobotError(f"{missing[0]} needs to be told {missing[1]!r} of every row.")
         found = readings[:, self.reading]
         phase = found * self._orders
         cos, sin, elastic = self._of["cos"], self._of["sin"], self._of["elastic"]
@@ -90,15 +97,16 @@ class Transmission:
             if self._holding is None:
                 raise TypeError("a robot with joints that give way has weights")
             found[:, elastic] = -self._holding(readings)[:, self.reading[elastic]]
-        for kind, sign, values in (("backlash", 1.0, conditions.approach), ("torque", -1.0, conditions.torque)):
-            own = self._of[kind]
-            found[:, own] = 0.0 if values is None else sign * np.nan_to_num(values[:, self.reading[own]])
-        warmer = 0.0 if conditions.temperature is None else (conditions.temperature - REFERENCE_TEMPERATURE)[:, None]
-        found[:, self._of["thermal"]] = warmer
+        if conditions.approach is not None:
+            found[:, self._of["backlash"]] = conditions.approach[:, self.reading[self._of["backlash"]]]
+        if conditions.torque is not None:
+            found[:, self._of["torque"]] = -conditions.torque[:, self.reading[self._of["torque"]]]
+        if conditions.temperature is not None:
+            found[:, self._of["thermal"]] = (conditions.temperature - REFERENCE_TEMPERATURE)[:, None]
         return found
 
     def moved(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the readings (N, nr) with what the terms add to them."""
+        """Return the readings (N, nr) with what the terms add to them. Raises as bases does, unless all is zero."""
         if not self._amounts.any():
             return readings
         return np.asarray(readings + self.bases(readings, conditions) @ self._amounts)

@@ -151,3 +151,14 @@ def test_observability_indices_of_three_singular_values() -> None:
     found = indices(np.array([8.0, 2.0, 0.5]), 4)
     assert found == pytest.approx({"O1": 1.0, "O2": 1 / 16, "O3": 0.5, "O4": 1 / 32, "O5": 1 / (1 / 8 + 1 / 2 + 2)})
     assert indices(np.zeros(0), 4) == {}
+
+
+def test_priors_change_no_remedy(fit: calib.Fit) -> None:
+    """Scales follow priors; what a measurement would show does not."""
+    robot, data = measured()
+    wide = calib.error_model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
+    (plain, scaled) = (
+        {a.parameters[0]: a.remedies for a in blind_advice(m, [data], observability(m, [data]).blind_directions)}
+        for m in (fit.model, wide)
+    )
+    assert plain == scaled

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.uncertainty import (
     common_errors,
-    joint_limits,
     outside_identified,
     squared_bound,
     tool_uncertainty,
@@ -23,6 +22,7 @@ from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
+from calib.robot.sampling import joint_limits
 from tests.identification import machines
 from tests.identification.machines import Array, Machine, anywhere, pose
 
@@ -70,8 +70,9 @@ def by_differences(fit: calib.Fit, readings: Array, step: float = 1e-6) -> Array
         ((machines.INLINE["skew"], "tip"), {}),
         ((machines.INLINE["mimic"], "tip"), {"observes": "pose"}),
         (UR10, {"prior_length": 1e-3, "prior_angle": 3e-3}),
+        (UR10, {"harmonics": "all", "gain": "all"}),
     ],
-    ids=["positions", "poses", "dh", "skew", "mimic", "priors"],
+    ids=["positions", "poses", "dh", "skew", "mimic", "priors", "joint terms"],
 )
 def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
     name: tuple[str, str], options: dict[str, object]

@@ -224,7 +224,7 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     error = _errors(sets, use)[0]
     chosen = error.sets
     tools = fit.machine.frames.tools[:, :3, 3]
-    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in (j.data for j in chosen)]
+    tips = [fit.robot.tips(judged.data.readings, fit.deviations, judged.data.conditions) for judged in chosen]
     points = np.concatenate(
         [
             T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
