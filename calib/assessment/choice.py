@@ -112,8 +112,8 @@ def candidates(
     """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
 
     Beside these the gap of its gears where it was reached from both sides in ``measurements``, and what it owes to the
-    temperature where that is told and changes. Masses that the URDF states in a way that cannot be used are as good as
-    none.
+    temperature and to measured torques where these are told and change. Masses that the URDF states in a way that
+    cannot be used are as good as none.
     """
     found: list[Candidate] = []
     weighed = True
@@ -127,6 +127,8 @@ def candidates(
         found.append(Candidate((JointTerm(reading.name, "gain"),)))
         if warms:
             found.append(Candidate((JointTerm(reading.name, "thermal"),)))
+        if told.torque is not None and float(np.ptp(told.torque[:, k])) > 0.0:
+            found.append(Candidate((JointTerm(reading.name, "torque"),)))
         if told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, k].tolist()):
             found.append(Candidate((JointTerm(reading.name, "backlash"),)))
         if weighed:

@@ -191,7 +191,7 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     parameters = model.parameters(tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0))
+    warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
     poses = unmeasured(names, q, np.zeros((len(q), 3)), conditions=warm, where="poses")
     reference = model.given_frames(tools)
     return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)

@@ -15,7 +15,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
 from calib.measurement.measurements import conditions, orientations, stacked
-from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
 
@@ -64,7 +64,7 @@ def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets
         *TEXT_COLUMNS,
         "time",
         "temperature",
-        *(f"{APPROACH}{name}" for name in joints),
+        *(f"{what}{name}" for what in (APPROACH, TORQUE) for name in joints),
     }
     for name in columns:
         if name not in known:

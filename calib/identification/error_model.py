@@ -124,6 +124,7 @@ def error_model(
     harmonics: Selection = "none",
     harmonic_orders: Sequence[int] = (1, 2),
     elastic: Selection = "none",
+    torque: Selection = "none",
     backlash: Selection = "none",
     thermal: Selection = "none",
     base: BaseFreedom = "pose",
@@ -146,11 +147,11 @@ def error_model(
     numbers (``"joint_3.a"``, ``"*.alpha"``). A row is named after its joint and has a, d, alpha, theta, and beta in
     place of d where the next axis is parallel to within ``dh_parallel`` rad. What the joint itself moves (theta of a
     revolute one) is freed, and called, ``joint_3.offset``. ``dh_convention``: "standard" or "modified".
-    ``gain``, ``harmonics``, ``elastic``, ``backlash``, ``thermal``: "all" readings, "none", or names and globs of
-    readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity, whose half
-    gap by the side of approach, whose zero by temperature is unknown. Masses are those of the URDF, and RobotError says
-    what is wrong with them; sides and temperatures are columns of the measurements. Without a prior of their own
-    (``prior_harmonics``, rad) amounts of terms have none.
+    ``gain``, ``harmonics``, ``elastic``, ``torque``, ``backlash``, ``thermal``: "all" readings, "none", or names and
+    globs of readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity or
+    under measured torques, whose half gap by the side of approach, whose zero by temperature is unknown. Masses are
+    those of the URDF, and RobotError says what is wrong with them; torques, sides and temperatures are columns of the
+    measurements. Without a prior of their own (``prior_harmonics``, rad) amounts of terms have none.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
     nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
@@ -214,6 +215,7 @@ def error_model(
         harmonic_orders,
         {
             "elastic": _select(elastic, names, "elastic"),
+            "torque": _select(torque, names, "torque"),
             "backlash": _select(backlash, names, "backlash"),
             "thermal": _select(thermal, names, "thermal"),
         },

@@ -35,7 +35,7 @@ def terms_of(
 ) -> tuple[JointTerm, ...]:
     """Return the terms of the named readings, reading by reading; ``others``: readings by the kind of a single term.
 
-    Raises JobError for an order that is none, and for harmonics of a reading that is a length and never comes round.
+    Raises JobError for an order that is none, and for harmonics or torques of a reading that is a length.
     """
     for order in orders:
         if type(order) is not int or not 1 <= order <= HIGHEST_ORDER:
@@ -48,5 +48,7 @@ def terms_of(
             if reading.dimension == "length":
                 raise JobError(f"harmonics: {reading.name!r} slides, and harmonics are of angles.")
             found += [term for order in sorted(set(orders)) for term in harmonic(reading.name, order)]
+        if reading.dimension == "length" and reading.name in others.get("torque", ()):
+            raise JobError(f"torque: {reading.name!r} slides, and torques are of joints that turn.")
         found += [JointTerm(reading.name, kind) for kind, names in others.items() if reading.name in names]
     return tuple(found)

@@ -281,6 +281,7 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             harmonics=section.harmonics,
             harmonic_orders=section.harmonic_orders,
             elastic=section.elastic,
+            torque=section.torque,
             backlash=section.backlash,
             thermal=section.thermal,
             base=section.base,

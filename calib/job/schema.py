@@ -197,6 +197,7 @@ class ErrorModelSection(_Section):
     harmonics: Selection = "none"
     harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
     elastic: Selection = "none"
+    torque: Selection = "none"
     backlash: Selection = "none"
     thermal: Selection = "none"
     base: Literal["pose", "fixed"] = "pose"
@@ -403,7 +404,7 @@ def _contradictions(job: Job) -> Iterator[str]:
         if section.use != "identify" and section.loss != "linear":
             yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
     if job.error_model.terms == "auto":
-        for key in ("gain", "harmonics", "elastic", "backlash", "thermal"):
+        for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):

@@ -12,7 +12,7 @@ from calib.foundations.rigid import rotation_of_quaternion
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.conditions import in_order as sides_in_order
 from calib.robot.robot import Reading
@@ -293,7 +293,7 @@ def _refuse_unknown(table: Table, readings: Iterable[str]) -> None:
         raise MeasurementError(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
-    known = joints | _KNOWN | {f"{what}{name}" for what in ("tau_", APPROACH) for name in joints}
+    known = joints | _KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name not in _EULER:
@@ -346,10 +346,11 @@ def orientations(table: Table) -> Array:
 
 
 def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
-    """Return what a table says beside readings: columns ``temperature``, and ``direction`` or ``direction_<joint>``.
+    """Return what a table says beside readings.
 
-    ``in_order``: the order of the rows says it instead of the latter. Raises MeasurementError for a word that is no
-    side, a temperature that is none, and where sides are said twice.
+    In columns ``temperature``, ``tau_<joint>``, and ``direction`` or ``direction_<joint>``; ``in_order``: the order of
+    the rows says it instead of the latter. Raises MeasurementError for a word that is no side, a unit of another
+    dimension, and where sides are said twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
     said = [name for name in ("direction", *own.values()) if name in table.columns]
@@ -369,7 +370,11 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     temperature = None
     if "temperature" in table.columns:
         temperature = stacked(table, {"temperature": "temperature"})[:, 0]
-    return Conditions(approach, temperature)
+    torque = np.full((len(table), len(readings)), np.nan)
+    for k, reading in enumerate(readings):
+        if f"{TORQUE}{reading.name}" in table.columns:
+            torque[:, k] = _numbers(table, f"{TORQUE}{reading.name}", "torque")
+    return Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
 
 
 def _sides(table: Table, name: str) -> Array:

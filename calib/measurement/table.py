@@ -25,6 +25,8 @@ from calib.foundations.units import NUMBER, UNITS, Unit
 TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
 # The side from which the joint in the name was reached, in words.
 APPROACH = "direction_"
+# What the drive of the joint in the name held, by its own account.
+TORQUE = "tau_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 AS_WRITTEN: Mapping[str, str] = MappingProxyType({})
 

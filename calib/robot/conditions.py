@@ -16,17 +16,19 @@ class Conditions:
     """Conditions of N rows; None where nobody says, and NaN for a reading of which nobody does.
 
     ``approach`` (N, nr): the side from which every reading was reached: +1 growing, -1 falling, 0 from neither.
-    ``temperature`` (N,): of the machine, in degC.
+    ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     """
 
     approach: Array | None = None
     temperature: Array | None = None
+    torque: Array | None = None
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
         return Conditions(
             None if self.approach is None else self.approach[rows],
             None if self.temperature is None else self.temperature[rows],
+            None if self.torque is None else self.torque[rows],
         )
 
 
@@ -34,17 +36,24 @@ NO_CONDITIONS = Conditions()
 
 
 def ordinary(readings: Array) -> Conditions:
-    """Return the conditions of readings (N, nr) of which nothing is said: no side, and the reference temperature."""
-    return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE))
+    """Return the conditions of readings (N, nr) of which nothing is said: they add nothing.
+
+    Reached from neither side, at the reference temperature, no torque measured.
+    """
+    return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
 
 
 def joined(parts: Sequence[Conditions]) -> Conditions:
     """Return the conditions of rows one part after the other; None where one part has none."""
-    approach = [part.approach for part in parts if part.approach is not None]
-    temperature = [part.temperature for part in parts if part.temperature is not None]
+
+    def of_all(found: Sequence[Array | None]) -> Array | None:
+        known = [values for values in found if values is not None]
+        return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
+
     return Conditions(
-        read_only(np.concatenate(approach)) if parts and len(approach) == len(parts) else None,
-        read_only(np.concatenate(temperature)) if parts and len(temperature) == len(parts) else None,
+        of_all([part.approach for part in parts]),
+        of_all([part.temperature for part in parts]),
+        of_all([part.torque for part in parts]),
     )
 
 

@@ -6,6 +6,7 @@ joints. The bases depend on the row alone and not on what is identified, so that
     gain     u                         the reading's scale
     cos_k    cos k u,  sin_k  sin k u  encoder eccentricity (k = 1, 2), gear teeth and wave generators (more)
     elastic  -tau                      the drive gives way to what it holds against gravity, at nominal geometry
+    torque   -tau, as measured         the same by what the drive says that it holds
     backlash the side of approach      half the gap of the gears, on which side the reading was reached from
     thermal  T - 20 degC               the zero wanders as the machine warms up
 """
@@ -20,7 +21,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 
-TermKind = Literal["gain", "cos", "sin", "elastic", "backlash", "thermal"]
+TermKind = Literal["gain", "cos", "sin", "elastic", "torque", "backlash", "thermal"]
 TermUnit = Literal["rad", "m", "1", "rad/Nm", "m/N", "rad/K", "m/K"]
 
 
@@ -40,7 +41,7 @@ class JointTerm:
     def unit(self, dimension: Literal["angle", "length"]) -> TermUnit:
         """Return the unit of its amount, for a reading of this dimension."""
         angle = dimension == "angle"
-        if self.kind == "elastic":
+        if self.kind in ("elastic", "torque"):
             return "rad/Nm" if angle else "m/N"
         if self.kind == "thermal":
             return "rad/K" if angle else "m/K"
@@ -49,12 +50,14 @@ class JointTerm:
 
 def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Conditions) -> tuple[str, str] | None:
     """Return the first term that needs a condition which rows do not have, and the column that would; else None."""
-    approach, number = conditions.approach, {name: k for k, name in enumerate(readings)}
+    number = {name: k for k, name in enumerate(readings)}
+    of_readings = {"backlash": ("direction", conditions.approach), "torque": ("tau", conditions.torque)}
     for term in terms:
         if term.kind == "thermal" and conditions.temperature is None:
             return term.name, "temperature"
-        if term.kind == "backlash" and (approach is None or np.isnan(approach[:, number[term.reading]]).any()):
-            return term.name, f"direction_{term.reading}"
+        column, values = of_readings.get(term.kind, ("", np.zeros((0, len(number)))))
+        if values is None or np.isnan(values[:, number[term.reading]]).any():
+            return term.name, f"{column}_{term.reading}"
     return None
 
 
@@ -96,6 +99,8 @@ class Transmission:
             found[:, elastic] = -self._holding(readings)[:, self.reading[elastic]]
         if conditions.approach is not None:
             found[:, self._of["backlash"]] = conditions.approach[:, self.reading[self._of["backlash"]]]
+        if conditions.torque is not None:
+            found[:, self._of["torque"]] = -conditions.torque[:, self.reading[self._of["torque"]]]
         if conditions.temperature is not None:
             found[:, self._of["thermal"]] = (conditions.temperature - REFERENCE_TEMPERATURE)[:, None]
         return found

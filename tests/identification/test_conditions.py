@@ -10,6 +10,7 @@ import pytest
 
 import calib
 from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
 from calib.compensation import targets
 from calib.compensation.commands import for_joint_targets
 from calib.compensation.model_file import model_json
@@ -18,7 +19,7 @@ from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.measurement.table import table_from_arrays
-from calib.robot.conditions import Conditions, in_order, joined
+from calib.robot.conditions import Conditions, in_order, joined, ordinary
 from tests.identification import machines
 from tests.identification.test_joint_terms import UR10, geared
 
@@ -62,7 +63,7 @@ class Lab:
 
 
 def words(sides: Array) -> list[str]:
-    return [{1.0: "+", -1.0: "-", 0.0: "0"}[side] for side in sides]
+    return ["+" if side > 0.0 else "-" if side < 0.0 else "0" for side in sides]
 
 
 def test_both_are_found_within_their_intervals() -> None:
@@ -111,6 +112,27 @@ def test_columns_match_central_differences() -> None:
         assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
 
 
+def test_measured_torques_wind_drives_up() -> None:
+    """Torques that no gravity explains, in the table; what slides has none."""
+    inside = 0
+    for seed in range(5):
+        lab = Lab(30 + seed)
+        compliances = lab.rng.uniform(0.5e-5, 3e-5, 6)
+        torques = lab.rng.uniform(-30.0, 30.0, lab.readings.shape)
+        lab.sides = -torques * compliances / lab.gaps
+        columns = lab.columns() | {f"tau_{joint} [Nm]": torques[:, k] for k, joint in enumerate(lab.joints)}
+        told = {name: values for name, values in columns.items() if not name.startswith("direction")}
+        fit = calib.identify(
+            lab.model(backlash="none", torque="all"), calib.read_measurements(told, lab.robot, sigma=SIGMA)
+        )
+        sigmas = dict(zip([p.name for p in fit.parameters], fit.sigmas, strict=True))
+        for joint, truth in zip(lab.joints[1:5], compliances[1:5], strict=True):
+            inside += abs(fit.value(f"{joint}.torque") - truth) < 1.96 * sigmas[f"{joint}.torque"] < truth
+    assert inside >= 17
+    with pytest.raises(JobError, match="torque: 'bridge' slides, and torques are of joints that turn"):
+        calib.error_model(machines.load(machines.INLINE["gantry"], "tip"), torque="all")
+
+
 def test_the_order_of_rows_tells_the_sides() -> None:
     readings = np.array([[0.0, 1.0], [0.5, 1.0], [0.5, 0.5], [0.2, 0.5], [0.3, 0.9]])
     expected = [[0, 0], [1, 0], [1, -1], [-1, -1], [1, 1]]
@@ -144,6 +166,11 @@ def test_conditions_of_several_sets_are_joined_where_all_have_them() -> None:
     [
         ({"temperature [degC]": None}, {}, "there is no column 'temperature', which shoulder_pan_joint.thermal needs"),
         (
+            {"tau_elbow_joint [Nm]": [1.0] * 20},
+            {},
+            "no column 'tau_shoulder_pan_joint', which shoulder_pan_joint.torque",
+        ),
+        (
             {"direction_elbow_joint": None},
             {},
             "there is no column 'direction_elbow_joint', which elbow_joint.backlash needs",
@@ -162,7 +189,8 @@ def test_what_is_missing_or_wrong_is_told(change: dict[str, object], options: di
     lab = Lab(15, 20)
     columns = {name: values for name, values in (lab.columns() | change).items() if values is not None}
     with pytest.raises(MeasurementError) as caught:
-        calib.identify(lab.model(), calib.read_measurements(columns, lab.robot, **options))
+        torque = "all" if any(name.startswith("tau") for name in columns) else "none"
+        calib.identify(lab.model(torque=torque), calib.read_measurements(columns, lab.robot, **options))
     assert sentence in str(caught.value)
 
 
@@ -199,6 +227,16 @@ def test_the_model_read_back_and_its_commands_know_them(folder: tuple[Path, cali
         model.tips(u)
     with pytest.raises(JobError, match="of every target"):
         for_joint_targets(model, u)
+
+
+def test_what_nobody_says_adds_nothing(folder: tuple[Path, calib.Fit]) -> None:
+    """A scene or a map of the workspace has no rows: reached from neither side, at 20 degC."""
+    _, fit = folder
+    u = np.random.default_rng(2).uniform(-1.0, 1.0, (5, 6))
+    plain = fit.robot.tips(u, replace(fit.deviations, terms=np.zeros_like(fit.deviations.terms)))
+    np.testing.assert_allclose(fit.robot.tips(u, fit.deviations, ordinary(u)), plain, rtol=0, atol=1e-15)
+    found = tool_uncertainty(uncertainty_of(fit), u)
+    assert np.isfinite(found.position).all()
 
 
 def test_targets_of_a_table_say_them(folder: tuple[Path, calib.Fit]) -> None:

@@ -60,7 +60,7 @@ def test_compliances_lie_within_their_intervals(simulation: ModuleType, robot: c
     harmonics = {"harmonics": "all", "harmonic_orders": ORDERS} if gears else {}
     model = calib.error_model(robot, **GEOMETRY, **harmonics, elastic=["joint_[2-6]"])
     inside, total, sigmas = 0, 0, []
-    for seed in range(11, 17):
+    for seed in range(11, 16):
         machine = simulation.Machine(seed, harmonics=gears)
         commands = simulation.poses(seed)["harmonics"]
         measured = machine.measure(commands, simulation.noise(seed, "harmonics"))
@@ -72,7 +72,7 @@ def test_compliances_lie_within_their_intervals(simulation: ModuleType, robot: c
                 inside += abs(fit.value(f"joint_{k}.elastic") - truth) < 1.96 * sigma
                 total += 1
         sigmas.append(fit.sigmas[names.index("joint_2.elastic")])
-    assert total >= 24
+    assert total >= 20
     assert inside / total >= 0.85
     if not gears:
         assert max(sigmas) < 0.1e-6
