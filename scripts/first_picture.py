@@ -1,14 +1,13 @@
 """How long a scene takes to its first picture, compared with an empty scene of meshcat in the same browser.
 
-    python scripts/first_picture.py [--poses 1000] [--times 5]
+    python scripts/first_picture.py [--poses 1000] [--times 7]
 
-Prints the medians and their ratio; exits with 1 where the ratio is above 3 or the page above 15 MB.
+Prints the shortest times and their ratio; exits with 1 where the ratio is above 3 or the page above 15 MB.
 """
 
 import argparse
 import sys
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 
 import meshcat
@@ -27,12 +26,12 @@ EMPTY = """<!DOCTYPE html><html><head><meta charset=utf-8><title>MeshCat</title>
 <div id="meshcat-pane"></div><script>{viewer}</script>
 <script>var viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));</script>
 <style>body {{margin: 0; }} #meshcat-pane {{ width: 100vw; height: 100vh; overflow: hidden; }}</style></body></html>"""
-# The picture of the second frame after loading is of the right size; reading a pixel waits until WebGL has drawn it.
-DRAWN = """addEventListener("load", () => requestAnimationFrame(() => requestAnimationFrame(() => {
+# The frame after loading has a picture of the right size; reading a pixel waits until WebGL has drawn it.
+DRAWN = """addEventListener("load", () => requestAnimationFrame(() => {
   const gl = viewer.renderer.getContext(), pixel = new Uint8Array(4);
   gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
   window.drawn = viewer.renderer.info.render.frame > 0 && performance.now();
-})));"""
+}));"""
 
 
 def scene(poses: int) -> Scene:
@@ -61,7 +60,7 @@ def first_picture(page: Page, address: str) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--poses", type=int, default=1000)
-    parser.add_argument("--times", type=int, default=5)
+    parser.add_argument("--times", type=int, default=7)
     arguments = parser.parse_args()
     viewer = Path(meshcat.__file__).parent / "viewer/dist/main.min.js"
     with TemporaryDirectory() as folder, browser() as page:
@@ -73,7 +72,8 @@ def main() -> int:
         page.ask("Page.addScriptToEvaluateOnNewDocument", source=DRAWN)
         pairs = [[first_picture(page, file.as_uri()) for file in (empty, full)] for _ in range(arguments.times)]
         assert page.trouble == []
-    times = [median(column) for column in zip(*pairs, strict=True)]
+    # Other work on the machine only ever adds.
+    times = [min(column) for column in zip(*pairs, strict=True)]
     ratio = times[1] / times[0]
     print(f"{arguments.poses} poses: {size / 1e6:.1f} MB; first picture after {times[1]:.0f} ms,", end=" ")
     print(f"of an empty meshcat scene after {times[0]:.0f} ms: {ratio:.2f} times.")

@@ -375,15 +375,15 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
 
     lines = g.LineSegments(g.PointsGeometry(grid.T.astype(np.float32)), g.LineBasicMaterial(color=_hex(_GRID)))
     commands: list[Any] = [
-        SetProperty("top_color", [1.0, 1.0, 1.0], Node(("Background",))),
-        SetProperty("bottom_color", [0.93, 0.94, 0.95], Node(("Background",))),
+        # The page paints what lies behind: cheaper than a texture over the whole window in every picture.
+        SetProperty("visible", False, Node(("Background",))),
         SetProperty("visible", False, Node(("Axes",))),
         # meshcat's lights together bleach a white robot on white paper.
         SetProperty("intensity", 0.45, Node(("Lights", "AmbientLight", "<object>"))),
         drawn(("Grid",), lines),
     ]
     for drawing in drawings:
-        material = g.MeshBasicMaterial if drawing.flat else g.MeshPhongMaterial
+        material = g.MeshBasicMaterial if drawing.flat else g.MeshLambertMaterial
         commands.append(placed(drawing.path, drawing.T))
         for i, part in enumerate(drawing.parts):
             if len(part.faces):

@@ -77,8 +77,6 @@ def choice_sheet(choice: Choice) -> Sheet:
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
-    quantity = next(iter(steps[0].rms))
-    factor, unit = next(SHOWN[q.unit] for qs in QUANTITIES.values() for q in qs if q.name == quantity)
     rows = []
     for k in dict.fromkeys((*range(choice.taken + 1), least)):
         step = steps[k]

@@ -241,7 +241,7 @@ def test_errors_are_those_of_the_rows_and_coloured_by_size() -> None:
     assert set(kinds) == set(range(len(SCALE)))
     assert page["scales"] == [20.0, 500.0]
     hidden = [c["path"] for c in commands_of(render_scene(s)) if c["type"] == "set_property" and c["value"] is False]
-    assert hidden == ["/Axes"]
+    assert hidden == ["/Background", "/Axes"]
 
 
 def test_legend_states_the_figures() -> None:

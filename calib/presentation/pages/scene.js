@@ -10,15 +10,18 @@ const boxes = [...document.querySelectorAll("[data-layer]")];
 const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
-// The nominal arm: the shapes of the calibrated one, seen through.
-const glass = new THREE.MeshPhongMaterial({
+// The nominal arm: the shapes of the calibrated one, seen through. It joins the second picture: the first comes sooner.
+const glass = new THREE.MeshLambertMaterial({
   color: page.nominal, opacity: 0.3, transparent: true, depthWrite: false,
   polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 8,  // where both arms coincide, the calibrated one shows
 });
-for (const [link, node] of Object.entries(page.arms.nominal ? nodeAt("robot").children : {}))
-  for (const [i, part] of Object.entries(node.children))
-    if (part.children["<object>"])
-      viewer.set_object(["nominal", link, i], new THREE.Mesh(part.children["<object>"].object.geometry, glass));
+function addNominal() {
+  for (const [link, node] of Object.entries(page.arms.nominal ? nodeAt("robot").children : {}))
+    for (const [i, part] of Object.entries(node.children))
+      if (part.children["<object>"])
+        viewer.set_object(["nominal", link, i], new THREE.Mesh(part.children["<object>"].object.geometry, glass));
+  viewer.set_dirty();
+}
 
 // Points, and error vectors from them: many copies of one shape, each with its place and colour.
 const { measured, before, after, colours, black } = page.clouds;
@@ -285,5 +288,10 @@ if (location.protocol.startsWith("http")) {
   });
 }
 
-window.addEventListener("load", () => { viewer.set_3d_pane_size(); fit(); viewer.animate(); });
+window.addEventListener("load", () => {
+  viewer.set_3d_pane_size();
+  fit();
+  viewer.animate();
+  requestAnimationFrame(() => requestAnimationFrame(addNominal));
+});
 window.addEventListener("resize", fit);
