@@ -14,7 +14,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
-from calib.measurement.measurements import orientations, stacked
+from calib.measurement.columns import orientations, stacked
 from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
 
 
