@@ -21,12 +21,11 @@ from calib.identification.observations import observe
 from calib.identification.observations.seen import Linearised, Seen
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.relations import Relation, relate
+from calib.identification.size import Growth, centre, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
-# Two ways to move every tool are the same when they differ by less than this share.
-_SAME = 1e-7
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
 BLOCK = 768
 
@@ -76,15 +75,9 @@ class Problem:
         )
 
     @property
-    def sizeless(self) -> bool:
-        """Whether nothing tells a length: sockets and planes in unknown places, which a smaller machine fits too."""
-        known = {name for name, target in self.model.targets.items() if target.height_is_known}
-        return not any(relation.kind != "angle" for relation in self.relations) and all(
-            data.kind in ("socket", "plane")
-            and not data.value.any()
-            and not any(data.targets[t] in known for t in set(data.target.tolist()))
-            for data in self.measurements
-        )
+    def grows_about(self) -> Array | None:
+        """The point (3,) about which a larger set-up fits as well; None where something tells a length."""
+        return centre(self.measurements, self.model.targets, self.relations)
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
@@ -92,12 +85,15 @@ class Problem:
 
 
 class Block(NamedTuple):
-    """Rows of one set: residuals with derivatives by twists, their Jacobian (n, d, p), and the tools (n, 4, 4)."""
+    """Rows of one set: residuals with derivatives by twists, and their Jacobian (n, d, p).
+
+    ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
+    """
 
     rows: slice
     observed: Linearised
     J: Array
-    tools: Array
+    moved: tuple[tuple[Array, Array], ...]
 
 
 class Evaluation(NamedTuple):
@@ -105,8 +101,7 @@ class Evaluation(NamedTuple):
 
     Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
     the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened. ``size``
-    (p, 1 or 0): the unit direction in which the whole set-up grows, where no measurement tells its size. Noise makes
-    such a direction look seen - a machine shrunk to a point explains every socket - so that it is taken out.
+    (p, 1 or 0): the unit direction in which the whole set-up grows, where no measurement tells its size.
     """
 
     residuals: tuple[Array, ...]
@@ -123,7 +118,8 @@ class Evaluation(NamedTuple):
     def rows(self) -> Array:
         """All that the data say, (q, p + 1): the triangles, then the relations; nothing of a size they cannot see."""
         rows = np.concatenate([*self.triangles, self.relations])
-        rows[:, :-1] -= (rows[:, :-1] @ self.size) @ self.size.T
+        if self.size.size:
+            rows[:, :-1] = without(rows[:, :-1], self.size)
         return rows
 
 
@@ -133,7 +129,8 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     triangles = [np.empty((0, columns)) for _ in problem.components]
     found: list[Array] = []
     at = problem.machine(x)
-    growth = Growth(problem) if problem.sizeless else None
+    about = problem.grows_about
+    growth = None if about is None else Growth(problem.parameters, about)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
         for block in blocks(problem, data, at, scales(problem.parameters)):
@@ -141,7 +138,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
             parts.append(residual)
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
             if growth is not None:
-                growth.add(block, sigma[block.rows])
+                growth.add(block.J, block.moved, sigma[block.rows])
             for c, component in enumerate(problem.components):
                 if component.measurements == i:
                     rows = whitened[:, component.columns].reshape(-1, columns)
@@ -150,34 +147,11 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     S = _of_targets(problem, scales(problem.parameters))
     related = np.column_stack([np.einsum("kmi,mip->kp", J, at.target_twists @ S), r])
-    size = np.zeros((len(x), 0)) if growth is None else growth.direction(x)
+    size = np.zeros((len(x), 0))
+    if growth is not None:
+        layout = Layout.of(problem.model.robot, at.frames)
+        size = growth.direction(problem.measurements, problem.reference, at.frames, layout)
     return Evaluation(tuple(found), tuple(triangles), related, size)
-
-
-class Growth:
-    """Collects, row by row, how the set-up grows by one common factor about the instrument's origin."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._parameters = problem.parameters
-        self._of_targets = np.array([parameter.kind == "target" for parameter in problem.parameters])
-        self._triangle = np.empty((0, len(problem.parameters) + 1))
-
-    def add(self, block: Block, sigma: Array) -> None:
-        """Add rows with their sigmas (n, d): what parameters, targets left out, do to a tool, beside its growing."""
-        R, x = block.tools[:, :3, :3], block.tools[:, :3, 3]
-        grown = block.observed.twist[:, :, :3] @ (np.swapaxes(R, -1, -2) @ x[:, :, None])
-        rows = np.concatenate([np.where(self._of_targets, 0.0, block.J), grown], axis=2) / sigma[:, :, None]
-        self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
-
-    def direction(self, x: Array) -> Array:
-        """Return the unit direction (p, 1) of growing, scaled, at values x (p,); (p, 0) where lengths are not free."""
-        J, c = self._triangle[:, :-1], self._triangle[:, -1]
-        z = np.linalg.lstsq(J, c, rcond=_SAME)[0]
-        if np.linalg.norm(J @ z - c) > _SAME * np.linalg.norm(c):
-            return np.zeros((len(x), 0))
-        lengths = np.array([parameter.unit == "m" for parameter in self._parameters])
-        z = np.where(self._of_targets, np.where(lengths, x / scales(self._parameters), 0.0), z)
-        return np.asarray(z[:, None] / np.linalg.norm(z))
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -253,13 +227,16 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
         placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]
         observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
         J = through_robot(observed.twist, motion, tool_of(data.tool[rows]))
+        moved = [(observed.twist, placed)]
         if data.other is not None and other is not None and observed.other is not None:
+            ends = frames.base @ other.placement @ frames.tools[tool_of(data.other.tool[rows])]
+            moved.append((observed.other, ends))
             J += through_robot(observed.other, other, tool_of(data.other.tool[rows]))
         if observed.target is not None:
             J += observed.target @ by_target[data.target[rows]]
         if data.offset >= 0:
             J -= S[layout.lengths + data.offset]
-        yield Block(rows, observed, J, placed)
+        yield Block(rows, observed, J, tuple(moved))
 
 
 def _of_targets(problem: Problem, units: Array) -> Array:
