@@ -1,6 +1,6 @@
 """Whether measurements tell the size of a machine, and which direction they do not see where they do not.
 
-Sockets, planes and balls in unknown places are touched by a machine that is larger throughout just as well, if their
+Sockets, planes and balls in unknown places are touched just as well by a machine that is larger throughout, if their
 places grow with it. Noise makes such a direction look seen - a machine shrunk to a point explains every socket - so that
 it must be taken out, and not be left to a threshold.
 """
@@ -20,16 +20,19 @@ from calib.measurement.measurements import Measurements
 
 # Two ways to move every tool are the same when they differ by less than this share.
 _SAME = 1e-7
-# Without residuals nothing of the size is seen: what is left of its unit direction is rounding.
-_UNSEEN = 1e-6
+# J sees the size clearly when the growing direction lies in the row space by more than this share: of a unit direction,
+# or of the robot's reach.
+_CLEARLY = 0.1
 # Known places, in m, agree within this.
 _AGREE = 1e-9
 
 
 def centre(
-    measurements: Sequence[Measurements], known: Mapping[str, Target], relations: Sequence[Relation]
+    measurements: Sequence[Measurements], known: Mapping[str, Target], relations: Sequence[Relation], near: Array
 ) -> Array | None:
     """Return the point (3,) about which all that was touched may grow; None where something tells a length.
+
+    It is the nearest to ``near`` (3,), where the robot stands, that what is known allows.
 
     ``measurements`` have common names. A length tells nothing when an unknown one takes it up: that of a plane's height
     or of a set's offset, as long as it is the same in all rows. Known places tell no size unless they are at a distance
@@ -56,28 +59,29 @@ def centre(
                 # A known plane does not take up the probe's radius.
                 heights.append(axes @ target.pose[:3, 3] + (values[0] if data.kind == "plane" else 0.0))
     A, b = np.concatenate(normals), np.concatenate(heights)
-    found = np.linalg.lstsq(A, b, rcond=_AGREE)[0]
+    found = near + np.linalg.lstsq(A, b - A @ near, rcond=_AGREE)[0]
     return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
 
 
 def without(J: Array, size: Array) -> Array:
     """Return scaled rows J (q, p) that do not see the unit direction ``size`` (p, 1).
 
-    Of that direction only what J sees is taken out. What J is blind to besides, such as a turn of the whole set-up,
-    would be seen through it else, as far as it shares in it.
+    Far from a solution, where J sees it clearly, only what J sees of it is taken out: what J is blind to besides, such
+    as a turn of the whole set-up, would be seen through it else. Near a solution nothing is left to be told apart.
     """
     found = identifiability.directions(J)
     seen = found.vectors[:, : found.rank]
     w = seen @ (seen.T @ size)
     share = float(np.linalg.norm(w))
-    return J if share < _UNSEEN else np.asarray(J - (J @ (w / share)) @ (w / share).T)
+    w = w / share if share > _CLEARLY else size
+    return np.asarray(J - (J @ w) @ w.T)
 
 
 class Growth:
     """Collects, row by row, how the set-up grows by one common factor about a point (3,)."""
 
-    def __init__(self, parameters: Sequence[Parameter], about: Array) -> None:
-        self._parameters, self._about = parameters, about
+    def __init__(self, parameters: Sequence[Parameter], about: Array, reach: float) -> None:
+        self._parameters, self._about, self._reach = parameters, about, reach
         self._of_targets = np.array([parameter.kind == "target" for parameter in parameters])
         self._triangle = np.empty((0, len(parameters) + 1))
 
@@ -95,10 +99,16 @@ class Growth:
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
 
     def direction(self, measurements: Sequence[Measurements], reference: Frames, at: Frames, layout: Layout) -> Array:
-        """Return the unit direction (p, 1) of growing, scaled, at frames; (p, 0) where the robot's lengths are held."""
+        """Return the unit direction (p, 1) of growing, scaled, at frames; (p, 0) where it is not to be taken out.
+
+        That is where the robot's lengths are held, and where nothing of growing is seen: a robot that grows about the
+        only point that it touches moves no row.
+        """
         J, c = self._triangle[:, :-1], self._triangle[:, -1]
         z = np.linalg.lstsq(J, c, rcond=_SAME)[0]
-        if np.linalg.norm(J @ z - c) > _SAME * np.linalg.norm(c):
+        of_robot = [parameter.unit == "m" and parameter.kind != "target" for parameter in self._parameters]
+        grown = float(np.linalg.norm((z * scales(self._parameters))[of_robot]))
+        if np.linalg.norm(J @ z - c) > _SAME * np.linalg.norm(c) or grown < _CLEARLY * self._reach:
             return np.zeros((len(z), 0))
         state = self._growth_of_targets(measurements, reference, at, layout)
         for k, parameter in enumerate(self._parameters):

@@ -77,7 +77,7 @@ class Problem:
     @property
     def grows_about(self) -> Array | None:
         """The point (3,) about which a larger set-up fits as well; None where something tells a length."""
-        return centre(self.measurements, self.model.targets, self.relations)
+        return centre(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
@@ -130,7 +130,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     found: list[Array] = []
     at = problem.machine(x)
     about = problem.grows_about
-    growth = None if about is None else Growth(problem.parameters, about)
+    growth = None if about is None else Growth(problem.parameters, about, problem.model.robot.reach)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
         for block in blocks(problem, data, at, scales(problem.parameters)):
