@@ -1,8 +1,8 @@
 """Whether measurements tell the size of a machine, and which direction they do not see where they do not.
 
-Sockets, planes and balls in unknown places are touched just as well by a machine that is larger throughout, if their
-places grow with it. Noise makes such a direction look seen - a machine shrunk to a point explains every socket - so that
-it must be taken out, and not be left to a threshold.
+A machine that is larger throughout touches sockets, planes and balls in unknown places just as well, if their places
+grow with it. Noise makes such a direction look seen - a machine shrunk to a point explains every socket - so that it
+must be taken out, and not be left to a threshold.
 """
 
 from collections.abc import Mapping, Sequence

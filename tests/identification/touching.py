@@ -1,16 +1,18 @@
-"""Touching and measuring with a simulated machine: sockets, bars, gauges, planes, balls and indicators, of known truth.
+"""Touching and measuring with a simulated machine of known truth: sockets, bars, gauges, planes, balls, indicators.
 
-None of calib's kinematics: :mod:`tests.identification.machines` says where the tool is, and Newton's method with numeric
-derivatives finds readings at which it touches.
+None of calib's kinematics: :mod:`tests.identification.machines` says where the tool is, and Newton's method with
+numeric derivatives finds readings at which it touches.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 import calib
 from calib.identification.relations import Relation
+from calib.identification.targets import Target
+from calib.robot.deviation import axis_frame
 from tests.identification import machines
 from tests.identification.machines import Array, Machine, Rng, pose
 
@@ -37,7 +39,7 @@ def unit(v: Sequence[float] | Array) -> Array:
 
 @dataclass(frozen=True)
 class Lab:
-    """A machine and the robot it should be; what stands around it is in the frame of ``machine.base``."""
+    """A machine and the robot it should be; what stands around it keeps its place in the frame of ``machine.base``."""
 
     machine: Machine
     robot: calib.Robot
@@ -45,8 +47,13 @@ class Lab:
     noise: float = 0.0
 
     def where(self, q: Array, tool: str | None = None) -> Array:
-        """True tool points (n, 3)."""
-        return self.machine.see(q, None if tool is None else [tool] * len(q))[:, :3, 3]
+        """True tool points (n, 3) in the base's frame."""
+        chosen = next(iter(self.machine.tools.values())) if tool is None else self.machine.tools[tool]
+        return np.asarray((self.machine.arm.tips(q) @ chosen)[:, :3, 3])
+
+    def known(self, *names: str) -> dict[str, Target]:
+        """What is known of targets, in the instrument's frame."""
+        return {name: Target(self.machine.base @ PLACES[name]) for name in names}
 
     def draw(self, n: int) -> Array:
         """Random readings (n, k)."""
@@ -56,8 +63,13 @@ class Lab:
         """Noise of that shape."""
         return self.rng.normal(scale=self.noise, size=shape)
 
-    def touching(self, gap: Callable[[Array], Array], away: Array, tool: str | None = None) -> Array:
-        """Random readings (n, k) at which ``gap`` (m, d) of tool points (m, 3) is ``away`` (n, d)."""
+    def touching(
+        self, gap: Callable[[Array], Array], away: Array, tool: str | None = None, outside: Array | None = None
+    ) -> Array:
+        """Random readings (n, k) at which ``gap`` (m, d) of tool points (m, 3) is ``away`` (n, d).
+
+        ``outside`` (3,): the direction in which the tip link must be then.
+        """
         n, k = len(away), len(self.machine.arm.ranges)
         low, high = np.transpose(list(self.machine.arm.ranges.values()))
         found = np.full((n, k), np.nan)
@@ -71,6 +83,8 @@ class Lab:
                 step = -(np.linalg.pinv(J) @ (g[0] - goal)[:, :, None])[:, :, 0]
                 q = np.clip(q + step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True)), low, high)
             closed = np.abs(gap(self.where(q, tool)) - goal).max(axis=1) < CLOSED
+            if outside is not None:
+                closed &= (self.machine.arm.tips(q)[:, :3, 3] - self.where(q, tool)) @ outside > 0.03
             found[open_[closed]] = q[closed]
         return found
 
@@ -89,11 +103,13 @@ class Lab:
     def positions(self, n: int) -> calib.Measurements:
         """Positions in the instrument's frame."""
         q = self.draw(n)
-        x, y, z = (self.where(q) + self.scatter(n, 3)).T
+        seen = self.where(q) + self.scatter(n, 3)
+        x, y, z = (seen @ self.machine.base[:3, :3].T + self.machine.base[:3, 3]).T
         return self.read(q, "position", x_m=x, y_m=y, z_m=z)
 
     def sockets(self, n: int, names: Sequence[str] = ("a", "b", "c"), tool: str | None = None) -> calib.Measurements:
         """Every socket touched n times."""
+        names = tuple(names)
         q = [self.touching(lambda x, c=SOCKETS[name]: x - c, self.scatter(n, 3), tool) for name in names]
         point = {} if tool is None else {"point": [tool] * (n * len(names))}
         return self.read(np.concatenate(q), "socket", target=np.repeat(names, n).tolist(), **point)
@@ -112,10 +128,17 @@ class Lab:
         pair = np.repeat(np.arange(n), 2).astype(str).tolist()
         return self.read(q, "pair_distance", offset, length_m=np.repeat(length, 2), pair=pair)
 
-    def planes(self, n: int, names: Sequence[str] = ("floor",), ball: float = 0.0) -> calib.Measurements:
-        """Every plane touched n times with a ball of that diameter; the robot's base is on the upper side."""
+    def planes(
+        self, n: int, names: Sequence[str] = ("floor",), *, ball: float = 0.0, raised: float = 0.0
+    ) -> calib.Measurements:
+        """Every plane, ``raised`` by so much, touched n times with a ball of that diameter."""
+        above = ball / 2 + raised
         q = [
-            self.touching(lambda x, m=name: (x @ unit(NORMALS[m]) - HEIGHTS[m] - ball / 2)[:, None], self.scatter(n, 1))
+            self.touching(
+                lambda x, m=name: (x @ unit(NORMALS[m]) - HEIGHTS[m] - above)[:, None],
+                self.scatter(n, 1),
+                outside=unit(NORMALS[name]),
+            )
             for name in names
         ]
         return self.read(
@@ -139,15 +162,22 @@ class Lab:
     # ---- judging
 
     def miss(self, fit: calib.Fit, n: int = 300, *, sized: bool = True) -> float:
-        """3D rms in m between predicted and true tool points, moved onto each other; scaled too, where not ``sized``."""
+        """3D rms in m between predicted and true tool points, moved onto each other; scaled too unless ``sized``."""
         q = self.draw(n)
-        a = machines.predicted(fit, q)[:, :3, 3]
-        b = self.where(q)
+        a, b = machines.predicted(fit, q)[:, :3, 3], self.where(q)
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
         U, s, Vt = np.linalg.svd(a.T @ b)
         D = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
         scale = 1.0 if sized else (s @ D) / np.sum(a * a)
         return float(np.sqrt(np.mean(np.sum((b - scale * a @ (U * D) @ Vt) ** 2, axis=1))))
+
+
+PLACES = {
+    "anchor": pose(ANCHOR),
+    "ball": pose(BALL),
+    **{name: pose(c) for name, c in SOCKETS.items()},
+    **{name: axis_frame(unit(n)) @ pose((0.0, 0.0, HEIGHTS[name])) for name, n in NORMALS.items()},
+}
 
 
 def lab(seed: int = 0, *, noise: float = 0.0, arm: tuple[str, str] = UR10, base: Array | None = None) -> Lab:
