@@ -256,6 +256,7 @@ class MeasurementsSection(_Section):
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
     columns: dict[str, str] = Field(default_factory=dict)
+    targets: dict[str, Name] = Field(default_factory=dict)
 
 
 class Job(_Section):

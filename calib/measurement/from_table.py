@@ -43,8 +43,8 @@ def measurements_from_table(
     length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, when a pair has not two rows, and when the noise is said twice; JobError when ``sigma``,
-    ``sigma_angle``, ``instrument`` or ``offset`` cannot be used.
+    not of unit length, when a pair has not two rows or two lengths, and when the noise is said twice or of coordinates
+    that there are not; JobError when ``sigma``, ``sigma_angle``, ``instrument`` or ``offset`` cannot be used.
     """
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     require(table, dimensions, "of a joint")
@@ -57,6 +57,10 @@ def measurements_from_table(
         position = stacked(table, dict.fromkeys(POSITION, "length"))
     by_distance = None if instrument is None or position is None else instrument.sigma_at(position)[:, None]
     width = min(size(kind), 3)
+    if width < 3 and (along := [name for name in SIGMAS[1] if name in table.columns]):
+        raise MeasurementError(
+            f"{table.where}: column {along[0]!r} is the noise of a coordinate, and a {kind} has none; call it 'sigma'."
+        )
     ways = SIGMAS if width == 3 else SIGMAS[:1]
     noise = _noise(table, ways, "length", {"sigma": sigma, "the instrument": by_distance}, width)
     if kind == "pose":
@@ -97,6 +101,8 @@ def _refuse_useless(
         raise JobError(f"{table.where}: a laser tracker is given, and it measures no {kind}; give sigma.")
     if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
         raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
+    if offset is not None and kind == "sphere" and "diameter" in table.columns:
+        raise JobError(f"{table.where}: an unknown radius is given, and column 'diameter' says it; keep one of them.")
 
 
 def _numbered(given: tuple[str, ...] | None, only: str, n: int) -> tuple[tuple[str, ...], IntArray]:

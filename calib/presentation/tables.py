@@ -13,6 +13,7 @@ from rich.text import Text
 from calib.assessment.metrics import Metrics, metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
+from calib.measurement.kinds import QUANTITIES
 
 WIDTH = 80
 # What is shown of a length in m and an angle in rad.
@@ -57,7 +58,9 @@ def error_table(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> T
                 factor, unit = _SHOWN[m.unit]
                 figures_shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
                 style = "bold" if when == "after" else None
-                out.add_row(use, when, str(m.n), *figures_shown, unit, style=style, end_section=when == "after")
+                # What is not the tip's is named: the distance from a socket is no tip error.
+                of = use if when == "before" or quantity in ("position", "orientation") else quantity
+                out.add_row(of, when, str(m.n), *figures_shown, unit, style=style, end_section=when == "after")
     return out
 
 
@@ -154,7 +157,8 @@ def _count(n: int, one: str, several: str) -> str:
 def _noise(fit: Fit) -> list[str]:
     said = []
     for noise in fit.noise:
-        factor, unit = _SHOWN["m" if noise.quantity == "position" else "rad"]
+        quantities = QUANTITIES[fit.measurements[noise.measurements].kind]
+        factor, unit = _SHOWN[next(quantity.unit for quantity in quantities if quantity.name == noise.quantity)]
         instrument = (
             f"{noise.instrument * factor:.4f} {unit} instrument" if noise.instrument else "instrument not stated"
         )
