@@ -36,6 +36,8 @@ class Relation:
     sigma: float
 
     def __post_init__(self) -> None:
+        if self.targets[0] == self.targets[1]:
+            raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise JobError(f"relation of {self.targets}: sigma is {self.sigma}; allowed are numbers above 0.")
         least = -np.inf if self.kind == "offset" else 0.0

@@ -190,7 +190,7 @@ class TargetSection(_Section):
 class RelationSection(_Section):
     """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
 
-    targets: tuple[Name, Name]
+    targets: Annotated[tuple[Name, Name], BeforeValidator(_list_of(2, "two names"))]
     distance: LengthFromZero | None = None
     angle: AngleFromZero | None = None
     offset: Length | None = None
@@ -361,6 +361,8 @@ def _contradictions(job: Job) -> Iterator[str]:
             yield f"targets.{name}.height: belongs to a normal, and there is none."
     for i, relation in enumerate(job.relations):
         given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
+        if len(set(relation.targets)) < len(relation.targets):
+            yield f"relations[{i}].targets: {relation.targets[0]!r} comes twice; a relation is between two."
         if len(given) != 1:
             yield f"relations[{i}]: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
         else:

@@ -142,7 +142,8 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
     for name, found in ends.items():
         if len(found) != 2:
             raise MeasurementError(
-                f"{rows.where}:{rows.lines[found[-1]]}: the pair {name!r} has {len(found)} rows; a pair has 2 ends."
+                f"{rows.where}:{rows.lines[found[-1]]}: the pair {name!r} has {len(found)} "
+                f"{'row' if len(found) == 1 else 'rows'}; a pair has 2 ends."
             )
         if rows.value[found[0], 0] != rows.value[found[1], 0]:
             raise MeasurementError(
