@@ -88,15 +88,19 @@ class Lab:
             found[open_[closed]] = q[closed]
         return found
 
-    def read(self, q: Array, observes: str, offset: str | None = None, **more: object) -> calib.Measurements:
-        """Measurements at readings, with columns whose names end in ``_m`` for lengths."""
+    def columns(self, q: Array, **more: object) -> dict[str, object]:
+        """The columns of readings and others, whose names end in ``_m`` for lengths."""
         types = {joint.driver: joint.type for joint in self.machine.arm.joints}
         columns: dict[str, object] = {
             f"{name} [{'m' if types[name] == 'prismatic' else 'rad'}]": q[:, k]
             for k, name in enumerate(self.machine.arm.ranges)
         }
-        columns |= {f"{name[:-2]} [m]" if name.endswith("_m") else name: values for name, values in more.items()}
-        return calib.read_measurements(columns, self.robot, observes, sigma=self.noise or SIGMA, offset=offset)
+        return columns | {f"{n[:-2]} [m]" if n.endswith("_m") else n: values for n, values in more.items()}
+
+    def read(self, q: Array, observes: str, offset: str | None = None, **more: object) -> calib.Measurements:
+        """Measurements at readings, with other columns."""
+        columns, sigma = self.columns(q, **more), self.noise or SIGMA
+        return calib.read_measurements(columns, self.robot, observes, sigma=sigma, offset=offset)
 
     # ---- one method for each kind
 
