@@ -56,7 +56,8 @@ def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Fin
     """
     problem = posed(model, measurements)
     found = []
-    if _at_start(problem).size.size:
+    moving = problem.motions
+    if moving is not None and moving.grows and _at_start(problem).unseen[:, -1].any():
         found.append(
             Finding(
                 "warning",

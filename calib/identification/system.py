@@ -21,7 +21,7 @@ from calib.identification.observations import observe
 from calib.identification.observations.seen import Linearised, Seen
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.relations import Relation, relate
-from calib.identification.size import Growth, centre, without
+from calib.identification.unseen import Motions, Unseen, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
@@ -75,9 +75,9 @@ class Problem:
         )
 
     @property
-    def grows_about(self) -> Array | None:
-        """The point (3,) about which a larger set-up fits as well; None where something tells a length."""
-        return centre(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
+    def motions(self) -> Motions | None:
+        """How the whole set-up may move unseen."""
+        return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
@@ -100,14 +100,14 @@ class Evaluation(NamedTuple):
     """Residuals of every set (N, d) in m and rad, and a triangle (q, p + 1) of ``[J r]`` for every component.
 
     Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
-    the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened. ``size``
-    (p, 1 or 0): the unit direction in which the whole set-up grows, where no measurement tells its size.
+    the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened.
+    ``unseen`` (p, k): unit directions in which the whole set-up turns, and grows, without being seen; zeros are none.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
     relations: Array
-    size: Array
+    unseen: Array
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
         """Return what it is with sigmas that are new by one factor for every component."""
@@ -116,10 +116,10 @@ class Evaluation(NamedTuple):
 
     @property
     def rows(self) -> Array:
-        """All that the data say, (q, p + 1): the triangles, then the relations; nothing of a size they cannot see."""
+        """All that the data say, (q, p + 1): the triangles, then the relations; nothing of motions they cannot see."""
         rows = np.concatenate([*self.triangles, self.relations])
-        if self.size.size:
-            rows[:, :-1] = without(rows[:, :-1], self.size)
+        if self.unseen.size:
+            rows[:, :-1] = without(rows[:, :-1], self.unseen)
         return rows
 
 
@@ -129,29 +129,30 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     triangles = [np.empty((0, columns)) for _ in problem.components]
     found: list[Array] = []
     at = problem.machine(x)
-    about = problem.grows_about
-    growth = None if about is None else Growth(problem.parameters, about, problem.model.robot.reach)
+    moving = problem.motions
+    whole = None if moving is None else Unseen(problem.parameters, moving, problem.model.robot.reach)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
         for block in blocks(problem, data, at, scales(problem.parameters)):
             residual = block.observed.residual
             parts.append(residual)
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
-            if growth is not None:
-                growth.add(block.J, block.moved, sigma[block.rows])
+            if whole is not None:
+                whole.add(block.J, block.moved, sigma[block.rows])
             for c, component in enumerate(problem.components):
                 if component.measurements == i:
                     rows = whitened[:, component.columns].reshape(-1, columns)
                     triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
         found.append(np.concatenate(parts))
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
-    S = _of_targets(problem, scales(problem.parameters))
-    related = np.column_stack([np.einsum("kmi,mip->kp", J, at.target_twists @ S), r])
-    size = np.zeros((len(x), 0))
-    if growth is not None:
-        layout = Layout.of(problem.model.robot, at.frames)
-        size = growth.direction(problem.measurements, problem.reference, at.frames, layout)
-    return Evaluation(tuple(found), tuple(triangles), related, size)
+    layout = Layout.of(problem.model.robot, at.frames)
+    S = directions(problem.parameters, layout.size) * scales(problem.parameters)
+    by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
+    related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
+    unseen = np.zeros((len(x), 0))
+    if whole is not None:
+        unseen = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
+    return Evaluation(tuple(found), tuple(triangles), related, unseen)
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -202,7 +203,7 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
     to_tool = rigid.adjoint(rigid.inverse(frames.tools))
     by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
-    by_target = at.target_twists @ _of_targets(problem, units)
+    by_target = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
 
     def through_robot(twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
         # Residual per local twist of the tip link, then per local twist of every joint placement.
@@ -237,13 +238,6 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
         if data.offset >= 0:
             J -= S[layout.lengths + data.offset]
         yield Block(rows, observed, J, tuple(moved))
-
-
-def _of_targets(problem: Problem, units: Array) -> Array:
-    """Return how the six values of every target (m, 6, p) follow the parameters, each by its unit."""
-    layout = Layout.of(problem.model.robot, problem.reference)
-    S = directions(problem.parameters, layout.size) * units
-    return S[layout.targets : layout.lengths].reshape(len(problem.reference.targets), 6, len(units))
 
 
 def _times(rows: Array, matrix: Array) -> Array:

@@ -202,6 +202,28 @@ def test_without_noise_the_truth_is_found_and_the_rank_is_as_tabulated(name: str
     assert sized or here.miss(fit) > 1e-6
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_noise_makes_nothing_seen(name: str) -> None:
+    """A machine shrunk to a point explains every socket, and a turn turns residuals: neither counts as seen."""
+    _, _, sized, rank, own = KINDS[name]
+    here = lab(3, noise=3e-5)
+    fit = fitted(here, name)
+    assert fit.converged
+    assert fit.evaluations <= 9
+    assert (fit.rank, fit.usable_rank) == (rank + own, rank + own)
+    assert here.miss(fit, sized=sized) < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "rank"), [("one socket", 20 + 3), ("three sockets", 20 + 9), ("one known socket", 23)]
+)
+def test_the_rank_is_told_before_solving(name: str, rank: int) -> None:
+    """At the nominal robot, which misses the sockets by millimetres."""
+    here = lab(3)
+    measure, known, _, _, _ = KINDS[name]
+    assert observability(model(here, known), [measure(here)]).rank == rank
+
+
 @pytest.mark.parametrize(
     ("name", "component", "truth"),
     [
