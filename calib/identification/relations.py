@@ -42,7 +42,8 @@ class Relation:
             raise JobError(f"relation of {self.targets}: sigma is {self.sigma}; allowed are numbers above 0.")
         least = -np.inf if self.kind == "offset" else 0.0
         if not (np.isfinite(self.value) and self.value >= least):
-            raise JobError(f"relation of {self.targets}: the {self.kind} is {self.value}; allowed are numbers from 0.")
+            allowed = "finite numbers" if self.kind == "offset" else "numbers from 0"
+            raise JobError(f"relation of {self.targets}: the {self.kind} is {self.value}; allowed are {allowed}.")
 
 
 def relate(relations: Sequence[Relation], names: Sequence[str], targets: Array) -> tuple[Array, Array]:

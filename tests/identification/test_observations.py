@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import calib
+from calib.foundations.errors import JobError
 from calib.identification import system
 from calib.identification.losses import scatter_weight, shrinkage, weight
 from calib.identification.machine import Frames, Layout
-from calib.identification.observability import observability
+from calib.identification.observability import observability, unseen
 from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
@@ -447,3 +448,61 @@ def test_weights_fall_from_one_to_nothing() -> None:
         assert found[0] == 1.0
         assert np.all(np.diff(found) <= 0.0)
         assert found[-1] < 0.03
+
+
+# ---- what cannot be
+
+
+def test_losses_are_one_for_each_set() -> None:
+    here = lab()
+    with pytest.raises(JobError, match=r"^2 losses are given for 1 sets of measurements\.$"):
+        calib.identify(model(here), here.positions(20), losses=["huber", "huber"])
+    with pytest.raises(JobError, match=r"^losses: 'hubert' is not one of linear, huber, soft_l1, cauchy\.$"):
+        calib.identify(model(here), here.positions(20), losses=["hubert"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("distance", ("a", "b"), 1.0, 0.0), "sigma is 0.0; allowed are numbers above 0."),
+        (("distance", ("a", "b"), -1.0, 1.0), "the distance is -1.0; allowed are numbers from 0."),
+        (("offset", ("a", "b"), np.nan, 1.0), "the offset is nan; allowed are finite numbers."),
+        (("angle", ("a", "a"), 1.0, 1.0), "is one target; a relation is between two."),
+    ],
+)
+def test_relations_that_cannot_be(arguments: tuple[object, ...], sentence: str) -> None:
+    with pytest.raises(JobError) as e:
+        Relation(*arguments)
+    assert str(e.value) == f"relation of {arguments[1]}: {sentence}"
+
+
+def test_an_offset_between_planes_may_be_negative() -> None:
+    assert Relation("offset", ("a", "b"), -1.0, 1.0).value == -1.0
+
+
+# ---- what is said before solving
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "said"),
+    [
+        ("sockets", {}, ["size-unseen", "base-unseen"]),
+        ("sockets", {"base": "fixed"}, ["size-unseen"]),
+        ("sockets", {"relations": [between("distance", "a", "b")]}, ["base-unseen"]),
+        ("sockets", {"base": "fixed", "placements": "none"}, []),  # nothing of the size is free
+        ("planes", {}, ["size-unseen", "base-unseen"]),
+        ("distances", {}, ["base-unseen"]),
+        ("pairs", {"base": "fixed"}, []),
+        ("positions", {}, []),
+    ],
+)
+def test_what_cannot_be_seen_is_said(kind: str, options: dict[str, object], said: list[str]) -> None:
+    here = lab()
+    found = unseen(model(here, **options), [getattr(here, kind)(25)])
+    assert [finding.code for finding in found] == said
+    assert {finding.severity for finding in found} <= {"warning"}
+
+
+def test_a_few_positions_reveal_size_and_base() -> None:
+    here = lab()
+    assert not unseen(model(here), [here.sockets(20), here.positions(5)])
