@@ -209,9 +209,9 @@ class _System:
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
-        # What is known without any row: relations between targets, and that a size which nothing tells stays.
+        # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
         found = evaluate(self._problem, self._sigmas, self._x)
-        rows = np.concatenate([found.relations, np.pad(found.size.T / USABLE, ((0, 0), (0, 1)))])
+        rows = np.concatenate([found.relations, np.pad(found.unseen.T / USABLE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]

@@ -20,7 +20,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
-from calib.measurement.measurements import orientations, stacked
+from calib.measurement.columns import orientations, stacked
 from calib.measurement.table import QUATERNION_COLUMNS, Table, nearest, read_table
 
 _POSITION = ("x", "y", "z")

@@ -23,7 +23,7 @@ from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.machine import Frames
 from calib.job.inputs import load_arm
-from calib.measurement.measurements import stacked
+from calib.measurement.columns import stacked
 from calib.measurement.table import read_table
 from calib.presentation.console import progress, sentence, show, warning, write
 from calib.presentation.plan_tables import forecast_table, index_table

@@ -14,7 +14,8 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
-from calib.measurement.measurements import conditions, orientations, stacked
+from calib.measurement.columns import orientations, stacked
+from calib.measurement.conditions import conditions
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking

@@ -27,13 +27,23 @@ def weight(loss: Loss, t: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + u * u) if loss == "soft_l1" else 1.0 / (1.0 + u * u))
 
 
+def scatter_weight(loss: Loss, t: Array) -> Array:
+    """Return the weights of squares in the estimate of the noise: no row adds more than a few ordinary ones do.
+
+    Huber's second proposal: the squares of what the rows pull with, (w t)^2. For Cauchy rows that lie off pull less and
+    less, so that a noise of nothing would explain them as well; w t^2 keeps growing, to a bound.
+    """
+    w = weight(loss, t)
+    return w if loss == "cauchy" else w * w
+
+
 @cache
 def shrinkage(loss: Loss, d: int) -> float:
-    """Return by how much the weights lessen the mean square of ordinary rows of d normal numbers: E[w t^2] / E[t^2]."""
+    """Return by how much these weights lessen the mean square of ordinary rows of d normal numbers."""
     if loss == "linear":
         return 1.0
 
     def integrand(square: float) -> float:
-        return float(weight(loss, np.array(np.sqrt(square / d))) * square / d * stats.chi2.pdf(square, d))
+        return float(scatter_weight(loss, np.array(np.sqrt(square / d))) * square / d * stats.chi2.pdf(square, d))
 
     return float(integrate.quad(integrand, 0.0, np.inf)[0])

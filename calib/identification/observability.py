@@ -12,7 +12,8 @@ from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter
 from calib.identification.start import posed
-from calib.identification.system import evaluate
+from calib.identification.system import Evaluation, Problem, evaluate
+from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 
 
@@ -55,10 +56,7 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
     problem = posed(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
-    # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
-    ones = [np.full(data.sigma.shape, 1e-3) for data in sets]
-    x = values_at(model.robot, parameters, problem.reference)
-    rows = evaluate(problem, ones, x).rows[:, :-1]
+    rows = _at_start(problem).rows[:, :-1]
     directions = identifiability.directions(rows)
     rank = directions.rank
     _, blind = identifiability.told(rows, rank, parameters)
@@ -71,3 +69,41 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
         blind,
         indices(seen, sum(map(len, sets))),
     )
+
+
+def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return what no number of such measurements would see, and which others would.
+
+    Raises MeasurementError and JobError as :func:`calib.identification.start.posed` does.
+    """
+    problem = posed(model, measurements)
+    found = []
+    moving = problem.motions
+    if moving is not None and moving.grows and _at_start(problem).unseen[:, -1].any():
+        found.append(
+            Finding(
+                "warning",
+                "size-unseen",
+                "The measurements do not tell how large the arm is: one that is larger throughout touches the same "
+                "things in other places. The nominal size is kept as far as it is free. One known length tells it: "
+                "the distance between two sockets or planes ([[relations]]), a gauge, a ball bar, a ball of known "
+                "diameter, or positions from an instrument.",
+            )
+        )
+    if problem.model.base != model.base:
+        found.append(
+            Finding(
+                "warning",
+                "base-unseen",
+                "Nothing was measured in an instrument's frame, so that where the base stands is not seen: base.x to "
+                "base.rz are held as given. Positions from an instrument, or known places of three sockets "
+                '([targets.NAME]), would tell; with base = "fixed" nothing is said.',
+            )
+        )
+    return tuple(found)
+
+
+def _at_start(problem: Problem) -> Evaluation:
+    # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
+    ones = [np.full(data.sigma.shape, 1e-3) for data in problem.measurements]
+    return evaluate(problem, ones, values_at(problem.model.robot, problem.parameters, problem.reference))

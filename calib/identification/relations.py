@@ -36,11 +36,14 @@ class Relation:
     sigma: float
 
     def __post_init__(self) -> None:
+        if self.targets[0] == self.targets[1]:
+            raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
             raise JobError(f"relation of {self.targets}: sigma is {self.sigma}; allowed are numbers above 0.")
         least = -np.inf if self.kind == "offset" else 0.0
         if not (np.isfinite(self.value) and self.value >= least):
-            raise JobError(f"relation of {self.targets}: the {self.kind} is {self.value}; allowed are numbers from 0.")
+            allowed = "finite numbers" if self.kind == "offset" else "numbers from 0"
+            raise JobError(f"relation of {self.targets}: the {self.kind} is {self.value}; allowed are {allowed}.")
 
 
 def relate(relations: Sequence[Relation], names: Sequence[str], targets: Array) -> tuple[Array, Array]:

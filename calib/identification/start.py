@@ -21,10 +21,13 @@ from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import ordinary
 from calib.robot.transmission import lacking
 
 # Directions of a linear fit below this share of the best one are left at their start.
 _NEGLIGIBLE = 1e-8
+# A part of the arm is clearly off a plane, in m.
+_OFF = 0.01
 
 
 def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
@@ -215,7 +218,8 @@ def _with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequenc
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
-            poses[t] = _plane(np.concatenate([x for _, x, _ in own]), frames.base[:3, 3])
+            touched = [(data.readings[data.target == t], x) for data, x, _ in own]
+            poses[t] = _plane(np.concatenate([x for _, x in touched]), _arm_beside(model, frames.base, touched))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
@@ -238,11 +242,34 @@ def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array,
     return rigid.placement(target.pose[:3, :3], height * normal)
 
 
-def _plane(x: Array, base: Array) -> Array:
-    """Return a frame whose x and y are in the plane nearest to points (n, 3), z on the side of the robot's base."""
+def _arm_beside(model: ErrorModel, base: Array, touched: Sequence[tuple[Array, Array]]) -> Array:
+    """Return where tip link and joints were, from the tip back to the base, on average beside touched points (k, 3).
+
+    ``touched``: readings (n, nr) and points (n, 3).
+    """
+    beside = []
+    for readings, x in touched:
+        motion = model.robot.motion(readings, conditions=ordinary(readings))
+        # A joint's column holds the adjoint of its placement in the tip link, and that its origin.
+        blocks = motion.regressor.reshape(len(x), 6, -1, 6).transpose(0, 2, 1, 3)[:, ::-1]
+        crossed = blocks[:, :, :3, 3:] @ np.swapaxes(blocks[:, :, :3, :3], -1, -2)
+        origins = np.stack([crossed[..., 2, 1], crossed[..., 0, 2], crossed[..., 1, 0]], axis=-1)
+        origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
+        tip = base @ motion.placement
+        beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
+    return np.asarray(np.concatenate(beside).mean(axis=0))
+
+
+def _plane(x: Array, beside: Array) -> Array:
+    """Return a frame whose x and y are in the plane nearest to points (n, 3), z on the side from which it is touched.
+
+    That is the side of the first of the arm's parts ``beside`` it (k, 3) that is clearly off the plane. The base would
+    not do: a cube's upper and far faces are touched from other sides than the base's.
+    """
     middle = x.mean(axis=0)
     axes = np.linalg.svd(x - middle, full_matrices=True)[2]
-    normal = axes[2] if axes[2] @ (base - middle) >= 0.0 else -axes[2]
+    heights = beside @ axes[2]
+    normal = axes[2] if heights[np.argmax(np.abs(heights) > _OFF)] >= 0.0 else -axes[2]
     return rigid.placement(np.column_stack([axes[0], np.cross(normal, axes[0]), normal]), middle)
 
 

@@ -21,12 +21,11 @@ from calib.identification.observations import observe
 from calib.identification.observations.seen import Linearised, Seen
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.relations import Relation, relate
+from calib.identification.unseen import Motions, Unseen, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
-# Two ways to move every tool are the same when they differ by less than this share.
-_SAME = 1e-7
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
 BLOCK = 768
 
@@ -76,15 +75,9 @@ class Problem:
         )
 
     @property
-    def sizeless(self) -> bool:
-        """Whether nothing tells a length: sockets and planes in unknown places, which a smaller machine fits too."""
-        known = {name for name, target in self.model.targets.items() if target.height_is_known}
-        return not any(relation.kind != "angle" for relation in self.relations) and all(
-            data.kind in ("socket", "plane")
-            and not data.value.any()
-            and not any(data.targets[t] in known for t in set(data.target.tolist()))
-            for data in self.measurements
-        )
+    def motions(self) -> Motions | None:
+        """How the whole set-up may move unseen."""
+        return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
@@ -92,27 +85,29 @@ class Problem:
 
 
 class Block(NamedTuple):
-    """Rows of one set: residuals with derivatives by twists, their Jacobian (n, d, p), and the tools (n, 4, 4)."""
+    """Rows of one set: residuals with derivatives by twists, and their Jacobian (n, d, p).
+
+    ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
+    """
 
     rows: slice
     observed: Linearised
     J: Array
-    tools: Array
+    moved: tuple[tuple[Array, Array], ...]
 
 
 class Evaluation(NamedTuple):
     """Residuals of every set (N, d) in m and rad, and a triangle (q, p + 1) of ``[J r]`` for every component.
 
     Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
-    the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened. ``size``
-    (p, 1 or 0): the unit direction in which the whole set-up grows, where no measurement tells its size. Noise makes
-    such a direction look seen - a machine shrunk to a point explains every socket - so that it is taken out.
+    the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened.
+    ``unseen`` (p, k): unit directions in which the whole set-up turns, and grows, without being seen; zeros are none.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
     relations: Array
-    size: Array
+    unseen: Array
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
         """Return what it is with sigmas that are new by one factor for every component."""
@@ -121,9 +116,10 @@ class Evaluation(NamedTuple):
 
     @property
     def rows(self) -> Array:
-        """All that the data say, (q, p + 1): the triangles, then the relations; nothing of a size they cannot see."""
+        """All that the data say, (q, p + 1): the triangles, then the relations; nothing of motions they cannot see."""
         rows = np.concatenate([*self.triangles, self.relations])
-        rows[:, :-1] -= (rows[:, :-1] @ self.size) @ self.size.T
+        if self.unseen.size:
+            rows[:, :-1] = without(rows[:, :-1], self.unseen)
         return rows
 
 
@@ -133,51 +129,30 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     triangles = [np.empty((0, columns)) for _ in problem.components]
     found: list[Array] = []
     at = problem.machine(x)
-    growth = Growth(problem) if problem.sizeless else None
+    moving = problem.motions
+    whole = None if moving is None else Unseen(problem.parameters, moving, problem.model.robot.reach)
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
         for block in blocks(problem, data, at, scales(problem.parameters)):
             residual = block.observed.residual
             parts.append(residual)
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
-            if growth is not None:
-                growth.add(block, sigma[block.rows])
+            if whole is not None:
+                whole.add(block.J, block.moved, sigma[block.rows])
             for c, component in enumerate(problem.components):
                 if component.measurements == i:
                     rows = whitened[:, component.columns].reshape(-1, columns)
                     triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
         found.append(np.concatenate(parts))
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
-    S = _of_targets(problem, scales(problem.parameters))
-    related = np.column_stack([np.einsum("kmi,mip->kp", J, at.target_twists @ S), r])
-    size = np.zeros((len(x), 0)) if growth is None else growth.direction(x)
-    return Evaluation(tuple(found), tuple(triangles), related, size)
-
-
-class Growth:
-    """Collects, row by row, how the set-up grows by one common factor about the instrument's origin."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._parameters = problem.parameters
-        self._of_targets = np.array([parameter.kind == "target" for parameter in problem.parameters])
-        self._triangle = np.empty((0, len(problem.parameters) + 1))
-
-    def add(self, block: Block, sigma: Array) -> None:
-        """Add rows with their sigmas (n, d): what parameters, targets left out, do to a tool, beside its growing."""
-        R, x = block.tools[:, :3, :3], block.tools[:, :3, 3]
-        grown = block.observed.twist[:, :, :3] @ (np.swapaxes(R, -1, -2) @ x[:, :, None])
-        rows = np.concatenate([np.where(self._of_targets, 0.0, block.J), grown], axis=2) / sigma[:, :, None]
-        self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
-
-    def direction(self, x: Array) -> Array:
-        """Return the unit direction (p, 1) of growing, scaled, at values x (p,); (p, 0) where lengths are not free."""
-        J, c = self._triangle[:, :-1], self._triangle[:, -1]
-        z = np.linalg.lstsq(J, c, rcond=_SAME)[0]
-        if np.linalg.norm(J @ z - c) > _SAME * np.linalg.norm(c):
-            return np.zeros((len(x), 0))
-        lengths = np.array([parameter.unit == "m" for parameter in self._parameters])
-        z = np.where(self._of_targets, np.where(lengths, x / scales(self._parameters), 0.0), z)
-        return np.asarray(z[:, None] / np.linalg.norm(z))
+    layout = Layout.of(problem.model.robot, at.frames)
+    S = directions(problem.parameters, layout.size) * scales(problem.parameters)
+    by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
+    related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
+    unseen = np.zeros((len(x), 0))
+    if whole is not None:
+        unseen = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
+    return Evaluation(tuple(found), tuple(triangles), related, unseen)
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -228,7 +203,7 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
     to_tool = rigid.adjoint(rigid.inverse(frames.tools))
     by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
-    by_target = at.target_twists @ _of_targets(problem, units)
+    by_target = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
 
     def through_robot(twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
         # Residual per local twist of the tip link, then per local twist of every joint placement.
@@ -257,20 +232,16 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
         placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]
         observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
         J = through_robot(observed.twist, motion, tool_of(data.tool[rows]))
+        moved = [(observed.twist, placed)]
         if data.other is not None and other is not None and observed.other is not None:
+            ends = frames.base @ other.placement @ frames.tools[tool_of(data.other.tool[rows])]
+            moved.append((observed.other, ends))
             J += through_robot(observed.other, other, tool_of(data.other.tool[rows]))
         if observed.target is not None:
             J += observed.target @ by_target[data.target[rows]]
         if data.offset >= 0:
             J -= S[layout.lengths + data.offset]
-        yield Block(rows, observed, J, placed)
-
-
-def _of_targets(problem: Problem, units: Array) -> Array:
-    """Return how the six values of every target (m, 6, p) follow the parameters, each by its unit."""
-    layout = Layout.of(problem.model.robot, problem.reference)
-    S = directions(problem.parameters, layout.size) * units
-    return S[layout.targets : layout.lengths].reshape(len(problem.reference.targets), 6, len(units))
+        yield Block(rows, observed, J, tuple(moved))
 
 
 def _times(rows: Array, matrix: Array) -> Array:

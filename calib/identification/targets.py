@@ -23,6 +23,8 @@ SHAPES: Mapping[Kind, Shape] = {
     "plane": "plane",
     "indicator": "plane",
 }
+# What cannot be one and the same thing, though both are points. An anchor may sit in a socket or carry a ball.
+_THINGS: Mapping[Kind, str] = {"socket": "socket", "sphere": "ball"}
 _UNKNOWN: Mapping[Shape, tuple[tuple[str, int], ...]] = {
     "point": (("x", 0), ("y", 1), ("z", 2)),
     "plane": (("height", 2), ("rx", 3), ("ry", 4)),
@@ -45,15 +47,22 @@ class Target:
 def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
     """Return the shape of every target of sets with common names.
 
-    Raises MeasurementError when one target is a point in one set and a plane in another.
+    Raises MeasurementError when one target is a point in one set and a plane in another, or a socket and a ball.
     """
     found: dict[str, Shape] = {}
+    things: dict[str, str] = {}
     for data in sets:
         shape = SHAPES.get(data.kind)
         for name in dict.fromkeys(data.targets[t] for t in data.target) if shape else ():
             if shape and found.setdefault(name, shape) != shape:
                 raise MeasurementError(
                     f"{data.where}: the target {name!r} is a {shape} here and a {found[name]} in another table."
+                )
+            thing = _THINGS.get(data.kind)
+            if thing and things.setdefault(name, thing) != thing:
+                raise MeasurementError(
+                    f"{data.where}: the target {name!r} is a {thing} here and a {things[name]} in another table; give "
+                    "one of them another name."
                 )
     return found
 

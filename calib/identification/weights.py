@@ -24,17 +24,14 @@ def sigmas_of(problem: Problem, variances: Sequence[float], r: Sequence[Array] |
     if r is None:
         return plain
     return tuple(
-        sigma / np.sqrt(row_weights)[:, None]
-        for sigma, row_weights in zip(plain, _row_weights(problem, plain, r), strict=True)
+        sigma / np.sqrt(losses.weight(loss, t))[:, None]
+        for loss, sigma, t in zip(problem.losses, plain, _row_distances(plain, r), strict=True)
     )
 
 
-def _row_weights(problem: Problem, sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, ...]:
-    """Return the weights (N,) that the losses give to the rows of every set."""
-    return tuple(
-        losses.weight(loss, np.sqrt(np.mean((residual / sigma) ** 2, axis=1)))
-        for loss, residual, sigma in zip(problem.losses, r, sigmas, strict=True)
-    )
+def _row_distances(sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, ...]:
+    """Return how far off (N,) the rows of every set are, 1 for an ordinary one."""
+    return tuple(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)) for residual, sigma in zip(r, sigmas, strict=True))
 
 
 def _plain_sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
@@ -60,10 +57,11 @@ def model_variances(
 
     ``variances``: the last ones, by which losses tell which rows lie off.
     """
-    row_weights = _row_weights(problem, _plain_sigmas(problem, variances), r)
     counted = [
-        residual * np.sqrt(w / losses.shrinkage(loss, residual.shape[1]))[:, None]
-        for loss, residual, w in zip(problem.losses, r, row_weights, strict=True)
+        residual * np.sqrt(losses.scatter_weight(loss, t) / losses.shrinkage(loss, residual.shape[1]))[:, None]
+        for loss, residual, t in zip(
+            problem.losses, r, _row_distances(_plain_sigmas(problem, variances), r), strict=True
+        )
     ]
     return tuple(
         model_variance(

@@ -18,7 +18,9 @@ from calib.foundations.units import UNITS, Dimension, parse_quantity
 from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
 from calib.measurement.checks import Finding, check
-from calib.measurement.measurements import Measurements, measurements_from_table, stacked
+from calib.measurement.columns import stacked
+from calib.measurement.from_table import measurements_from_table
+from calib.measurement.measurements import Measurements
 from calib.measurement.table import Column, read_table
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot

@@ -1,7 +1,7 @@
 """What a job names, read and checked before anything is solved."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -14,9 +14,10 @@ from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.losses import Loss
+from calib.identification.observability import unseen
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
-from calib.identification.targets import Target
+from calib.identification.targets import Target, shapes
 from calib.job.arm import Arm, read_arm, touched
 from calib.job.schema import (
     FrameSection,
@@ -106,6 +107,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
     _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
+    _refuse_wrong_shapes(job, sets, path)
     _refuse_no_noise(job, sets, path)
     findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
@@ -124,7 +126,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
             *((name, file) for arm in arms.values() for name, file in arm.files.items()),
         )
     }
-    findings += _not_held_out(job, hashes, path)
+    findings += [*_not_held_out(job, hashes, path), *_unseen(model, chosen, path)]
     return Inputs(
         job=job,
         path=path,
@@ -223,6 +225,15 @@ def _refuse_unknown_points(
                 )
 
 
+def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a plane that is said to be at a point, and a point with a normal."""
+    found = shapes(sets)
+    for name, target in job.targets.items():
+        said = "point" if target.normal is None else "plane"
+        if found.get(name, said) != said:
+            raise JobError(f"{path}: targets.{name}: is said to be a {said}, and was measured as a {found[name]}.")
+
+
 def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
     for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
@@ -248,6 +259,13 @@ def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findi
         for i, section in enumerate(job.measurements)
         if section.use == "validate" and hashes[section.file] in fitted
     ]
+
+
+def _unseen(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
+    try:
+        return unseen(model, chosen)
+    except JobError as e:
+        raise JobError(f"{path}: {e}") from e
 
 
 def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
@@ -345,7 +363,7 @@ def _measurements(
         data, found = touched(folder / section.file, arms[section.instrument], robot, section.columns)
         doubts += found
         return data
-    return read_measurements(
+    data = read_measurements(
         folder / section.file,
         robot,
         section.observes,
@@ -356,6 +374,14 @@ def _measurements(
         in_order=section.in_order,
         columns=section.columns,
     )
+    for name in section.targets:
+        if name not in data.targets:
+            known = ", ".join(map(repr, data.targets)) or "none"
+            raise MeasurementError(f"{data.where}: there is no target {name!r} to call otherwise; there are {known}.")
+    names = tuple(section.targets.get(name, name) for name in data.targets)
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
+    return replace(data, targets=names)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker:

@@ -224,7 +224,7 @@ class TargetSection(_Section):
 class RelationSection(_Section):
     """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
 
-    targets: tuple[Name, Name]
+    targets: Annotated[tuple[Name, Name], BeforeValidator(_list_of(2, "two names"))]
     distance: LengthFromZero | None = None
     angle: AngleFromZero | None = None
     offset: Length | None = None
@@ -302,6 +302,7 @@ class MeasurementsSection(_Section):
     loss: Loss = "linear"
     in_order: bool = False
     columns: dict[str, str] = Field(default_factory=dict)
+    targets: dict[str, Name] = Field(default_factory=dict)
 
 
 class Job(_Section):
@@ -377,32 +378,7 @@ def _contradictions(job: Job) -> Iterator[str]:
     for name, instrument in job.instruments.items():
         yield from _instrument_contradictions(_dotted(("instruments", name)), instrument)
     for i, section in enumerate(job.measurements):
-        at = f"measurements[{i}]"
-        measured_by = job.instruments.get(section.instrument or "")
-        if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
-            yield f'{at}.observes: an arm that touches sees positions only; write "position".'
-        if section.instrument is not None and section.instrument not in job.instruments:
-            known = ", ".join(map(repr, job.instruments)) or "none"
-            yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
-        if section.instrument is not None and section.sigma is not None:
-            yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
-        if section.observes != "pose":
-            for key in ("sigma_angle", "model_sigma_angle"):
-                if getattr(section, key) is not None:
-                    yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
-        if section.observes not in ("position", "pose"):
-            if section.instrument is not None:
-                yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
-            if section.use == "nodes":
-                yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
-        if section.length_offset is not None and section.observes not in ("distance", "pair_distance", "sphere"):
-            yield f"{at}.length_offset: a {section.observes} has no length; leave it out."
-        if section.use == "validate":
-            for key in ("model_sigma", "model_sigma_angle"):
-                if getattr(section, key) is not None:
-                    yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
-        if section.use != "identify" and section.loss != "linear":
-            yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+        yield from _measurement_contradictions(job, f"measurements[{i}]", section)
     if job.error_model.terms == "auto":
         for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
             if getattr(job.error_model, key) != "none":
@@ -415,21 +391,55 @@ def _contradictions(job: Job) -> Iterator[str]:
         if target.height is not None and target.normal is None:
             yield f"targets.{name}.height: belongs to a normal, and there is none."
     for i, relation in enumerate(job.relations):
-        given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
-        if len(given) != 1:
-            yield f"relations[{i}]: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
-        else:
-            try:
-                sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
-            except JobError as e:
-                yield f"relations[{i}].sigma: {str(e).removeprefix(': ')}"
-            else:
-                if not sigma > 0.0:
-                    yield f"relations[{i}].sigma: {relation.sigma!r} is not above 0."
+        yield from _relation_contradictions(f"relations[{i}]", relation)
     if job.base is not None and job.error_model.base != "fixed":
         yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
     if job.tools and job.error_model.tool != "fixed":
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection) -> Iterator[str]:
+    measured_by = job.instruments.get(section.instrument or "")
+    if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
+        yield f'{at}.observes: an arm that touches sees positions only; write "position".'
+    if section.instrument is not None and section.instrument not in job.instruments:
+        known = ", ".join(map(repr, job.instruments)) or "none"
+        yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
+    if section.instrument is not None and section.sigma is not None:
+        yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
+    if section.observes != "pose":
+        for key in ("sigma_angle", "model_sigma_angle"):
+            if getattr(section, key) is not None:
+                yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+    if section.observes not in ("position", "pose"):
+        if section.instrument is not None:
+            yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
+        if section.use == "nodes":
+            yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
+    if section.length_offset is not None and section.observes not in ("distance", "pair_distance", "sphere"):
+        yield f"{at}.length_offset: a {section.observes} has no length; leave it out."
+    if section.use == "validate":
+        for key in ("model_sigma", "model_sigma_angle"):
+            if getattr(section, key) is not None:
+                yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+    if section.use != "identify" and section.loss != "linear":
+        yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+
+
+def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str]:
+    given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
+    if len(set(relation.targets)) < len(relation.targets):
+        yield f"{at}.targets: {relation.targets[0]!r} comes twice; a relation is between two."
+    if len(given) != 1:
+        yield f"{at}: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
+    else:
+        try:
+            sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
+        except JobError as e:
+            yield f"{at}.sigma: {str(e).removeprefix(': ')}"
+        else:
+            if not sigma > 0.0:
+                yield f"{at}.sigma: {relation.sigma!r} is not above 0."
 
 
 def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[str]:

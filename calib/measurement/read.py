@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.kinds import Kind
-from calib.measurement.measurements import Measurements, measurements_from_table
+from calib.measurement.measurements import Measurements
 from calib.measurement.table import Frame, read_table, table_from_arrays, table_from_frame
 from calib.robot.robot import Robot
 

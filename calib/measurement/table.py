@@ -1,7 +1,7 @@
 """Measurement tables: named columns with a unit on every dimensional one, from a CSV file, a DataFrame or arrays.
 
 The header decides what a column holds, so the renaming of somebody else's headers happens here too. Numbers are SI from
-here on; which joints and tools they belong to is decided in :mod:`calib.measurement.measurements`.
+here on; which joints and tools they belong to is decided in :mod:`calib.measurement.from_table`.
 """
 
 import csv

@@ -43,7 +43,10 @@ def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> S
                 factor, unit = SHOWN[m.unit]
                 values = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
                 after = when == "after"
-                rows.append(Row((use, when, str(m.n), *values, unit), strong=after, ends_group=after))
+                # What is not the tip's is named: the distance from a socket is no tip error.
+                named = after and quantity not in ("position", "orientation")
+                of = quantity.replace("_", " ") if named else use
+                rows.append(Row((of, when, str(m.n), *values, unit), strong=after, ends_group=after))
     return Sheet(
         "Tip errors, measured minus predicted",
         ("data", "robot", "n", "mean", "rms", "p95", "max", "unit"),

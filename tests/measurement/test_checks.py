@@ -5,7 +5,8 @@ import pytest
 
 from calib.foundations.arrays import Array
 from calib.measurement.checks import Finding, check
-from calib.measurement.measurements import Measurements, measurements_from_table
+from calib.measurement.from_table import measurements_from_table
+from calib.measurement.measurements import Measurements
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import Reading
 

@@ -8,8 +8,9 @@ import pytest
 
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.rigid import quaternion_of
+from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import LaserTracker
-from calib.measurement.measurements import Measurements, measurements_from_table
+from calib.measurement.measurements import Measurements
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import Reading
 

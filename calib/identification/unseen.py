@@ -1,0 +1,202 @@
+"""Motions of a whole set-up that its measurements do not see: turning it, and making it larger.
+
+A machine that is larger throughout touches sockets, planes and balls in unknown places just as well, if their places
+grow with it; and everything may be turned together. Residuals make such directions look seen: a machine shrunk to a
+point explains every socket, and a turn turns what sockets leave unexplained. So they must be taken out, and not be left
+to a threshold.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import linear, rigid
+from calib.foundations.arrays import Array
+from calib.identification import identifiability
+from calib.identification.machine import Machine
+from calib.identification.parameters import Parameter, scales
+from calib.identification.relations import Relation
+from calib.identification.targets import SHAPES, Shape, Target
+from calib.measurement.kinds import IN_INSTRUMENT_FRAME
+from calib.measurement.measurements import Measurements
+
+# Two ways to move every tool are the same when they differ by less than this share.
+_SAME = 1e-7
+# What of a target's twist moves what is measured of it: of a point its place, of a plane height and tilts.
+_SEEN_OF: Mapping[Shape, slice] = {"point": slice(0, 3), "plane": slice(2, 5)}
+# Unit directions are dependent when a combination of them is shorter than this.
+_DEPENDENT = 1e-3
+# J sees a motion clearly when its direction lies in the row space by more than this share: of a unit direction, of a
+# radian, or of the robot's reach.
+_CLEARLY = 0.1
+# Known places, in m, and directions agree within this.
+_AGREE = 1e-9
+
+
+class Motions(NamedTuple):
+    """How a whole set-up, robot and targets, may move about a point (3,) unseen: turns (3, m), and whether it grows."""
+
+    about: Array
+    turns: Array
+    grows: bool
+
+
+def motions(
+    measurements: Sequence[Measurements], known: Mapping[str, Target], relations: Sequence[Relation], near: Array
+) -> Motions | None:
+    """Return the motions of a whole set-up that must be taken out; None where there are none.
+
+    ``measurements`` have common names; ``near`` (3,): where the robot stands. Turns are only taken out where sockets
+    are: a turn changes the three numbers of their residuals, and those of no other kind.
+    """
+    if any(data.kind in IN_INSTRUMENT_FRAME for data in measurements):
+        return None
+    found = _centre(measurements, known, relations, near)
+    shape = {data.targets[t]: SHAPES[data.kind] for data in measurements for t in set(data.target.tolist()) if t >= 0}
+    points = [known[name].pose[:3, 3] for name in shape if name in known and shape[name] == "point"]
+    about = (points[0] if points else near) if found is None else found
+    fixed = [point - about for point in points]
+    fixed += [known[name].pose[:3, 2] for name in shape if name in known and shape[name] == "plane"]
+    turns = np.zeros((3, 0))
+    if any(data.kind == "socket" for data in measurements):
+        # Turns about an axis leave what lies along it.
+        axes, values, _ = np.linalg.svd(np.concatenate([np.zeros((3, 3)), *map(rigid.skew, np.array(fixed))]).T)
+        turns = axes[:, values < _AGREE]
+    return None if found is None and not turns.size else Motions(about, turns, found is not None)
+
+
+def _centre(
+    measurements: Sequence[Measurements], known: Mapping[str, Target], relations: Sequence[Relation], near: Array
+) -> Array | None:
+    """Return the point (3,) about which all that was touched may grow; None where something tells a length.
+
+    It is the nearest to ``near`` (3,), where the robot stands, that what is known allows.
+
+    ``measurements`` have common names. A length tells nothing when an unknown one takes it up: that of a plane's height
+    or of a set's offset, as long as it is the same in all rows. Known places tell no size unless they are at a distance
+    from each other: one socket, or planes through one point.
+    """
+    if any(relation.kind != "angle" for relation in relations):
+        return None
+    taken_up: dict[tuple[str, str | int], float] = {}
+    normals, heights = [np.zeros((0, 3))], [np.zeros(0)]
+    for data in measurements:
+        by_offset = data.offset >= 0 and data.kind in ("distance", "pair_distance", "sphere")
+        if data.kind not in ("socket", "plane") and not by_offset:
+            return None
+        for t in sorted(set(data.target.tolist())):
+            name = data.targets[t] if t >= 0 else ""
+            values = data.value[data.target == t]
+            own: tuple[str, str | int] = ("plane", name) if data.kind == "plane" else ("offset", data.offset)
+            if values.size and np.any(values != taken_up.setdefault(own, float(values[0, 0]))):
+                return None
+            target = known.get(name) if t >= 0 else None
+            if target is not None and target.height_is_known:
+                axes = target.pose[:3, :3].T if SHAPES[data.kind] == "point" else target.pose[:3, 2:3].T
+                normals.append(axes)
+                # A known plane does not take up the probe's radius.
+                heights.append(axes @ target.pose[:3, 3] + (values[0] if data.kind == "plane" else 0.0))
+    A, b = np.concatenate(normals), np.concatenate(heights)
+    found = near + np.linalg.lstsq(A, b - A @ near, rcond=_AGREE)[0]
+    return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
+
+
+def without(J: Array, unseen: Array) -> Array:
+    """Return scaled rows J (q, p) that do not see the directions ``unseen`` (p, k).
+
+    They may depend on each other: where one socket alone is touched, turns and growing are shifts but for residuals.
+    Far from a solution, where J sees one clearly, only what J sees of it is taken out: what J is blind to besides, such
+    as a shift of the whole set-up, would be seen through it else. Near a solution nothing is left to be told apart.
+    """
+    U, sizes, _ = np.linalg.svd(unseen, full_matrices=False)
+    U = U[:, sizes > _DEPENDENT]
+    found = identifiability.directions(J)
+    seen = found.vectors[:, : found.rank]
+    # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
+    A, shares, B = np.linalg.svd(seen.T @ U, full_matrices=False)
+    Q = np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
+    return np.asarray(J - (J @ Q) @ Q.T)
+
+
+class Unseen:
+    """Collects, row by row, what the motions of a whole set-up do to tools, and what of it parameters can imitate."""
+
+    def __init__(self, parameters: Sequence[Parameter], motions: Motions, reach: float) -> None:
+        self._motions, self._reach = motions, reach
+        self._scales = scales(parameters)
+        self._of_targets = np.array([parameter.kind == "target" for parameter in parameters])
+        self._lengths = np.array([parameter.unit == "m" for parameter in parameters])
+        self._triangle = np.empty((0, len(parameters) + self._count))
+
+    @property
+    def _count(self) -> int:
+        return int(self._motions.turns.shape[1]) + self._motions.grows
+
+    def _moved(self, x: Array) -> Array:
+        """Return how points (n, 3) move (n, 3, k): by every turn, then by growing."""
+        away = x - self._motions.about
+        turned = np.cross(self._motions.turns.T[None], away[:, None]).swapaxes(-1, -2)
+        return np.concatenate([turned, *[away[:, :, None]] * self._motions.grows], axis=2)
+
+    def add(self, J: Array, moved: Sequence[tuple[Array, Array]], sigma: Array) -> None:
+        """Add rows (n, d, p) with their sigmas (n, d).
+
+        ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
+        """
+        changed = np.zeros((*J.shape[:2], self._count))
+        for twist, placed in moved:
+            changed += twist[:, :, :3] @ np.swapaxes(placed[:, :3, :3], -1, -2) @ self._moved(placed[:, :3, 3])
+        # What parameters, targets left out, do to a tool.
+        rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
+        self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
+
+    def directions(
+        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_lengths: Array
+    ) -> Array:
+        """Return unit directions (p, k), scaled, of the motions that parameters imitate, turns first, then growing.
+
+        ``by_targets`` (m, 6, p): local twists of the targets, ``by_lengths`` (s, p): unknown lengths, as the scaled
+        parameters change. Zero where what a motion takes is held, and where nothing of it is seen: a robot that turns
+        or grows about the only point that it touches moves no row.
+        """
+        p = len(self._scales)
+        J, C = self._triangle[:, :p], self._triangle[:, p:]
+        Z = np.linalg.lstsq(J, C, rcond=_SAME)[0]
+        imitated = np.linalg.norm(J @ Z - C, axis=0) <= _SAME * np.linalg.norm(C, axis=0)
+        # A turn shows in angles, growing in lengths, each of a size that is known.
+        sizes = Z * self._scales[:, None]
+        turns = self._motions.turns.shape[1]
+        clear = np.concatenate(
+            [
+                np.linalg.norm(sizes[~self._of_targets & ~self._lengths, :turns], axis=0) > _CLEARLY,
+                np.linalg.norm(sizes[~self._of_targets & self._lengths, turns:], axis=0) > _CLEARLY * self._reach,
+            ]
+        )
+        Z += self._of_all_targets(measurements, at, by_targets, by_lengths)
+        return np.asarray(np.where(imitated & clear, Z / np.maximum(np.linalg.norm(Z, axis=0), _AGREE), 0.0))
+
+    def _of_all_targets(
+        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_lengths: Array
+    ) -> Array:
+        """Return how the scaled parameters (p, k) of targets and lengths follow the motions."""
+        turns = self._motions.turns.shape[1]
+        Z = np.zeros((len(self._scales), self._count))
+        done: set[int] = set()
+        for data in measurements:
+            for t in sorted(set(data.target.tolist()) - done - {-1}):
+                done.add(t)
+                R, c = at.frames.targets[t, :3, :3], at.frames.targets[t, :3, 3]
+                twist = np.zeros((6, self._count))
+                twist[:3] = R.T @ self._moved(c[None])[0]
+                twist[3:, :turns] = R.T @ self._motions.turns
+                rows = _SEEN_OF[SHAPES[data.kind]]
+                if data.kind == "plane":
+                    # With the probe's radius it is where the tool is that grows.
+                    twist[2, turns:] += data.value[data.target == t][0, 0]
+                Z += np.linalg.lstsq(by_targets[t, rows], twist[rows], rcond=None)[0]
+            if data.offset >= 0 and self._motions.grows:
+                # What is left of the measured length when the unknown part is taken away grows.
+                row, left = by_lengths[data.offset], at.frames.lengths[data.offset] - data.value[0, 0]
+                Z[:, turns] = np.where(row != 0.0, left * row / (row @ row), Z[:, turns])
+        return Z

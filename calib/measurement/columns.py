@@ -1,0 +1,94 @@
+"""Columns of a table by name: those that must be there, those that nobody knows, and numbers in SI units."""
+
+from collections.abc import Iterable
+from typing import cast
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+from calib.foundations.rigid import rotation_of_quaternion
+from calib.foundations.units import Dimension, Unit, unit_of
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest
+
+# Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
+_NORM_TOLERANCE = 1e-3
+POSITION = ("x", "y", "z")
+_EULER = ("rx", "ry", "rz")
+SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
+SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
+_KNOWN = frozenset(
+    (
+        *POSITION,
+        *QUATERNION_COLUMNS,
+        *TEXT_COLUMNS,
+        *(name for names in (*SIGMAS, *SIGMA_ANGLES) for name in names),
+        *("time", "temperature", "length", "indicated", "diameter", "ball", "u", "v"),
+    )
+)
+
+
+def require(table: Table, names: Iterable[str], what: str) -> None:
+    """Raise MeasurementError when a column is missing; ``what`` says what it would be of."""
+    missing = [name for name in names if name not in table.columns]
+    if missing:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, table.columns))
+        raise MeasurementError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
+
+
+def refuse_unknown(table: Table, readings: Iterable[str]) -> None:
+    """Refuse a column that would be passed over in silence, and a joint with the name of another column."""
+    joints = frozenset(readings)
+    for name in sorted(joints & _KNOWN):
+        raise MeasurementError(
+            f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
+        )
+    known = joints | _KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
+    for name in table.columns:
+        # Euler angles are refused by what is wrong with them, where an orientation is asked for.
+        if name not in known and name not in _EULER:
+            near = nearest(name, sorted(known - table.columns.keys()))
+            raise MeasurementError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
+
+
+def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
+    """Return columns (N, k) in SI units. Raises MeasurementError for one that is not in a unit of its dimension."""
+    columns = [numbers(table, name, dimension) for name, dimension in dimensions.items()]
+    return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
+
+
+def numbers(table: Table, name: str, dimension: Dimension) -> Array:
+    """Return a column (N,) in SI units. Raises as :func:`stacked` does."""
+    column = table.columns[name]
+    # A column of words has a name of TEXT_COLUMNS, which no number has.
+    unit = cast(Unit, column.unit)
+    unit_of(unit.symbol, dimension, f"{table.where}: column {name!r}", MeasurementError)
+    return cast(Array, column.values)
+
+
+def words(table: Table, name: str) -> tuple[str, ...] | None:
+    """Return the words of a column, None where there is none."""
+    column = table.columns.get(name)
+    return None if column is None else cast(tuple[str, ...], column.values)
+
+
+def orientations(table: Table) -> Array:
+    """Return the rotations (N, 3, 3) of the columns qw, qx, qy, qz.
+
+    Raises MeasurementError when one is missing, or a quaternion is not of unit length.
+    """
+    if any(name in table.columns for name in _EULER) and "qw" not in table.columns:
+        raise MeasurementError(
+            f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; "
+            "convert them to quaternions qw, qx, qy, qz."
+        )
+    require(table, QUATERNION_COLUMNS, "of the measured pose")
+    quaternion = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))
+    norm = np.linalg.norm(quaternion, axis=-1)
+    if (off := np.abs(norm - 1.0) > _NORM_TOLERANCE).any():
+        row = int(np.argmax(off))
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: the quaternion has the norm {norm[row]:.6g} where 1 is allowed, "
+            f"within {_NORM_TOLERANCE:g}; the order is qw, qx, qy, qz."
+        )
+    return read_only(rotation_of_quaternion(quaternion))

@@ -1,0 +1,59 @@
+"""What a table says of its rows beside readings: sides of approach, temperatures and torques."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+from calib.measurement.columns import numbers, stacked, words
+from calib.measurement.table import APPROACH, TORQUE, Table
+from calib.robot.conditions import Conditions
+from calib.robot.conditions import in_order as sides_in_order
+from calib.robot.robot import Reading
+
+_SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
+
+
+def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
+    """Return what a table says beside readings.
+
+    In columns ``temperature``, ``tau_<joint>``, and ``direction`` or ``direction_<joint>``; ``in_order``: the order of
+    the rows says it instead of the latter. Raises MeasurementError for a word that is no side, a unit of another
+    dimension, and where sides are said twice.
+    """
+    own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
+    said = [name for name in ("direction", *own.values()) if name in table.columns]
+    sources = [*(["the order of the rows"] if in_order else []), *said]
+    if len(sources) > 1 and (in_order or "direction" in said):
+        raise MeasurementError(
+            f"{table.where}: the side of approach is said twice, by {sources[0]} and by {sources[1]}; keep one."
+        )
+    approach = None
+    if in_order:
+        approach = sides_in_order(stacked(table, {reading.name: reading.dimension for reading in readings}))
+    elif said:
+        unsaid = np.full(len(table), np.nan)
+        columns = {name: _sides(table, name) for name in said}
+        sides = [columns.get("direction", columns.get(name, unsaid)) for name in own.values()]
+        approach = read_only(np.stack(sides, axis=-1))
+    temperature = None
+    if "temperature" in table.columns:
+        temperature = stacked(table, {"temperature": "temperature"})[:, 0]
+    torque = np.full((len(table), len(readings)), np.nan)
+    for k, reading in enumerate(readings):
+        if f"{TORQUE}{reading.name}" in table.columns:
+            torque[:, k] = numbers(table, f"{TORQUE}{reading.name}", "torque")
+    return Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
+
+
+def _sides(table: Table, name: str) -> Array:
+    found = np.empty(len(table))
+    for row, word in enumerate(words(table, name) or ()):
+        if word not in _SIDES:
+            raise MeasurementError(
+                f"{table.where}:{table.lines[row]}: column {name!r}: {word!r} is not a side of approach; allowed are "
+                f"{', '.join(_SIDES)}."
+            )
+        found[row] = _SIDES[word]
+    return found

@@ -1,0 +1,186 @@
+"""From a table to measurements: a table's columns as readings, what was seen of the tool there, and its noise."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.units import Dimension
+from calib.measurement.columns import (
+    POSITION,
+    SIGMA_ANGLES,
+    SIGMAS,
+    orientations,
+    refuse_unknown,
+    require,
+    stacked,
+    words,
+)
+from calib.measurement.conditions import conditions
+from calib.measurement.instruments import LaserTracker
+from calib.measurement.kinds import WITH_TARGET, Kind, size
+from calib.measurement.measurements import Measurements, OtherEnd
+from calib.measurement.table import Table
+from calib.robot.robot import Reading
+
+
+def measurements_from_table(
+    table: Table,
+    readings: Sequence[Reading],
+    kind: Kind,
+    *,
+    sigma: float | None = None,
+    sigma_angle: float | None = None,
+    instrument: LaserTracker | None = None,
+    offset: str | None = None,
+    in_order: bool = False,
+) -> Measurements:
+    """Return what a table says of a robot with these ``readings``.
+
+    The noise comes from one place: ``sigma`` in m, ``instrument``, or the table's columns ``sigma`` or ``sigma_x,
+    sigma_y, sigma_z``; that of poses likewise from ``sigma_angle`` in rad or the columns ``sigma_angle`` or
+    ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
+    length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
+    poses were taken one after the other, and the order of the rows says from which side joints were reached.
+
+    Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
+    not of unit length, when a pair has not two rows or two lengths, and when the noise is said twice or of coordinates
+    that there are not; JobError when ``sigma``, ``sigma_angle``, ``instrument`` or ``offset`` cannot be used.
+    """
+    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
+    require(table, dimensions, "of a joint")
+    refuse_unknown(table, dimensions)
+    _refuse_useless(table, kind, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
+    seen = "position" if kind in ("position", "pose") else None
+    position = None
+    if seen:
+        require(table, POSITION, f"of the measured {kind}")
+        position = stacked(table, dict.fromkeys(POSITION, "length"))
+    by_distance = None if instrument is None or position is None else instrument.sigma_at(position)[:, None]
+    width = min(size(kind), 3)
+    if width < 3 and (along := [name for name in SIGMAS[1] if name in table.columns]):
+        raise MeasurementError(
+            f"{table.where}: column {along[0]!r} is the noise of a coordinate, and a {kind} has none; call it 'sigma'."
+        )
+    ways = SIGMAS if width == 3 else SIGMAS[:1]
+    noise = _noise(table, ways, "length", {"sigma": sigma, "the instrument": by_distance}, width)
+    if kind == "pose":
+        noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
+    tools, tool = _numbered(words(table, "point"), "tool", len(table))
+    targets, target = _numbered(words(table, "target"), "target", len(table))
+    if kind not in WITH_TARGET:
+        targets, target = (), np.full(len(table), -1, dtype=np.intp)
+    found = Measurements(
+        kind=kind,
+        reading_names=tuple(dimensions),
+        readings=stacked(table, dimensions),
+        position=position,
+        orientation=orientations(table) if kind == "pose" else None,
+        value=_value(table, kind, radius_is_known=offset is None),
+        sigma=read_only(noise),
+        tools=tools,
+        tool=read_only_view(tool),
+        targets=targets,
+        target=read_only_view(target),
+        other=None,
+        offsets=() if offset is None else (offset,),
+        offset=-1 if offset is None else 0,
+        group=words(table, "group"),
+        where=table.where,
+        lines=table.lines,
+        conditions=conditions(table, readings, in_order=in_order),
+    )
+    return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
+
+
+def _refuse_useless(
+    table: Table, kind: Kind, *, sigma_angle: float | None, instrument: LaserTracker | None, offset: str | None
+) -> None:
+    """Refuse an option that would be passed over in silence."""
+    if sigma_angle is not None and kind != "pose":
+        raise JobError(f"{table.where}: sigma_angle is given, and only poses have angles.")
+    if instrument is not None and kind not in ("position", "pose"):
+        raise JobError(f"{table.where}: a laser tracker is given, and it measures no {kind}; give sigma.")
+    if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
+        raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
+    if offset is not None and kind == "sphere" and "diameter" in table.columns:
+        raise JobError(f"{table.where}: an unknown radius is given, and column 'diameter' says it; keep one of them.")
+
+
+def _numbered(given: tuple[str, ...] | None, only: str, n: int) -> tuple[tuple[str, ...], IntArray]:
+    """Return the names in order of appearance and the number of each of n rows; ``only`` where none are given."""
+    names = (only,) if given is None else tuple(dict.fromkeys(given))
+    number = {name: i for i, name in enumerate(names)}
+    return names, np.array([number[word] for word in given] if given else [0] * n, dtype=np.intp)
+
+
+def _value(table: Table, kind: Kind, *, radius_is_known: bool) -> Array:
+    """Return what a kind measures beside positions (N, v): lengths in m."""
+
+    def lengths(name: str) -> Array:
+        require(table, (name,), f"of the measured {kind}")
+        return stacked(table, {name: "length"})
+
+    # A ball that touches has its centre off the surface by its radius.
+    ball = 0.5 * lengths("ball") if "ball" in table.columns else np.zeros((len(table), 1))
+    if kind in ("distance", "pair_distance"):
+        return lengths("length")
+    if kind == "indicator":
+        return lengths("indicated")
+    if kind == "plane":
+        return read_only(ball)
+    if kind == "sphere":
+        return read_only(0.5 * lengths("diameter") + ball if radius_is_known else ball)
+    return read_only(np.zeros((len(table), 0)))
+
+
+def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
+    """Return rows of which each has both ends, from rows of one end each; those of one ``pair`` belong together."""
+    if pair is None:
+        raise MeasurementError(f"{rows.where}: there is no column 'pair', which says which two rows are the ends.")
+    ends: dict[str, list[int]] = {}
+    for row, name in enumerate(pair):
+        ends.setdefault(name, []).append(row)
+    for name, found in ends.items():
+        if len(found) != 2:
+            raise MeasurementError(
+                f"{rows.where}:{rows.lines[found[-1]]}: the pair {name!r} has {len(found)} "
+                f"{'row' if len(found) == 1 else 'rows'}; a pair has 2 ends."
+            )
+        if rows.value[found[0], 0] != rows.value[found[1], 0]:
+            raise MeasurementError(
+                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
+            )
+    first, second = np.array(list(ends.values()), dtype=np.intp).T
+    other = OtherEnd(
+        read_only_view(rows.readings[second]), read_only_view(rows.tool[second]), rows.conditions.subset(second)
+    )
+    return replace(rows.subset(first), other=other)
+
+
+def _noise(
+    table: Table,
+    groups: Sequence[tuple[str, ...]],
+    dimension: Dimension,
+    options: dict[str, Array | float | None],
+    width: int,
+) -> Array:
+    """Return standard deviations (N, width) from the only one of options and column groups that is there, or 0."""
+    given = {name: value for name, value in options.items() if value is not None}
+    columns = [names for names in groups if any(name in table.columns for name in names)]
+    sources = [*given, *("column " + ", ".join(names) for names in columns)]
+    if len(sources) > 1:
+        raise MeasurementError(f"{table.where}: the noise is given twice, by {' and by '.join(sources)}; keep one.")
+    for name, value in given.items():
+        if not (np.isfinite(value).all() and np.min(value) >= 0.0):
+            raise JobError(f"{table.where}: {name} is {value}; allowed are finite numbers from 0.")
+    values: Array | float = next(iter(given.values()), 0.0)
+    for names in columns:
+        require(table, names, "of the noise")
+        values = stacked(table, dict.fromkeys(names, dimension))
+        if (values < 0.0).any():
+            row, axis = np.argwhere(values < 0.0)[0]
+            raise MeasurementError(f"{table.where}:{table.lines[row]}: column {names[axis]!r} is negative.")
+    return np.broadcast_to(values, (len(table), width))
