@@ -26,7 +26,7 @@ from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.total_differential import Trace, total_differential
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.presentation.tables import table
@@ -39,6 +39,7 @@ __version__ = "0.1.0.dev0"
 __all__ = [
     "CalibError",
     "CalibratedModel",
+    "Camera",
     "ClosedLoop",
     "Coupling",
     "Deviations",

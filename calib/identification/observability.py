@@ -34,8 +34,8 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
     problem = posed(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
-    # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
-    ones = [np.full(data.sigma.shape, 1e-3) for data in sets]
+    # One millimetre, milliradian or pixel of noise: only the shape of what is seen matters here.
+    ones = [np.full(data.sigma.shape, 1e-3 if data.camera is None else 1.0) for data in sets]
     x = values_at(model.robot, parameters, problem.reference)
     rows = evaluate(problem, ones, x).rows[:, :-1]
     directions = identifiability.directions(rows)

@@ -77,11 +77,11 @@ class Problem:
 
     @property
     def sizeless(self) -> bool:
-        """Whether nothing tells a length: sockets and planes in unknown places, which a smaller machine fits too."""
+        """Whether nothing tells a length: sockets, planes and single marks, which a smaller machine fits too."""
         known = {name for name, target in self.model.targets.items() if target.height_is_known}
         return not any(relation.kind != "angle" for relation in self.relations) and all(
-            data.kind in ("socket", "plane")
-            and not data.value.any()
+            data.kind in ("socket", "plane", "pixels")
+            and not (data.of_boards if data.kind == "pixels" else data.value.any())
             and not any(data.targets[t] in known for t in set(data.target.tolist()))
             for data in self.measurements
         )

@@ -97,9 +97,21 @@ def _this_schema(value: object) -> object:
     return value
 
 
+def _length_or_pixels(text: object) -> object:
+    """Accept what the kind of the measurements or of the instrument decides: a length, or pixels."""
+    return _quantity("pixel" if isinstance(text, str) and _in_pixels(text) else "length", "zero")(text)
+
+
+def _in_pixels(text: str) -> bool:
+    return text.rstrip().endswith("px")
+
+
 Name = Annotated[str, AfterValidator(_not_empty)]
 Length = Annotated[str, BeforeValidator(_quantity("length"))]
 LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
+LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
+Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
+PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
 Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
@@ -180,9 +192,13 @@ class FrameSection(_Section):
 
 
 class TargetSection(_Section):
-    """``[targets.NAME]``: what is known of a point, or of a plane: its normal, and its height along it."""
+    """``[targets.NAME]``: what is known of a point, a board or camera (position and quaternion), or a plane.
+
+    Of a plane its normal is known, and perhaps its height along it.
+    """
 
     position: Position | None = None
+    quaternion: Quaternion | None = None
     normal: Direction | None = None
     height: Length | None = None
 
@@ -203,12 +219,25 @@ class RelationSection(_Section):
 
 
 class InstrumentSection(_Section):
-    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate."""
+    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate.
 
-    kind: Literal["laser_tracker"]
-    sigma: LengthFromZero
+    A laser tracker has a station; a camera is on the floor or on the tip, and has OpenCV's numbers.
+    """
+
+    kind: Literal["laser_tracker", "camera"]
+    sigma: LengthOrPixelsFromZero
     sigma_per_metre: LengthFromZero = "0 um"
     station: Position = ("0 m", "0 m", "0 m")
+    camera_on: Literal["floor", "tip"] | None = None
+    fx: PositivePixels | None = None
+    fy: PositivePixels | None = None
+    cx: Pixels | None = None
+    cy: Pixels | None = None
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
 
 
 class SolverSection(_Section):
@@ -252,7 +281,7 @@ class MeasurementsSection(_Section):
     instrument: str | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
-    model_sigma: LengthFromZero | None = None
+    model_sigma: LengthOrPixelsFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
     columns: dict[str, str] = Field(default_factory=dict)
@@ -338,8 +367,9 @@ def _contradictions(job: Job) -> Iterator[str]:
             for key in ("sigma_angle", "model_sigma_angle"):
                 if getattr(section, key) is not None:
                     yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+        yield from _of_pixels(section, job, at)
         if section.observes not in ("position", "pose"):
-            if section.instrument is not None:
+            if section.instrument is not None and section.observes != "pixels":
                 yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
             if section.use == "nodes":
                 yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
@@ -353,9 +383,13 @@ def _contradictions(job: Job) -> Iterator[str]:
             yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
+    for name, instrument in job.instruments.items():
+        yield from _of_instrument(instrument, f"instruments.{name}")
     for name, target in job.targets.items():
         if (target.position is None) == (target.normal is None):
             yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
+        if target.quaternion is not None and target.position is None:
+            yield f"targets.{name}.quaternion: belongs to a position, and there is none."
         if target.height is not None and target.normal is None:
             yield f"targets.{name}.height: belongs to a normal, and there is none."
     for i, relation in enumerate(job.relations):
@@ -374,6 +408,43 @@ def _contradictions(job: Job) -> Iterator[str]:
         yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
     if job.tools and job.error_model.tool != "fixed":
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]:
+    """Yield what is wrong with pixels and cameras of one section of measurements."""
+    if section.instrument is None:
+        if section.observes == "pixels":
+            yield f"{at}.instrument: is missing; pixels need the camera that saw them."
+    elif section.instrument in job.instruments:
+        kind = job.instruments[section.instrument].kind
+        if (kind == "camera") != (section.observes == "pixels"):
+            yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
+    if section.observes == "pixels" and section.sigma is not None:
+        yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
+    if section.model_sigma is not None and _in_pixels(section.model_sigma) != (section.observes == "pixels"):
+        unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
+        yield f"{at}.model_sigma: {section.model_sigma!r} is not of a {section.observes}; allowed are {unit}."
+
+
+def _of_instrument(section: InstrumentSection, at: str) -> Iterator[str]:
+    """Yield keys that an instrument lacks, or that belong to another kind."""
+    of_camera = ("camera_on", "fx", "fy", "cx", "cy")
+    foreign: tuple[str, ...] = (*of_camera, "k1", "k2", "p1", "p2", "k3")
+    if section.kind == "camera":
+        foreign = ("sigma_per_metre", "station")
+        for key in of_camera:
+            if getattr(section, key) is None:
+                yield f"{at}.{key}: is missing; a camera has {', '.join(of_camera)} and sigma."
+    for key in foreign:
+        if key in section.model_fields_set:
+            yield f"{at}.{key}: a {_words(section.kind)} has none; leave it out."
+    if _in_pixels(section.sigma) != (section.kind == "camera"):
+        unit = "pixels, like '0.2 px'" if section.kind == "camera" else "a length, like '7.5 um'"
+        yield f"{at}.sigma: {section.sigma!r} is not of a {_words(section.kind)}; allowed are {unit}."
+
+
+def _words(kind: str) -> str:
+    return kind.replace("_", " ")
 
 
 # One sentence for what is wrong. -----------------------------------------------------------------------------------

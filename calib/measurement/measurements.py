@@ -10,14 +10,17 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.rigid import rotation_of_quaternion
 from calib.foundations.units import Dimension, Unit, unit_of
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
+from calib.measurement.projection import undistort
 from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest
 from calib.robot.robot import Reading
 
 # Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
 _NORM_TOLERANCE = 1e-3
 _POSITION = ("x", "y", "z")
+_PIXELS = ("u", "v")
+_BOARD = ("board_x", "board_y", "board_z")
 _EULER = ("rx", "ry", "rz")
 _SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 _SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
@@ -27,7 +30,7 @@ _KNOWN = frozenset(
         *QUATERNION_COLUMNS,
         *TEXT_COLUMNS,
         *(name for names in (*_SIGMAS, *_SIGMA_ANGLES) for name in names),
-        *("time", "temperature", "length", "indicated", "diameter", "ball", "u", "v"),
+        *("time", "temperature", "length", "indicated", "diameter", "ball", *_PIXELS, *_BOARD),
     )
 )
 
@@ -48,15 +51,18 @@ class Measurements:
     ``position`` (N, 3): the measured point in m, in the instrument's frame; None where none is.
     ``orientation`` (N, 3, 3): the measured rotation in the instrument's frame, of poses only.
     ``value`` (N, v): what other kinds measure, in m: the length of a ``distance`` or ``pair_distance``, the radius at
-    which a ``sphere`` is touched, the height above a ``plane``, what an ``indicator`` shows. A ``socket`` has none.
+    which a ``sphere`` is touched, the height above a ``plane``, what an ``indicator`` shows. A ``socket`` has none;
+    ``pixels`` have u and v in px, then where the mark is on its board (x, y, z).
     ``sigma`` (N, d), with d numbers in a row's residual: the instrument's standard deviations, 0 where unknown, to be
     estimated from the residuals.
     ``tool`` (N): which of ``tools``, the points on the flange that were measured, in order of appearance. ``target``
-    (N): which of ``targets``, the sockets, anchors, planes or balls; -1 in kinds that have none.
+    (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
+    kinds that have none.
     ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
     values share; -1 for none.
     ``group``: N words, None where the table has no such column.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
+    ``camera``: by which ``pixels`` were seen.
     """
 
     kind: Kind
@@ -76,9 +82,15 @@ class Measurements:
     group: tuple[str, ...] | None
     where: str
     lines: IntArray
+    camera: Camera | None = None
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    @property
+    def of_boards(self) -> bool:
+        """Whether pixels tell more than where one point is: marks stand at known places of a board."""
+        return bool(self.camera is not None and self.value[:, 2:].any())
 
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
         """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay."""
@@ -108,7 +120,7 @@ def measurements_from_table(
     *,
     sigma: float | None = None,
     sigma_angle: float | None = None,
-    instrument: LaserTracker | None = None,
+    instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
 ) -> Measurements:
     """Return what a table says of a robot with these ``readings``.
@@ -125,16 +137,20 @@ def measurements_from_table(
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     _require(table, dimensions, "of a joint")
     _refuse_unknown(table, dimensions)
-    _refuse_useless(table, kind, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
+    _refuse_useless(table, kind, sigma=sigma, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
     seen = "position" if kind in ("position", "pose") else None
     position = None
     if seen:
         _require(table, _POSITION, f"of the measured {kind}")
         position = stacked(table, dict.fromkeys(_POSITION, "length"))
-    by_distance = None if instrument is None or position is None else instrument.sigma_at(position)[:, None]
+    camera = instrument if isinstance(instrument, Camera) else None
+    promised: Array | float | None = None if camera is None else camera.sigma or None
+    if isinstance(instrument, LaserTracker) and position is not None:
+        promised = instrument.sigma_at(position)[:, None]
     width = min(size(kind), 3)
     ways = _SIGMAS if width == 3 else _SIGMAS[:1]
-    noise = _noise(table, ways, "length", {"sigma": sigma, "the instrument": by_distance}, width)
+    dimension: Dimension = "length" if camera is None else "pixel"
+    noise = _noise(table, ways, dimension, {"sigma": sigma, "the instrument": promised}, width)
     if kind == "pose":
         noise = np.hstack([noise, _noise(table, _SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
     tools, tool = _numbered(_words(table, "point"), "tool", len(table))
@@ -147,7 +163,7 @@ def measurements_from_table(
         readings=stacked(table, dimensions),
         position=position,
         orientation=orientations(table) if kind == "pose" else None,
-        value=_value(table, kind, radius_is_known=offset is None),
+        value=_value(table, kind, radius_is_known=offset is None) if camera is None else _pixels(table, camera),
         sigma=read_only(noise),
         tools=tools,
         tool=read_only_view(tool),
@@ -159,17 +175,30 @@ def measurements_from_table(
         group=_words(table, "group"),
         where=table.where,
         lines=table.lines,
+        camera=camera,
     )
     return _paired(found, _words(table, "pair")) if kind == "pair_distance" else found
 
 
 def _refuse_useless(
-    table: Table, kind: Kind, *, sigma_angle: float | None, instrument: LaserTracker | None, offset: str | None
+    table: Table,
+    kind: Kind,
+    *,
+    sigma: float | None,
+    sigma_angle: float | None,
+    instrument: LaserTracker | Camera | None,
+    offset: str | None,
 ) -> None:
-    """Refuse an option that would be passed over in silence."""
+    """Refuse an option that would be passed over in silence, and pixels without the camera that saw them."""
+    if kind == "pixels" and not isinstance(instrument, Camera):
+        raise JobError(f"{table.where}: observes pixels, and no camera is given that saw them; give an instrument.")
+    if kind == "pixels" and sigma is not None:
+        raise JobError(f"{table.where}: sigma is given, and the noise of pixels is the camera's; give it there.")
+    if kind != "pixels" and isinstance(instrument, Camera):
+        raise JobError(f"{table.where}: a camera is given, and it measures no {kind} but pixels.")
     if sigma_angle is not None and kind != "pose":
         raise JobError(f"{table.where}: sigma_angle is given, and only poses have angles.")
-    if instrument is not None and kind not in ("position", "pose"):
+    if isinstance(instrument, LaserTracker) and kind not in ("position", "pose"):
         raise JobError(f"{table.where}: a laser tracker is given, and it measures no {kind}; give sigma.")
     if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
         raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
@@ -200,6 +229,24 @@ def _value(table: Table, kind: Kind, *, radius_is_known: bool) -> Array:
     if kind == "sphere":
         return read_only(0.5 * lengths("diameter") + ball if radius_is_known else ball)
     return read_only(np.zeros((len(table), 0)))
+
+
+def _pixels(table: Table, camera: Camera) -> Array:
+    """Return u and v in px and the mark's place on its board in m, zero where no column says it (N, 5)."""
+    _require(table, _PIXELS, "of the pixel that was seen")
+    pixels = stacked(table, dict.fromkeys(_PIXELS, "pixel"))
+    seen = undistort(camera, pixels)[1]
+    if not seen.all():
+        row = int(np.argmin(seen))
+        u, v = pixels[row]
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: no direction belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
+            "camera's distortion folds the image before it; is it outside the image, or are k1, k2, p1, p2, k3 wrong?"
+        )
+    board: dict[str, Dimension] = {name: "length" for name in _BOARD if name in table.columns}
+    places = np.zeros((len(table), 3))
+    places[:, [_BOARD.index(name) for name in board]] = stacked(table, board)
+    return read_only(np.column_stack([pixels, places]))
 
 
 def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:

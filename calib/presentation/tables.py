@@ -13,10 +13,12 @@ from rich.text import Text
 from calib.assessment.metrics import Metrics, metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
+from calib.measurement.kinds import QUANTITIES
 
 WIDTH = 80
-# What is shown of a length in m and an angle in rad.
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+# What is shown of a length in m, an angle in rad and an error in pixels.
+_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "px": (1.0, "px")}
+_UNITS = {quantity.name: quantity.unit for quantities in QUANTITIES.values() for quantity in quantities}
 
 
 def table(fit: Fit) -> str:
@@ -154,7 +156,7 @@ def _count(n: int, one: str, several: str) -> str:
 def _noise(fit: Fit) -> list[str]:
     said = []
     for noise in fit.noise:
-        factor, unit = _SHOWN["m" if noise.quantity == "position" else "rad"]
+        factor, unit = _SHOWN[_UNITS[noise.quantity]]
         instrument = (
             f"{noise.instrument * factor:.4f} {unit} instrument" if noise.instrument else "instrument not stated"
         )
