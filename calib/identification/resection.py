@@ -11,7 +11,7 @@ directions are bounded, and those behind the camera are as far off as can be.
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.foundations import rigid
+from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.alignment import cube_rotations
 
@@ -19,8 +19,7 @@ from calib.identification.alignment import cube_rotations
 _FLAT = 0.05
 _STRAIGHT = 1e-3
 _LEAST_OF_PLANE, _LEAST_OF_SPACE, _LEAST_OF_PATHS = 4, 6, 6
-# Directions that a start needs, evenly spread, and starts worth a search.
-_MOST_RAYS = 400
+# Starts worth a search.
 _PROMISING = 6
 _NEGLIGIBLE = 1e-10
 # So many times the median distance from a fit are a gross error, which has no say in a start.
@@ -44,13 +43,17 @@ def camera_pose(points: Array, b: Array) -> Array | None:
     for _ in range(_MOST_TRIMS):
         if pose is None:
             break
-        X = (points - pose[:3, 3]) @ pose[:3, :3]
-        off = np.linalg.norm(X / np.linalg.norm(X, axis=1, keepdims=True) - b, axis=1)
-        last, kept = kept, ordinary(off)
+        last, kept = kept, ordinary(misses(pose, points, b))
         if np.array_equal(kept, last) or (better := _camera_pose(points[kept], b[kept])) is None:
             break
         pose = better
     return pose
+
+
+def misses(camera: Array, points: Array, b: Array) -> Array:
+    """Return how far directions (n, 3), in rad, are from those of points (n, 3) to a camera at a pose (4, 4)."""
+    X = (points - camera[:3, 3]) @ camera[:3, :3]
+    return np.asarray(np.linalg.norm(X / np.linalg.norm(X, axis=1, keepdims=True) - b, axis=1))
 
 
 def ordinary(off: Array) -> BoolArray:
@@ -90,8 +93,7 @@ def crossing(origins: Array, directions: Array) -> Array:
 
 def _best(frames: Array, b: Array, turns: Array, point: Array | None) -> tuple[Array, Array]:
     """Return the camera's pose and the point that explain directions best, from rotations A (k, 3, 3) to begin with."""
-    rows = np.linspace(0, len(b) - 1, min(len(b), _MOST_RAYS)).astype(np.intp)
-    R, t, b = frames[rows, :3, :3], frames[rows, :3, 3], b[rows]
+    R, t = frames[:, :3, :3], frames[:, :3, 3]
 
     def seen(A: Array, s: Array, p: Array) -> tuple[Array, Array, Array]:
         carried = t + R @ p
@@ -118,8 +120,8 @@ def _best(frames: Array, b: Array, turns: Array, point: Array | None) -> tuple[A
         columns = [C, *([C @ A @ R] if point is None else [])]
         known = t if point is None else t + R @ point
         right = -(C @ (known @ A.T)[:, :, None]).ravel()
-        linear = np.linalg.lstsq(np.concatenate(columns, axis=2).reshape(len(right), -1), right, rcond=_NEGLIGIBLE)[0]
-        z = np.concatenate([np.zeros(3), linear])
+        s_and_p = np.linalg.lstsq(np.concatenate(columns, axis=2).reshape(len(right), -1), right, rcond=_NEGLIGIBLE)[0]
+        z = np.concatenate([np.zeros(3), s_and_p])
         found.append((float(np.sum(residual(z, A) ** 2)), A, z))
     found.sort(key=lambda start: start[0])
     searched = [(least_squares(residual, z, jacobian, args=(A,), method="lm"), A) for _, A, z in found[:_PROMISING]]
@@ -158,4 +160,4 @@ def _null(places: tuple[Array, Array], b: Array) -> Array:
     """Return the matrix M (3, k) for which ``b_n x M y_n`` is nearest to zero, of norm 1; y are ``places`` stacked."""
     y = np.column_stack(places)
     rows = (rigid.skew(b)[:, :, :, None] * y[:, None, None, :]).reshape(3 * len(b), -1)
-    return np.asarray(np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, -1))
+    return np.asarray(np.linalg.svd(linear.triangle(rows), full_matrices=True)[2][-1].reshape(3, -1))

@@ -5,7 +5,7 @@ board's frame as an instrument's, :func:`calib.identification.alignment.align` f
 of poses. A single mark that the robot carries past a camera, or the camera past the mark, has one common resection.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from calib.foundations.errors import MeasurementError
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.error_model import ErrorModel
 from calib.identification.observations.pixels import marks_seen
-from calib.identification.resection import camera_pose, camera_pose_and_point, crossing, ordinary, rays
+from calib.identification.resection import camera_pose, camera_pose_and_point, crossing, misses, ordinary, rays
 from calib.measurement.instruments import Camera
 from calib.measurement.measurements import Measurements
 from calib.measurement.projection import LEAST_DEPTH, undistort
@@ -75,7 +75,7 @@ def place_tools(
         known = model.targets.get(name)
         if not own or (not sought and (known_base or known is None)):
             continue
-        images = [(sight, *image) for sight in own for image in _images(sight)]
+        images = _images(own)
         if images:
             base_in_target, found = _aligned(model, images, tools)
             for k in sought:
@@ -104,11 +104,7 @@ def target_pose(name: str, own: Sequence[Sight], base: Array, tools: Array) -> A
     if not any(sight.data.of_boards for sight in own):
         directions = [(T[:, :3, :3] @ sight.rays[:, :, None])[:, :, 0] for T, sight in zip(cameras, own, strict=True)]
         return rigid.translation(crossing(np.concatenate(cameras)[:, :3, 3], np.concatenate(directions)))
-    seen = [
-        T[row] @ rigid.inverse(camera_in_board)
-        for T, sight in zip(cameras, own, strict=True)
-        for row, camera_in_board in _images(sight)
-    ]
+    seen = [base @ sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in _images(own)]
     if not seen:
         raise _too_few(own, name)
     # An image with gross errors is far off, and the median hardly minds.
@@ -132,19 +128,25 @@ def refuse_behind(own: Sequence[Sight], base: Array, tools: Array, target: Array
             )
 
 
-def _images(sight: Sight) -> Iterator[tuple[int, Array]]:
-    """Yield the first row of every image of a board, and the camera's pose in the board."""
-    if not sight.data.of_boards:
-        return
-    b, places = sight.rays, sight.places
-    # One image: the robot stood still, and one tool was there.
-    at = np.column_stack([sight.data.readings[sight.rows], sight.tool])
-    number = np.unique(at, axis=0, return_inverse=True)[1].ravel()
-    for image in range(int(number.max()) + 1):
-        rows = np.flatnonzero(number == image)
-        pose = camera_pose(places[rows], b[rows])
-        if pose is not None:
-            yield int(rows[0]), pose
+def _images(own: Sequence[Sight]) -> list[tuple[Sight, int, Array]]:
+    """Return the images of a board: the first row of each, and the camera's pose in the board.
+
+    Images that fit no pose by far as well as most of them are left out.
+    """
+    found, missed = [], []
+    for sight in own if any(sight.data.of_boards for sight in own) else ():
+        b, places = sight.rays, sight.places
+        # One image: the robot stood still, and one tool was there.
+        at = np.column_stack([sight.data.readings[sight.rows], sight.tool])
+        number = np.unique(at, axis=0, return_inverse=True)[1].ravel()
+        for image in range(int(number.max()) + 1):
+            rows = np.flatnonzero(number == image)
+            pose = camera_pose(places[rows], b[rows])
+            if pose is not None:
+                found.append((sight, int(rows[0]), pose))
+                missed.append(float(np.median(misses(pose, places[rows], b[rows]))))
+    kept = ordinary(np.array(missed)) if found else ()
+    return [image for image, good in zip(found, kept, strict=True) if good]
 
 
 def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tools: Array) -> tuple[Array, Array]:

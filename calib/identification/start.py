@@ -39,6 +39,7 @@ def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     """
     sets = with_common_names(model, measurements)
     _refuse_unturned_tools(model, sets)
+    _refuse_unknown_targets(model, sets)
     if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
         target.height_is_known for target in model.targets.values()
     ):
@@ -47,7 +48,6 @@ def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     layout = Layout.of(model.robot, reference)
     of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
-    _refuse_unknown_targets(model, sets)
     names = [parameter.name for parameter in parameters]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")

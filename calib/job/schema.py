@@ -423,7 +423,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
         yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
     if section.model_sigma is not None and _in_pixels(section.model_sigma) != (section.observes == "pixels"):
         unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
-        yield f"{at}.model_sigma: {section.model_sigma!r} is not of a {section.observes}; allowed are {unit}."
+        yield f"{at}.model_sigma: {section.model_sigma!r} does not fit what is observed; allowed are {unit}."
 
 
 def _of_instrument(section: InstrumentSection, at: str) -> Iterator[str]:

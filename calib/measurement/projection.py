@@ -20,6 +20,7 @@ from calib.measurement.instruments import Camera
 # Nearer to the camera's own plane than this share of their distance, points are not seen: 89.4 degrees off the axis.
 LEAST_DEPTH = 1e-2
 _MOST_STEPS = 50
+_TINY = 1e-12
 # Of an undistorted coordinate, which is of order one.
 _TOLERANCE = 1e-13
 _FOUND = 1e-9
@@ -38,15 +39,14 @@ class Projected(NamedTuple):
 
 def project(camera: Camera, points: Array) -> Projected:
     """Return where a camera sees points (n, 3), given in m in its frame."""
-    least = LEAST_DEPTH * np.linalg.norm(points, axis=1)
-    in_front = points[:, 2] > least
-    depth = np.where(in_front, points[:, 2], np.maximum(least, np.finfo(np.float64).tiny))
+    distance = np.maximum(np.linalg.norm(points, axis=1), _TINY)
+    in_front = points[:, 2] > LEAST_DEPTH * distance
+    depth = np.where(in_front, points[:, 2], LEAST_DEPTH * distance)
+    by_depth = np.where(in_front[:, None], (0.0, 0.0, 1.0), LEAST_DEPTH * points / distance[:, None])
     flat = points[:, :2] / depth[:, None]
     bent, by_flat = distort(camera, flat)
     f = np.array([camera.fx, camera.fy])
-    by_point = np.zeros((len(points), 2, 3))
-    by_point[:, :, :2] = np.eye(2) / depth[:, None, None]
-    by_point[:, :, 2] = np.where(in_front[:, None], -flat / depth[:, None], 0.0)
+    by_point = (np.eye(2, 3) - flat[:, :, None] * by_depth[:, None, :]) / depth[:, None, None]
     return Projected(bent * f + (camera.cx, camera.cy), f[:, None] * (by_flat @ by_point), in_front)
 
 

@@ -66,8 +66,8 @@ class Scene:
     def draw(self, rng: Rng, n: int) -> Array:
         """Readings (n, k) at which the whole board is in the image."""
         found = np.zeros((0, len(self.arm.ranges)))
-        for _ in range(60):
-            some = self.arm.draw(rng, 4000)
+        for _ in range(120):
+            some = self.arm.draw(rng, 2000)
             found = np.concatenate([found, some[self.visible(some)]])
             if len(found) >= n:
                 return found[:n]
@@ -109,5 +109,5 @@ def scene(
         ) @ machines.pose(-middle)
         target = tip @ (seen if camera_on == "tip" else inverse(seen))
         found = Scene(arm, camera, places, base, tool, target)
-        if found.visible(arm.draw(rng, 4000)).sum() > 15:
+        if found.visible(arm.draw(rng, 2000)).sum() > 12:
             return found
