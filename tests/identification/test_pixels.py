@@ -82,6 +82,20 @@ def test_truth_is_recovered(camera_on: str, what: str, rank: int) -> None:
 
 
 @pytest.mark.parametrize("camera_on", ["floor", "tip"])
+def test_noise_does_not_make_a_size_of_a_single_mark(camera_on: str) -> None:
+    """A machine shrunk to a point in the camera explains nothing and costs nothing: its size stays nominal."""
+    rng = np.random.default_rng(13)
+    true = scene(rng, NOMINAL.moved(rng), camera_on, MARK, sigma=0.3)
+    fit = calib.identify(everything(camera_on, "mark"), true.measure(ROBOT, true.draw(rng, 80), rng, 0.3))
+    assert (fit.rank, fit.usable_rank, fit.converged) == (26, 26, True)
+    frames = fit.machine.frames
+    found, at = (frames.tools[0], true.tool) if camera_on == "tip" else (frames.targets[0], true.target)
+    place, turn = relative(found, at)
+    assert place < 0.01
+    assert turn < 0.01
+
+
+@pytest.mark.parametrize("camera_on", ["floor", "tip"])
 def test_hand_eye_is_recovered(camera_on: str) -> None:
     """With what can be told apart free, camera and board are where they are, and so are the zeros."""
     rng = np.random.default_rng(12)

@@ -131,3 +131,15 @@ def test_a_spoilt_case_is_refused_in_one_sentence(tmp_path: Path, name: str) -> 
     assert said.err.startswith("Error: ")
     assert said.err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_levels_work_without_a_base(tmp_path: Path) -> None:
+    """Cameras alone know no base to fit anew after each level."""
+    for file in FILES:
+        shutil.copyfile(CASE / file, tmp_path / file)
+    append('[[levels]]\nname = "eye"\nfree = ["tool.*"]\n[[levels]]\nname = "all"\nfree = ["*"]\n')(tmp_path)
+    said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
+    assert (said.code, said.err) == (0, "")
+    levels = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["levels"]
+    assert [(level["name"], level["free"], level["rank"]) for level in levels] == [("eye", 12, 12), ("all", 48, 30)]
+    assert levels[1]["metrics"]["pixels"]["rms"] < 0.1 * levels[0]["metrics"]["pixels"]["rms"]
