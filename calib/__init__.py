@@ -33,7 +33,7 @@ from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.total_differential import Trace, total_differential
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.presentation import display as _display
@@ -53,6 +53,7 @@ __version__ = "0.1.0.dev0"
 __all__ = [
     "CalibError",
     "CalibratedModel",
+    "Camera",
     "ClosedLoop",
     "Coupling",
     "Deviations",

@@ -107,7 +107,7 @@ def _solve(L: Array, c: Array) -> Array:
     return np.asarray(np.linalg.lstsq(L, c, rcond=_NEGLIGIBLE)[0] if L.shape[1] else np.zeros(0))
 
 
-def _cube_rotations() -> Array:
+def cube_rotations() -> Array:
     """Return the 24 rotations (24, 3, 3) of the cube: every rotation is within 63 degrees of one of them."""
     found = []
     for order in itertools.permutations(range(3)):
@@ -121,7 +121,7 @@ def _cube_rotations() -> Array:
 def _best_rotation(X: Array, c: Array) -> Array:
     """Return the rotation A that minimises ``|X vec(A) - c|``, by Levenberg-Marquardt from many starts at once."""
     relaxed = _solve(X, c).reshape(3, 3).T
-    A = np.concatenate([rigid.nearest_rotation(relaxed)[None], _cube_rotations()])
+    A = np.concatenate([rigid.nearest_rotation(relaxed)[None], cube_rotations()])
     basis = rigid.skew(np.eye(3))
 
     def residual(A: Array) -> Array:

@@ -15,7 +15,7 @@ from calib.foundations.arrays import Array
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of one component: rms of the instrument's sigmas and sigma of the model part, in m or rad.
+    """Noise of one component: rms of the instrument's sigmas and sigma of the model part, in m, rad or px.
 
     ``chi_square`` is the sum of squared residuals over the instrument's variances alone, per degree of freedom: 1 where
     the instrument explains the residuals; nan where the instrument's noise is not known.
@@ -30,7 +30,7 @@ class Noise:
 
     @property
     def total(self) -> float:
-        """Standard deviation of one residual component, in m or rad."""
+        """Standard deviation of one residual component, in m, rad or px."""
         return float(np.hypot(self.instrument, self.model))
 
 

@@ -104,6 +104,6 @@ def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Fin
 
 
 def _at_start(problem: Problem) -> Evaluation:
-    # One millimetre and one milliradian of noise: only the shape of what is seen matters here.
-    ones = [np.full(data.sigma.shape, 1e-3) for data in problem.measurements]
+    # One millimetre, milliradian or pixel of noise: only the shape of what is seen matters here.
+    ones = [np.full(data.sigma.shape, 1e-3 if data.camera is None else 1.0) for data in problem.measurements]
     return evaluate(problem, ones, values_at(problem.model.robot, problem.parameters, problem.reference))

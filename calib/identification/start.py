@@ -1,8 +1,8 @@
 """From a model and measurements to a problem: common names, start values of all frames, and what is unknown.
 
 Every start is in closed form for the nominal robot. Base and tools come from positions and poses, where there are any
-(:mod:`calib.identification.alignment`); other tool points from turning in a socket or about a ball's centre; targets
-from where the nominal robot puts the tool.
+(:mod:`calib.identification.alignment`), and from images (:mod:`calib.identification.sightings`); other tool points from
+turning in a socket or about a ball's centre; targets from where the nominal robot puts the tool.
 """
 
 from collections.abc import Sequence
@@ -13,10 +13,11 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import JobError, MeasurementError
-from calib.identification import targets
+from calib.identification import sightings, targets
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, Layout, Machine, values_at
+from calib.identification.parameters import Parameter
 from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
@@ -33,24 +34,68 @@ _OFF = 0.01
 def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     """Return the problem of finding all that is free, with base, tools and targets where the nominal robot has them.
 
-    Where nothing was measured in an instrument's frame, such as by sockets alone, the base's frame is taken for it.
+    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame is taken
+    for it: a camera or a board on the floor is then found in the base. Of a tool that nothing shows but as a point,
+    beside others that boards and cameras show, the orientation is no unknown.
 
     Raises MeasurementError when the measurements are not of this robot, or a target is two things; JobError when a name
-    means two things, or a known or related target is in no measurement.
+    means two things, a known or related target is in no measurement, or a tool needs its orientation free.
     """
     sets = with_common_names(model, measurements)
+    _refuse_unturned_tools(model, sets)
+    _refuse_unknown_targets(model, sets)
     if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
         target.height_is_known for target in model.targets.values()
     ):
         model = replace(model, base="fixed")
     reference = start_frames(model, sets)
     layout = Layout.of(model.robot, reference)
-    parameters = (*model.parameters(sets[0].tools), *targets.unknowns(sets, model.targets, layout))
-    _refuse_unknown_targets(model, sets)
+    of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
+    parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
     names = [parameter.name for parameter in parameters]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")
     return Problem(model, parameters, reference, sets, relations=model.relations)
+
+
+def _refuse_unturned_tools(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse boards and cameras on the tip whose orientation is neither known nor free."""
+    for data in sets:
+        if data.camera is not None and model.tool == "position" and _turned_by(data):
+            what = "camera" if data.camera.camera_on == "tip" else "board"
+            raise JobError(
+                f'tool: is "position", and the orientation of the {what} on the tip in {data.where} is not known; '
+                'write "pose".'
+            )
+
+
+def _turned_by(data: Measurements) -> bool:
+    """Return whether the rows show how tools are turned."""
+    return data.kind == "pose" or (data.camera is not None and (data.of_boards or data.camera.camera_on == "tip"))
+
+
+def _turned(sets: Sequence[Measurements], kinds: Sequence[str] = ("pose", "pixels")) -> BoolArray:
+    """Return the tools (k,) whose orientation shows in sets of some kinds with common names."""
+    found = np.zeros(len(sets[0].tools), dtype=np.bool_)
+    for data in sets:
+        if data.kind in kinds and _turned_by(data):
+            found[data.tool] = True
+    return found
+
+
+def _without_turns_of_points(
+    parameters: tuple[Parameter, ...], sets: Sequence[Measurements], layout: Layout
+) -> tuple[Parameter, ...]:
+    """Return the parameters without the orientations of tools that are seen as points, where cameras see others."""
+    if not any(data.camera is not None for data in sets):
+        return parameters
+    turned = _turned(sets)
+
+    def of_point(parameter: Parameter) -> bool:
+        tool, component = divmod(parameter.direction[0][0] - layout.tools, 6)
+        return parameter.kind == "tool" and component > 2 and not turned[tool]
+
+    return tuple(parameter for parameter in parameters if not of_point(parameter))
 
 
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:
@@ -59,6 +104,8 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
     for name in model.targets:
         if name not in found:
             raise JobError(f"targets: {name!r} is in no measurement; they have {', '.join(found) or 'no targets'}.")
+        if found[name] == "frame" and not model.targets[name].height_is_known:
+            raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
         shape = "point" if relation.kind == "distance" else "plane"
         for name in relation.targets:
@@ -131,6 +178,9 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
         )
         base, tools = align(rows, known, given.tools)
         placed[rows.tool] = True
+    if any(data.camera is not None for data in sets):
+        base, tools, by_cameras = sightings.place_tools(model, sets, tips, base, tools, _turned(sets, ("pose",)))
+        placed |= by_cameras
     if model.tool != "fixed" and not placed.all():
         tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
     return _with_targets(model, sets, tips, Frames(base, tools))
@@ -215,6 +265,7 @@ def _with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequenc
     for t, name in enumerate(names):
         own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
         own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
+        sights = sightings.sights(sets, tips, t)
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
@@ -222,7 +273,11 @@ def _with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequenc
             poses[t] = _plane(np.concatenate([x for _, x in touched]), _arm_beside(model, frames.base, touched))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
-            poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
+            if sights and not sockets:
+                poses[t] = sightings.target_pose(name, sights, frames.base, frames.tools)
+            else:
+                poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
+        sightings.refuse_behind(sights, frames.base, frames.tools, poses[t])
     for k in range(len(lengths)):
         missing = [
             value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)

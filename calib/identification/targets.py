@@ -1,4 +1,6 @@
-"""Targets: what was touched or seen beside an instrument - sockets, anchors, balls, planes - and which is unknown.
+"""Targets: what was touched or seen beside an instrument, or a camera there, and which of it is unknown.
+
+Sockets, anchors, balls and marks are points, surfaces are planes, boards and cameras are frames.
 
 Targets are nuisances: their unknowns are found with the robot's and are of no use elsewhere.
 """
@@ -9,12 +11,12 @@ from typing import Literal
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError
-from calib.identification.machine import Layout
+from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
 
-Shape = Literal["point", "plane"]
+Shape = Literal["point", "plane", "frame"]
 
 SHAPES: Mapping[Kind, Shape] = {
     "socket": "point",
@@ -22,12 +24,14 @@ SHAPES: Mapping[Kind, Shape] = {
     "sphere": "point",
     "plane": "plane",
     "indicator": "plane",
+    "pixels": "frame",
 }
 # What cannot be one and the same thing, though both are points. An anchor may sit in a socket or carry a ball.
 _THINGS: Mapping[Kind, str] = {"socket": "socket", "sphere": "ball"}
 _UNKNOWN: Mapping[Shape, tuple[tuple[str, int], ...]] = {
     "point": (("x", 0), ("y", 1), ("z", 2)),
     "plane": (("height", 2), ("rx", 3), ("ry", 4)),
+    "frame": tuple((component, entry) for entry, component in enumerate(POSE)),
 }
 
 
@@ -35,13 +39,20 @@ _UNKNOWN: Mapping[Shape, tuple[tuple[str, int], ...]] = {
 class Target:
     """What is known of a target, in the instrument's frame.
 
-    ``pose`` (4, 4): a point's position, or a frame in whose x and y a plane lies; its z points to the side from which
-    the plane is touched. ``height_is_known``: False where a plane's normal alone is known, such as an indicator's
-    direction; its zero is then found.
+    ``pose`` (4, 4): that of a board or camera, a point's position, or a frame in whose x and y a plane lies; its z
+    points to the side from which the plane is touched. ``height_is_known``: False where a plane's normal alone is
+    known, such as an indicator's direction; its zero is then found.
     """
 
     pose: Array
     height_is_known: bool = True
+
+
+def shape_of(data: Measurements) -> Shape | None:
+    """Return the shape of the targets of one set, None where its kind has none."""
+    # Of a single mark beside the robot, which way it is turned does not show.
+    mark = data.camera is not None and data.camera.camera_on == "tip" and not data.of_boards
+    return "point" if mark else SHAPES.get(data.kind)
 
 
 def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
@@ -52,7 +63,7 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
     found: dict[str, Shape] = {}
     things: dict[str, str] = {}
     for data in sets:
-        shape = SHAPES.get(data.kind)
+        shape = shape_of(data)
         for name in dict.fromkeys(data.targets[t] for t in data.target) if shape else ():
             if shape and found.setdefault(name, shape) != shape:
                 raise MeasurementError(

@@ -17,14 +17,14 @@ from calib.identification import identifiability
 from calib.identification.machine import Machine
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation
-from calib.identification.targets import SHAPES, Shape, Target
+from calib.identification.targets import Shape, Target, shape_of, shapes
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import Measurements
 
 # Two ways to move every tool are the same when they differ by less than this share.
 _SAME = 1e-7
 # What of a target's twist moves what is measured of it: of a point its place, of a plane height and tilts.
-_SEEN_OF: Mapping[Shape, slice] = {"point": slice(0, 3), "plane": slice(2, 5)}
+_SEEN_OF: Mapping[Shape, slice] = {"point": slice(0, 3), "plane": slice(2, 5), "frame": slice(0, 6)}
 # Unit directions are dependent when a combination of them is shorter than this.
 _DEPENDENT = 1e-3
 # J sees a motion clearly when its direction lies in the row space by more than this share: of a unit direction, of a
@@ -53,7 +53,7 @@ def motions(
     if any(data.kind in IN_INSTRUMENT_FRAME for data in measurements):
         return None
     found = _centre(measurements, known, relations, near)
-    shape = {data.targets[t]: SHAPES[data.kind] for data in measurements for t in set(data.target.tolist()) if t >= 0}
+    shape = shapes(measurements)
     points = [known[name].pose[:3, 3] for name in shape if name in known and shape[name] == "point"]
     about = (points[0] if points else near) if found is None else found
     fixed = [point - about for point in points]
@@ -83,17 +83,18 @@ def _centre(
     normals, heights = [np.zeros((0, 3))], [np.zeros(0)]
     for data in measurements:
         by_offset = data.offset >= 0 and data.kind in ("distance", "pair_distance", "sphere")
-        if data.kind not in ("socket", "plane") and not by_offset:
+        of_a_mark = data.kind == "pixels" and not data.of_boards
+        if data.kind not in ("socket", "plane") and not by_offset and not of_a_mark:
             return None
         for t in sorted(set(data.target.tolist())):
             name = data.targets[t] if t >= 0 else ""
-            values = data.value[data.target == t]
+            values = data.value[data.target == t][:, : 0 if of_a_mark else None]
             own: tuple[str, str | int] = ("plane", name) if data.kind == "plane" else ("offset", data.offset)
             if values.size and np.any(values != taken_up.setdefault(own, float(values[0, 0]))):
                 return None
             target = known.get(name) if t >= 0 else None
             if target is not None and target.height_is_known:
-                axes = target.pose[:3, :3].T if SHAPES[data.kind] == "point" else target.pose[:3, 2:3].T
+                axes = target.pose[:3, 2:3].T if data.kind == "plane" else target.pose[:3, :3].T
                 normals.append(axes)
                 # A known plane does not take up the probe's radius.
                 heights.append(axes @ target.pose[:3, 3] + (values[0] if data.kind == "plane" else 0.0))
@@ -146,7 +147,10 @@ class Unseen:
         """
         changed = np.zeros((*J.shape[:2], self._count))
         for twist, placed in moved:
-            changed += twist[:, :, :3] @ np.swapaxes(placed[:, :3, :3], -1, -2) @ self._moved(placed[:, :3, 3])
+            back = np.swapaxes(placed[:, :3, :3], -1, -2)
+            changed += twist[:, :, :3] @ back @ self._moved(placed[:, :3, 3])
+            turns = self._motions.turns
+            changed[:, :, : turns.shape[1]] += twist[:, :, 3:] @ back @ turns
         # What parameters, targets left out, do to a tool.
         rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
@@ -190,7 +194,7 @@ class Unseen:
                 twist = np.zeros((6, self._count))
                 twist[:3] = R.T @ self._moved(c[None])[0]
                 twist[3:, :turns] = R.T @ self._motions.turns
-                rows = _SEEN_OF[SHAPES[data.kind]]
+                rows = _SEEN_OF[shape_of(data) or "point"]
                 if data.kind == "plane":
                     # With the probe's radius it is where the tool is that grows.
                     twist[2, turns:] += data.value[data.target == t][0, 0]

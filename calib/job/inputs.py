@@ -30,7 +30,7 @@ from calib.job.schema import (
     read_job,
 )
 from calib.measurement.checks import Finding, check
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
@@ -328,7 +328,8 @@ def _placement(frame: FrameSection) -> Array:
 def _target(section: TargetSection) -> Target:
     if section.position is not None:
         point = np.array([parse_quantity(text, "length", "position") for text in section.position])
-        return Target(rigid.translation(point))
+        turn = np.eye(3) if section.quaternion is None else rigid.rotation_of_quaternion(np.array(section.quaternion))
+        return Target(rigid.placement(turn, point))
     normal = np.array(section.normal)
     T = axis_frame(normal / np.linalg.norm(normal))
     height = _si(section.height, "length")
@@ -384,7 +385,15 @@ def _measurements(
     return replace(data, targets=names)
 
 
-def _instrument(section: InstrumentSection) -> LaserTracker:
+def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
+    if section.kind == "camera":
+        assert section.camera_on is not None, "the schema asks where a camera is"
+        fx, fy, cx, cy, sigma = (
+            parse_quantity(text or "", "pixel", "camera")
+            for text in (section.fx, section.fy, section.cx, section.cy, section.sigma)
+        )
+        bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
+        return Camera(section.camera_on, fx, fy, cx, cy, *bent, sigma)
     x, y, z = (parse_quantity(text, "length", "station") for text in section.station)
     return LaserTracker(
         parse_quantity(section.sigma, "length", "sigma"),
@@ -395,7 +404,7 @@ def _instrument(section: InstrumentSection) -> LaserTracker:
 
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
-    position = _si(section.model_sigma, "length")
+    position = _si(section.model_sigma, "pixel" if section.observes == "pixels" else "length")
     return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
 
 

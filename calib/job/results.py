@@ -201,6 +201,10 @@ def result(outcome: Outcome) -> dict[str, Any]:
             name: PoseEntry.of(tool).model_dump()
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
         },
+        "targets": {
+            name: PoseEntry.of(target).model_dump()
+            for name, target in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True)
+        },
         "solver": {"converged": fit.converged, "evaluations": fit.evaluations, "last_step": fit.step},
         "levels": [
             {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}

@@ -17,6 +17,7 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
+from calib.identification.start import posed
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress
 from calib.measurement.measurements import Measurements
@@ -233,7 +234,8 @@ def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
 
 def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
-    frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
+    parameters = posed(inputs.model, inputs.identify).parameters
+    frames = [p.name for p in parameters if p.kind in ("base", "tool")]
     judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
     sets = inputs.validate or inputs.identify
     found = residuals_of(judged, sets, judged.machine)

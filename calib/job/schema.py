@@ -4,7 +4,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -104,9 +104,21 @@ def _this_schema(value: object) -> object:
     return value
 
 
+def _length_or_pixels(text: object) -> object:
+    """Accept what the kind of the measurements or of the instrument decides: a length, or pixels."""
+    return _quantity("pixel" if isinstance(text, str) and _in_pixels(text) else "length", "zero")(text)
+
+
+def _in_pixels(text: str) -> bool:
+    return text.rstrip().endswith("px")
+
+
 Name = Annotated[str, AfterValidator(_not_empty)]
 Length = Annotated[str, BeforeValidator(_quantity("length"))]
 LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
+LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
+Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
+PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
 Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
@@ -214,9 +226,13 @@ class FrameSection(_Section):
 
 
 class TargetSection(_Section):
-    """``[targets.NAME]``: what is known of a point, or of a plane: its normal, and its height along it."""
+    """``[targets.NAME]``: what is known of a point, a board or camera (position and quaternion), or a plane.
+
+    Of a plane its normal is known, and perhaps its height along it.
+    """
 
     position: Position | None = None
+    quaternion: Quaternion | None = None
     normal: Direction | None = None
     height: Length | None = None
 
@@ -241,11 +257,11 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches.
+    touches. A laser tracker has a station; a camera is on the floor or on the tip, and has OpenCV's numbers.
     """
 
-    kind: Literal["laser_tracker", "arm"]
-    sigma: LengthFromZero
+    kind: Literal["laser_tracker", "arm", "camera"]
+    sigma: LengthOrPixelsFromZero
     sigma_per_metre: LengthFromZero = "0 um"
     station: Position = ("0 m", "0 m", "0 m")
     model: Name | None = None
@@ -254,6 +270,16 @@ class InstrumentSection(_Section):
     tool: Name | None = None
     point: Position | None = None
     pivot: Name | None = None
+    camera_on: Literal["floor", "tip"] | None = None
+    fx: PositivePixels | None = None
+    fy: PositivePixels | None = None
+    cx: Pixels | None = None
+    cy: Pixels | None = None
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
 
 
 class SolverSection(_Section):
@@ -297,7 +323,7 @@ class MeasurementsSection(_Section):
     instrument: str | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
-    model_sigma: LengthFromZero | None = None
+    model_sigma: LengthOrPixelsFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
     in_order: bool = False
@@ -388,6 +414,8 @@ def _contradictions(job: Job) -> Iterator[str]:
     for name, target in job.targets.items():
         if (target.position is None) == (target.normal is None):
             yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
+        if target.quaternion is not None and target.position is None:
+            yield f"targets.{name}.quaternion: belongs to a position, and there is none."
         if target.height is not None and target.normal is None:
             yield f"targets.{name}.height: belongs to a normal, and there is none."
     for i, relation in enumerate(job.relations):
@@ -411,8 +439,9 @@ def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection)
         for key in ("sigma_angle", "model_sigma_angle"):
             if getattr(section, key) is not None:
                 yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+    yield from _of_pixels(section, job, at)
     if section.observes not in ("position", "pose"):
-        if section.instrument is not None:
+        if section.instrument is not None and section.observes != "pixels":
             yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
         if section.use == "nodes":
             yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
@@ -442,11 +471,42 @@ def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str
                 yield f"{at}.sigma: {relation.sigma!r} is not above 0."
 
 
+def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]:
+    """Yield what is wrong with pixels and cameras of one section of measurements."""
+    if section.instrument is None:
+        if section.observes == "pixels":
+            yield f"{at}.instrument: is missing; pixels need the camera that saw them."
+    elif section.instrument in job.instruments:
+        kind = job.instruments[section.instrument].kind
+        if (kind == "camera") != (section.observes == "pixels"):
+            yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
+    if section.observes == "pixels" and section.sigma is not None:
+        yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
+    if section.model_sigma is not None and _in_pixels(section.model_sigma) != (section.observes == "pixels"):
+        unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
+        yield f"{at}.model_sigma: {section.model_sigma!r} does not fit what is observed; allowed are {unit}."
+
+
+_KEYS_OF: Mapping[str, tuple[str, ...]] = {
+    "laser_tracker": ("sigma_per_metre", "station"),
+    "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
+    "camera": ("camera_on", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+}
+
+
 def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[str]:
-    of_tracker, of_arm = ("sigma_per_metre", "station"), ("model", "urdf", "tip", "tool", "point", "pivot")
-    for key in of_tracker if section.kind == "arm" else of_arm:
+    """Yield keys that an instrument lacks, or that belong to another kind."""
+    for key in [key for kind, keys in _KEYS_OF.items() if kind != section.kind for key in keys]:
         if key in section.model_fields_set:
             yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
+    if _in_pixels(section.sigma) != (section.kind == "camera"):
+        unit = "pixels, like '0.2 px'" if section.kind == "camera" else "a length, like '7.5 um'"
+        yield f"{at}.sigma: {section.sigma!r} is not of a {_words(section.kind)}; allowed are {unit}."
+    if section.kind == "camera":
+        needed = _KEYS_OF["camera"][:5]
+        for key in needed:
+            if getattr(section, key) is None:
+                yield f"{at}.{key}: is missing; a camera has {', '.join(needed)} and sigma."
     if section.kind != "arm":
         return
     if (section.model is None) == (section.urdf is None):
@@ -458,6 +518,10 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
     given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
     if len(given) > 1 or (section.model is not None and not given):
         yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."
+
+
+def _words(kind: str) -> str:
+    return kind.replace("_", " ")
 
 
 # One sentence for what is wrong. -----------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, 
 # Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
 _NORM_TOLERANCE = 1e-3
 POSITION = ("x", "y", "z")
+PIXELS = ("u", "v")
+BOARD = ("board_x", "board_y", "board_z")
 _EULER = ("rx", "ry", "rz")
 SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
@@ -23,7 +25,7 @@ _KNOWN = frozenset(
         *QUATERNION_COLUMNS,
         *TEXT_COLUMNS,
         *(name for names in (*SIGMAS, *SIGMA_ANGLES) for name in names),
-        *("time", "temperature", "length", "indicated", "diameter", "ball", "u", "v"),
+        *("time", "temperature", "length", "indicated", "diameter", "ball", *PIXELS, *BOARD),
     )
 )
 

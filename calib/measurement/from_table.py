@@ -9,6 +9,8 @@ from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import Dimension
 from calib.measurement.columns import (
+    BOARD,
+    PIXELS,
     POSITION,
     SIGMA_ANGLES,
     SIGMAS,
@@ -19,9 +21,10 @@ from calib.measurement.columns import (
     words,
 )
 from calib.measurement.conditions import conditions
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
 from calib.measurement.measurements import Measurements, OtherEnd
+from calib.measurement.projection import undistort
 from calib.measurement.table import Table
 from calib.robot.robot import Reading
 
@@ -33,7 +36,7 @@ def measurements_from_table(
     *,
     sigma: float | None = None,
     sigma_angle: float | None = None,
-    instrument: LaserTracker | None = None,
+    instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
 ) -> Measurements:
@@ -52,20 +55,24 @@ def measurements_from_table(
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     require(table, dimensions, "of a joint")
     refuse_unknown(table, dimensions)
-    _refuse_useless(table, kind, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
+    _refuse_useless(table, kind, sigma=sigma, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
     seen = "position" if kind in ("position", "pose") else None
     position = None
     if seen:
         require(table, POSITION, f"of the measured {kind}")
         position = stacked(table, dict.fromkeys(POSITION, "length"))
-    by_distance = None if instrument is None or position is None else instrument.sigma_at(position)[:, None]
+    camera = instrument if isinstance(instrument, Camera) else None
+    promised: Array | float | None = None if camera is None else camera.sigma or None
+    if isinstance(instrument, LaserTracker) and position is not None:
+        promised = instrument.sigma_at(position)[:, None]
     width = min(size(kind), 3)
     if width < 3 and (along := [name for name in SIGMAS[1] if name in table.columns]):
         raise MeasurementError(
             f"{table.where}: column {along[0]!r} is the noise of a coordinate, and a {kind} has none; call it 'sigma'."
         )
     ways = SIGMAS if width == 3 else SIGMAS[:1]
-    noise = _noise(table, ways, "length", {"sigma": sigma, "the instrument": by_distance}, width)
+    dimension: Dimension = "length" if camera is None else "pixel"
+    noise = _noise(table, ways, dimension, {"sigma": sigma, "the instrument": promised}, width)
     if kind == "pose":
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
     tools, tool = _numbered(words(table, "point"), "tool", len(table))
@@ -78,7 +85,7 @@ def measurements_from_table(
         readings=stacked(table, dimensions),
         position=position,
         orientation=orientations(table) if kind == "pose" else None,
-        value=_value(table, kind, radius_is_known=offset is None),
+        value=_value(table, kind, radius_is_known=offset is None) if camera is None else _pixels(table, camera),
         sigma=read_only(noise),
         tools=tools,
         tool=read_only_view(tool),
@@ -91,17 +98,30 @@ def measurements_from_table(
         where=table.where,
         lines=table.lines,
         conditions=conditions(table, readings, in_order=in_order),
+        camera=camera,
     )
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
 
 def _refuse_useless(
-    table: Table, kind: Kind, *, sigma_angle: float | None, instrument: LaserTracker | None, offset: str | None
+    table: Table,
+    kind: Kind,
+    *,
+    sigma: float | None,
+    sigma_angle: float | None,
+    instrument: LaserTracker | Camera | None,
+    offset: str | None,
 ) -> None:
-    """Refuse an option that would be passed over in silence."""
+    """Refuse an option that would be passed over in silence, and pixels without the camera that saw them."""
+    if kind == "pixels" and not isinstance(instrument, Camera):
+        raise JobError(f"{table.where}: observes pixels, and no camera is given that saw them; give an instrument.")
+    if kind == "pixels" and sigma is not None:
+        raise JobError(f"{table.where}: sigma is given, and the noise of pixels is the camera's; give it there.")
+    if kind != "pixels" and isinstance(instrument, Camera):
+        raise JobError(f"{table.where}: a camera is given, and it measures no {kind} but pixels.")
     if sigma_angle is not None and kind != "pose":
         raise JobError(f"{table.where}: sigma_angle is given, and only poses have angles.")
-    if instrument is not None and kind not in ("position", "pose"):
+    if isinstance(instrument, LaserTracker) and kind not in ("position", "pose"):
         raise JobError(f"{table.where}: a laser tracker is given, and it measures no {kind}; give sigma.")
     if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
         raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
@@ -134,6 +154,24 @@ def _value(table: Table, kind: Kind, *, radius_is_known: bool) -> Array:
     if kind == "sphere":
         return read_only(0.5 * lengths("diameter") + ball if radius_is_known else ball)
     return read_only(np.zeros((len(table), 0)))
+
+
+def _pixels(table: Table, camera: Camera) -> Array:
+    """Return u and v in px and the mark's place on its board in m, zero where no column says it (N, 5)."""
+    require(table, PIXELS, "of the pixel that was seen")
+    pixels = stacked(table, dict.fromkeys(PIXELS, "pixel"))
+    seen = undistort(camera, pixels)[1]
+    if not seen.all():
+        row = int(np.argmin(seen))
+        u, v = pixels[row]
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: no direction belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
+            "camera's distortion folds the image before it; is it outside the image, or are k1, k2, p1, p2, k3 wrong?"
+        )
+    board: dict[str, Dimension] = {name: "length" for name in BOARD if name in table.columns}
+    places = np.zeros((len(table), 3))
+    places[:, [BOARD.index(name) for name in board]] = stacked(table, board)
+    return read_only(np.column_stack([pixels, places]))
 
 
 def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:

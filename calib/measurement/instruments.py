@@ -1,11 +1,14 @@
 """Instruments and their noise: what the maker promises, as standard deviations."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
+
+CameraPlace = Literal["floor", "tip"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +41,39 @@ class LaserTracker:
         """Return the standard deviation (N), in m, of each coordinate of points (N, 3), in m."""
         distance = np.linalg.norm(points - np.asarray(self.station), axis=-1)
         return np.asarray(self.sigma + self.sigma_per_metre * distance)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A calibrated camera in OpenCV's convention (:mod:`calib.measurement.projection`); where it is, is found.
+
+    ``camera_on``: the "floor", seeing a board or a mark on the tool, or the "tip", seeing one that stays.
+    ``fx``, ``fy``, ``cx``, ``cy`` in px: the camera matrix; ``k1``, ``k2``, ``p1``, ``p2``, ``k3``: the distortion, in
+    OpenCV's order. ``sigma``: one standard deviation of each pixel coordinate, in px; 0 where it is not known.
+
+    Raises JobError when a number cannot be used.
+    """
+
+    camera_on: CameraPlace
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.camera_on not in get_args(CameraPlace):
+            raise JobError(f"camera: camera_on is {self.camera_on!r}; allowed are {', '.join(get_args(CameraPlace))}.")
+        for name in ("fx", "fy"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise JobError(f"camera: {name} is {getattr(self, name)}; allowed are finite numbers above 0.")
+        for name in ("cx", "cy", "k1", "k2", "p1", "p2", "k3"):
+            if not np.isfinite(getattr(self, name)):
+                raise JobError(f"camera: {name} is {getattr(self, name)}; allowed are finite numbers.")
+        if not (np.isfinite(self.sigma) and self.sigma >= 0.0):
+            raise JobError(f"camera: sigma is {self.sigma}; allowed are finite numbers from 0.")

@@ -38,7 +38,7 @@ UNIT_OF: Mapping[str, Literal["m", "rad", "px"]] = MappingProxyType(
 # Kinds whose rows are about something beside the robot: a socket, an anchor, a plane, a ball, a camera.
 WITH_TARGET: frozenset[Kind] = frozenset(("socket", "distance", "plane", "sphere", "indicator", "pixels"))
 # Kinds that say where the tool was in the frame of an instrument, which is not the robot's base.
-IN_INSTRUMENT_FRAME: frozenset[Kind] = frozenset(("position", "pose", "pixels"))
+IN_INSTRUMENT_FRAME: frozenset[Kind] = frozenset(("position", "pose"))
 
 
 def size(kind: Kind) -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 
@@ -27,16 +28,19 @@ class Measurements:
     ``position`` (N, 3): the measured point in m, in the instrument's frame; None where none is.
     ``orientation`` (N, 3, 3): the measured rotation in the instrument's frame, of poses only.
     ``value`` (N, v): what other kinds measure, in m: the length of a ``distance`` or ``pair_distance``, the radius at
-    which a ``sphere`` is touched, the height above a ``plane``, what an ``indicator`` shows. A ``socket`` has none.
+    which a ``sphere`` is touched, the height above a ``plane``, what an ``indicator`` shows. A ``socket`` has none;
+    ``pixels`` have u and v in px, then where the mark is on its board (x, y, z).
     ``sigma`` (N, d), with d numbers in a row's residual: the instrument's standard deviations, 0 where unknown, to be
     estimated from the residuals.
     ``tool`` (N): which of ``tools``, the points on the flange that were measured, in order of appearance. ``target``
-    (N): which of ``targets``, the sockets, anchors, planes or balls; -1 in kinds that have none.
+    (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
+    kinds that have none.
     ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
     values share; -1 for none.
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
+    ``camera``: by which ``pixels`` were seen.
     """
 
     kind: Kind
@@ -57,9 +61,15 @@ class Measurements:
     where: str
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
+    camera: Camera | None = None
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    @property
+    def of_boards(self) -> bool:
+        """Whether pixels tell more than where one point is: marks stand at known places of a board."""
+        return bool(self.camera is not None and self.value[:, 2:].any())
 
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
         """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.measurement.from_table import measurements_from_table
-from calib.measurement.instruments import LaserTracker
+from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import Frame, read_table, table_from_arrays, table_from_frame
@@ -19,7 +19,7 @@ def read_measurements(
     *,
     sigma: float | None = None,
     sigma_angle: float | None = None,
-    instrument: LaserTracker | None = None,
+    instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
     columns: Mapping[str, str] | None = None,
@@ -28,9 +28,9 @@ def read_measurements(
 
     Every dimensional column has its unit in its name: ``"joint_1 [deg]"``, ``"x [mm]"``. ``sigma`` (m) and
     ``sigma_angle`` (rad) are the instrument's standard deviations of each coordinate, when no column and no
-    ``instrument`` gives them. ``offset`` names an unknown length that all lengths share. ``in_order``: the order of the
-    rows says from which side joints were reached. ``columns`` maps our names to the source's, and may add a unit that
-    it leaves out: ``{"x [mm]": "measured_x"}``.
+    ``instrument`` gives them; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
+    length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
+    ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """

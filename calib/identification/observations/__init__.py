@@ -6,7 +6,7 @@ of known size is a distance from its centre, an indicator shows the height above
 
 from collections.abc import Callable, Mapping
 
-from calib.identification.observations import distance, plane, pose, position, socket
+from calib.identification.observations import distance, pixels, plane, pose, position, socket
 from calib.identification.observations.seen import Linearised, Seen
 from calib.measurement.kinds import Kind
 
@@ -19,6 +19,7 @@ _RESIDUALS: Mapping[Kind, Callable[[Seen], Linearised]] = {
     "pair_distance": distance.residual_of_pairs,
     "plane": plane.residual,
     "indicator": plane.residual,
+    "pixels": pixels.residual,
 }
 
 

@@ -1,0 +1,204 @@
+"""Start values of what cameras saw: tools, base and targets of pixels, for the nominal robot, in closed form.
+
+Every image of a board gives the pose of board and camera to each other (:mod:`calib.identification.resection`); of the
+board's frame as an instrument's, :func:`calib.identification.alignment.align` finds base and tools, as for any tracker
+of poses. A single mark that the robot carries past a camera, or the camera past the mark, has one common resection.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import MeasurementError
+from calib.identification.alignment import Known, Rows, align
+from calib.identification.error_model import ErrorModel
+from calib.identification.observations.pixels import marks_seen
+from calib.identification.resection import camera_pose, camera_pose_and_point, crossing, misses, ordinary, rays
+from calib.measurement.instruments import Camera
+from calib.measurement.measurements import Measurements
+from calib.measurement.projection import LEAST_DEPTH, undistort
+
+
+class Sight(NamedTuple):
+    """Rows of one set that concern one target: ``rows`` (n,) of ``data``, ``tips`` (n, 4, 4) in the base link."""
+
+    data: Measurements
+    camera: Camera
+    rows: IntArray
+    tips: Array
+
+    @property
+    def tool(self) -> IntArray:
+        """Which tool is in each row."""
+        return self.data.tool[self.rows]
+
+    @property
+    def places(self) -> Array:
+        """Where the marks are on their boards (n, 3)."""
+        return self.data.value[self.rows, 2:]
+
+    @property
+    def rays(self) -> Array:
+        """Where the marks are seen: unit directions (n, 3) in the camera's frame."""
+        return rays(undistort(self.camera, self.data.value[self.rows, :2])[0])
+
+
+def sights(sets: Sequence[Measurements], tips: Sequence[Array], target: int) -> list[Sight]:
+    """Return what cameras have to say of one target, set by set."""
+    return [
+        Sight(data, data.camera, rows, T[rows])
+        for data, T in zip(sets, tips, strict=True)
+        if data.camera is not None and len(rows := np.flatnonzero(data.target == target))
+    ]
+
+
+def place_tools(
+    model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], base: Array, tools: Array, turned: BoolArray
+) -> tuple[Array, Array, BoolArray]:
+    """Return base and tools (k, 4, 4) as cameras saw them, and which tools they saw.
+
+    Tools that are ``turned`` (k,) have their orientation from elsewhere and stay. So does the base, unless nothing else
+    was measured in an instrument's frame: the targets that are known then are that frame.
+
+    Raises MeasurementError when there are too few marks or poses.
+    """
+    placed = turned | (model.tool == "fixed")
+    seen = np.zeros_like(turned)
+    tools, known_base = tools.copy(), model.base == "fixed" or any(data.position is not None for data in sets)
+    everything = [(name, sights(sets, tips, t)) for t, name in enumerate(sets[0].targets)]
+    # The target with the most rows is the best start; others follow from it.
+    for name, own in sorted(everything, key=lambda one: -sum(len(sight.rows) for sight in one[1])):
+        sought = {int(k) for sight in own for k in sight.tool} - set(np.flatnonzero(placed).tolist())
+        known = model.targets.get(name)
+        if not own or (not sought and (known_base or known is None)):
+            continue
+        images = _images(own)
+        if images:
+            base_in_target, found = _aligned(model, images, tools)
+            for k in sought:
+                tools[k] = found[k]
+        else:
+            base_in_target = _carried(own, name, tools, sought)
+        placed[list(sought)] = seen[list(sought)] = True
+        if known is not None and not known_base:
+            base, known_base = known.pose @ base_in_target, True
+    return base, tools, seen
+
+
+def target_pose(name: str, own: Sequence[Sight], base: Array, tools: Array) -> Array:
+    """Return the pose (4, 4) of a target for known base and tools (k, 4, 4).
+
+    Raises MeasurementError when there are too few marks.
+    """
+    floor = [sight for sight in own if sight.camera.camera_on == "floor"]
+    if floor:
+        marks = [(base @ sight.tips @ tools[sight.tool] @ rigid.translation(sight.places))[:, :3, 3] for sight in floor]
+        pose = camera_pose(np.concatenate(marks), np.concatenate([sight.rays for sight in floor]))
+        if pose is None:
+            raise _too_few(own, name)
+        return pose
+    cameras = [base @ sight.tips @ tools[sight.tool] for sight in own]
+    if not any(sight.data.of_boards for sight in own):
+        directions = [(T[:, :3, :3] @ sight.rays[:, :, None])[:, :, 0] for T, sight in zip(cameras, own, strict=True)]
+        return rigid.translation(crossing(np.concatenate(cameras)[:, :3, 3], np.concatenate(directions)))
+    seen = [base @ sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in _images(own)]
+    if not seen:
+        raise _too_few(own, name)
+    # An image with gross errors is far off, and the median hardly minds.
+    poses = np.stack(seen)
+    nearest = rigid.nearest_rotation(np.median(poses[:, :3, :3], axis=0))
+    return rigid.placement(nearest, np.median(poses[:, :3, 3], axis=0))
+
+
+def refuse_behind(own: Sequence[Sight], base: Array, tools: Array, target: Array) -> None:
+    """Raise MeasurementError for a mark that a camera saw, and that would be behind it."""
+    for sight in own:
+        placed, stays = base @ sight.tips @ tools[sight.tool], np.broadcast_to(target, (len(sight.rows), 4, 4))
+        cameras, boards = (placed, stays) if sight.camera.camera_on == "tip" else (stays, placed)
+        marks = marks_seen(cameras, boards, sight.places)[1]
+        behind = marks[:, 2] <= LEAST_DEPTH * np.linalg.norm(marks, axis=1)
+        if behind.any():
+            line = sight.data.lines[sight.rows[int(np.argmax(behind))]]
+            raise MeasurementError(
+                f"{sight.data.where}:{line}: the camera saw this mark, which for the nominal robot is behind it; are "
+                f'camera_on = "{sight.camera.camera_on}", the readings and the places on the board right?'
+            )
+
+
+def _images(own: Sequence[Sight]) -> list[tuple[Sight, int, Array]]:
+    """Return the images of a board: the first row of each, and the camera's pose in the board.
+
+    Images that fit no pose by far as well as most of them are left out.
+    """
+    found, missed = [], []
+    for sight in own if any(sight.data.of_boards for sight in own) else ():
+        b, places = sight.rays, sight.places
+        # One image: the robot stood still, and one tool was there.
+        at = np.column_stack([sight.data.readings[sight.rows], sight.tool])
+        number = np.unique(at, axis=0, return_inverse=True)[1].ravel()
+        for image in range(int(number.max()) + 1):
+            rows = np.flatnonzero(number == image)
+            pose = camera_pose(places[rows], b[rows])
+            if pose is not None:
+                found.append((sight, int(rows[0]), pose))
+                missed.append(float(np.median(misses(pose, places[rows], b[rows]))))
+    kept = ordinary(np.array(missed)) if found else ()
+    return [image for image, good in zip(found, kept, strict=True) if good]
+
+
+def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tools: Array) -> tuple[Array, Array]:
+    """Return the base in the target's frame, and the tools, from poses of the tool seen there."""
+    poses = np.stack([pose if sight.camera.camera_on == "tip" else rigid.inverse(pose) for sight, _, pose in images])
+    rows = Rows(
+        np.stack([sight.tips[row] for sight, row, _ in images]),
+        poses[:, :3, 3],
+        poses[:, :3, :3],
+        np.array([sight.tool[row] for sight, row, _ in images], dtype=np.intp),
+    )
+    fixed = model.tool == "fixed"
+    known = Known(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
+    base, found = align(rows, known, tools)
+    # An image that is read wrongly is by far off the others.
+    T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
+    kept = ordinary(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & ordinary(
+        np.linalg.norm(T[:, :3, 3], axis=1)
+    )
+    if kept.all():
+        return base, found
+    some = Rows(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
+    return align(some, known, tools)
+
+
+def _carried(own: Sequence[Sight], name: str, tools: Array, sought: set[int]) -> Array:
+    """Place the tools that are ``sought`` by single marks, and return the base in the target's frame."""
+    base_in_target = np.eye(4)
+    for k in sorted({int(k) for sight in own for k in sight.tool}):
+        mine = [(sight, np.flatnonzero(sight.tool == k)) for sight in own]
+        on_tip = any(sight.camera.camera_on == "tip" for sight in own)
+        tips = np.concatenate([sight.tips[rows] for sight, rows in mine])
+        if any(sight.data.of_boards for sight in own):
+            raise _too_few(own, name)
+        found = camera_pose_and_point(
+            rigid.inverse(tips) if on_tip else tips, np.concatenate([sight.rays[rows] for sight, rows in mine])
+        )
+        if found is None:
+            raise _too_few(own, name)
+        camera, point = found
+        base_in_target = rigid.translation(-point) if on_tip else rigid.inverse(camera)
+        if k in sought:
+            tools[k] = camera if on_tip else rigid.placement(tools[k, :3, :3], point)
+    return base_in_target
+
+
+def _too_few(own: Sequence[Sight], name: str) -> MeasurementError:
+    needed = (
+        "one image with four marks that are not on a line, or six that are not in a plane"
+        if any(sight.data.of_boards for sight in own)
+        else "six poses that are not on a line"
+    )
+    return MeasurementError(
+        f"{own[0].data.where}: the camera saw too little to tell where the target {name!r} is; needed are {needed}."
+    )

@@ -1,0 +1,150 @@
+"""The case robots/hand_eye: run as a user runs it, made as the script makes it, and refused where it is spoilt."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.job.cases import ROOT, Edit, append, edit, run
+
+CASE = ROOT / "robots" / "hand_eye"
+FILES = ("calibration.toml", "identification.csv", "validation.csv")
+
+
+def test_script_reproduces_the_committed_files(tmp_path: Path) -> None:
+    script = ROOT / "scripts" / "simulate_hand_eye.py"
+    subprocess.run([sys.executable, str(script), str(tmp_path)], check=True, capture_output=True)
+    for name in ("identification.csv", "validation.csv", "truth.toml"):
+        assert (tmp_path / name).read_bytes() == (CASE / name).read_bytes(), name
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("hand_eye") / "out"
+    said = run("calibrate", CASE / "calibration.toml", "-o", out)
+    assert (said.code, said.err) == (0, "")
+    return out, said.out
+
+
+def test_the_terminal_says_pixels(calibrated: tuple[Path, str]) -> None:
+    _, said = calibrated
+    rows = [line.split() for line in said.splitlines() if line.split()[1:2] in (["before"], ["after"])]
+    assert [(row[0], row[1], row[-1]) for row in rows] == [
+        (of, when, "px")
+        for use in ("identification", "validation")
+        for of, when in ((use, "before"), ("pixels", "after"))
+    ]
+    assert "Noise of one pixels coordinate: 0.2000 px instrument" in said
+    assert "The data see 30 of 48 parameters." in said
+
+
+def test_the_figures_are_those_of_the_residuals(calibrated: tuple[Path, str]) -> None:
+    out, _ = calibrated
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    with (out / "residuals.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["use"] == "validation"]
+    for when in ("before", "after"):
+        norms = np.hypot(*(np.array([float(row[f"{when}_{axis} [px]"]) for row in rows]) for axis in "uv"))
+        told = result["metrics"]["validation"][when]["pixels"]
+        assert told["unit"] == "px"
+        assert told["n"] == len(norms)
+        assert told["rms"] == pytest.approx(np.sqrt(np.mean(norms**2)), abs=1e-4)
+    # Two coordinates with 0.2 px each; what is left of the model is small beside them.
+    assert told["rms"] < 1.1 * 0.2 * np.sqrt(2.0)
+    assert result["noise"][0]["instrument"] == pytest.approx(0.2)
+
+
+def test_camera_and_board_are_found(calibrated: tuple[Path, str]) -> None:
+    """To what a choice among equal fits leaves: errors of the first and last joint are camera's and board's as well."""
+    out, _ = calibrated
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    truth = tomllib.loads((CASE / "truth.toml").read_text(encoding="utf-8"))
+    for found, true in ((result["tools"]["tool"], truth["camera"]), (result["targets"]["board"], truth["board"])):
+        assert np.linalg.norm(1e3 * np.array(found["position"]) - true["position_mm"]) < 3.0
+        turns = [Rotation.from_quat(q, scalar_first=True) for q in (found["quaternion"], true["quaternion_wxyz"])]
+        assert (turns[0].inv() * turns[1]).magnitude() < 5e-3
+
+
+def test_check_counts_what_is_seen() -> None:
+    said = run("check", CASE / "calibration.toml", "--json")
+    told = json.loads(said.out)
+    assert (told["rank"], len(told["parameters"])) == (30, 48)
+
+
+JOB = "calibration.toml"
+BROKEN: dict[str, tuple[Edit, str]] = {
+    "camera without its place": (edit(JOB, ('camera_on = "tip"\n', "")), "instruments.camera.camera_on: is missing"),
+    "camera without focal length": (edit(JOB, ('fx = "1395.2 px"\n', "")), "instruments.camera.fx: is missing"),
+    "camera elsewhere": (edit(JOB, ('"tip"\nsigma', '"wall"\nsigma')), "'wall' is not allowed"),
+    "focal length zero": (edit(JOB, ("1395.2 px", "0 px")), "instruments.camera.fx: '0 px' is not above 0"),
+    "focal length without unit": (edit(JOB, ('"1395.2 px"', "1395.2")), "instruments.camera.fx: 1395.2 is not a text"),
+    "sigma in mm": (edit(JOB, ('"0.2 px"', '"0.2 mm"')), "'0.2 mm' is not of a camera; allowed are pixels"),
+    "camera with a station": (
+        edit(JOB, ('kind = "camera"', 'kind = "camera"\nstation = ["0 m", "0 m", "0 m"]')),
+        'instruments.camera.station: means nothing with kind = "camera"',
+    ),
+    "pixels without a camera": (
+        edit(JOB, ('instrument = "camera"\n', "")),
+        "measurements[0].instrument: is missing; pixels need the camera",
+    ),
+    "pixels with a noise of their own": (
+        edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nsigma = "0.1 mm"')),
+        "measurements[0].instrument: the noise is given by sigma as well",
+    ),
+    "camera of positions": (edit(JOB, ('observes = "pixels"\n', "")), "a camera measures no position"),
+    "model part in mm": (
+        edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nmodel_sigma = "0.1 mm"')),
+        "measurements[0].model_sigma: '0.1 mm' does not fit what is observed; allowed are pixels",
+    ),
+    "tracker of pixels": (
+        append(
+            '[instruments.leica]\nkind = "laser_tracker"\nsigma = "1 um"\n',
+            ('instrument = "camera"', 'instrument = "leica"'),
+        ),
+        "measurements[0].instrument: a laser tracker measures no pixels",
+    ),
+    "tracker with a lens": (
+        append('[instruments.leica]\nkind = "laser_tracker"\nsigma = "1 um"\nk1 = 0.1\n'),
+        'instruments.leica.k1: means nothing with kind = "laser_tracker"',
+    ),
+    "tool without orientation": (edit(JOB, ('tool = "pose"', 'tool = "position"')), 'is not known; write "pose"'),
+    "folded lens": (edit(JOB, ("k1 = -0.1124", "k1 = -9.0")), "identification.csv:"),
+    "column in mm": (edit("identification.csv", ("u [px]", "u [mm]")), "unit 'mm' is not a unit of pixel"),
+    "normal of a board": (
+        append("[targets.board]\nnormal = [0, 0, 1]\n"),
+        "is said to be a plane, and was measured as a frame",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_spoilt_case_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
+    for file in FILES:
+        shutil.copyfile(CASE / file, tmp_path / file)
+    spoil, sentence = BROKEN[name]
+    spoil(tmp_path)
+    said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
+    assert (said.code, said.out) == (1, "")
+    assert sentence in said.err
+    assert said.err.startswith("Error: ")
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_levels_work_without_a_base(tmp_path: Path) -> None:
+    """Cameras alone know no base to fit anew after each level."""
+    for file in FILES:
+        shutil.copyfile(CASE / file, tmp_path / file)
+    append('[[levels]]\nname = "eye"\nfree = ["tool.*"]\n[[levels]]\nname = "all"\nfree = ["*"]\n')(tmp_path)
+    said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
+    assert (said.code, said.err) == (0, "")
+    levels = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["levels"]
+    assert [(level["name"], level["free"], level["rank"]) for level in levels] == [("eye", 12, 12), ("all", 48, 30)]
+    assert levels[1]["metrics"]["pixels"]["rms"] < 0.1 * levels[0]["metrics"]["pixels"]["rms"]
