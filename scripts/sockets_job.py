@@ -31,8 +31,8 @@ DISTANCE, SIGMA_OF_DISTANCE = "50 mm", "0.1 mm"
 SIGMA = "0.5 mm"
 
 # KUKA LBR iiwa 14 R820. Heights of the axes above the base in m: KUKA's data sheet (360, 420 and 400 mm apart, flange
-# 126 mm beyond the last). Masses in kg and centres in m in the base frame, all joints at zero: documentation of Exp[licit]
-# (explicit-robotics.github.io, Kuka LBR iiwa14). They matter where joints give way under gravity.
+# 126 mm beyond the last). Masses in kg and centres in m in the base frame, all joints at zero: documentation of
+# Exp[licit] (explicit-robotics.github.io, Kuka LBR iiwa14). They matter where joints give way under gravity.
 HEIGHTS = (0.1525, 0.36, 0.36 + 0.2325, 0.78, 0.78 + 0.2045, 1.18, 1.18)
 FLANGE = 1.306
 AXES = ("0 0 1", "0 1 0", "0 0 1", "0 -1 0", "0 0 1", "0 1 0", "0 0 1")
@@ -51,7 +51,7 @@ CENTRES = (
 
 @dataclass(frozen=True)
 class Arm:
-    """What a job says of an arm; ``elastic``: the joints that carry weight at most poses."""
+    """What a job says of an arm."""
 
     urdf: str
     tip: str

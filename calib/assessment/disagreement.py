@@ -2,6 +2,7 @@
 
 Jumps: the unknowns of a target are doubled, one value before a row and one after it. What that gains is a score test
 (C. R. Rao, 1948) on running sums, at every row, and nothing is fitted anew. It is judged by the scatter that is left.
+That a model is wrong at the postures that come later looks the same.
 
 Groups (targets, words of the column ``group``, files): a group's rows are a triangle of ``[J r]``. What leaving them
 out gains (see :mod:`calib.assessment.influence`), in directions that the group sees well enough and the rest determines
@@ -80,78 +81,117 @@ class OutlyingGroup:
 
 
 class _Split(NamedTuple):
-    """After which row of which set a target may have moved, what that gains, and by how much (k,) it did, scaled."""
+    """What the doubled unknowns Z of a target, for its first ``before`` rows or for those after, see and gain.
 
-    measurements: int
-    row: int
+    ``S`` (k, p): Z^T J; ``g`` (k,): Z^T r. ``later``: Z is for the rows after. ``gain``: chi-squared.
+    """
+
+    before: int
+    S: Array
+    g: Array
+    later: bool
     gain: float
-    shift: Array
 
 
 class _Run:
     """Walks along the rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
 
-    def __init__(self, columns: Sequence[int], C: Array) -> None:
+    def __init__(self, columns: Sequence[int]) -> None:
         self.columns = list(columns)
-        self._C = C
-        # Z^T [J r] so far, Z being the target's own columns of J.
-        self._sum = np.zeros((len(columns), len(C) + 1))
-        self.splits: list[_Split] = []
+        self.rows: list[tuple[int, int]] = []
+        self._sums = [np.zeros((1, len(columns), 0))]
 
     def add(self, i: int, rows: Array, weighted: Array) -> None:
         """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, p + 1)."""
         Z = np.swapaxes(weighted[:, :, self.columns], -1, -2)
-        sums = self._sum + np.cumsum(Z @ weighted, axis=0)
-        self._sum = sums[-1]
-        S, g = sums[:, :, :-1], sums[:, :, -1]
-        ZZ = S[:, :, self.columns]
-        values, V = np.linalg.eigh(ZZ - S @ self._C @ np.swapaxes(S, -1, -2))
-        can_tell = values[:, 0] > ALONE * np.trace(ZZ, axis1=1, axis2=2)
-        values = np.where(can_tell[:, None], values, np.inf)
-        u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
-        gains = np.sum(u**2 / values, axis=1)
-        shifts = (V @ (u / values)[:, :, None])[:, :, 0]
-        self.splits += [_Split(i, int(n), float(q), s) for n, q, s in zip(rows, gains, shifts, strict=True)]
+        last = self._sums[-1][-1] if self.rows else 0.0
+        self._sums.append(last + np.cumsum(Z @ weighted, axis=0))
+        self.rows += [(i, int(n)) for n in rows]
+
+    def splits(self, C: Array, *, related: bool) -> Iterator[_Split]:
+        """Yield all splits with enough rows on either side.
+
+        What is known between targets holds for one of the halves; for ``related`` targets either is tried.
+        """
+        sums = np.concatenate(self._sums[1:]) if self.rows else np.zeros((0, len(self.columns), len(C) + 1))
+        tried = sums[_LEAST_ROWS - 1 : -_LEAST_ROWS]
+        for later, of_half in ((True, sums[-1:] - tried), (False, tried)) if related else ((False, tried),):
+            S, g = of_half[:, :, :-1], of_half[:, :, -1]
+            values, V = np.linalg.eigh(S[:, :, self.columns] - S @ C @ np.swapaxes(S, -1, -2))
+            can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
+            u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
+            gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
+            for k, gain in enumerate(gains.tolist()):
+                yield _Split(k + _LEAST_ROWS, S[k], g[k], later, gain)
 
 
-def jumps_of(residue: Residue) -> tuple[Jump, ...]:
-    """Return the likeliest jump of every unknown target, the least likely to be an accident first."""
+def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
+    """Return the likeliest jump of every unknown target, the least likely to be an accident first.
+
+    Those that are less likely than ``level`` are taken out, one after the other, before the rest is judged: a target
+    that has moved bends the machine, and makes others seem to have moved.
+    """
     sets = residue.fit.measurements
-    runs = {
-        name: _Run(columns, residue.C) for name, columns in _target_columns(residue.fit.parameters).items() if columns
-    }
+    runs = {name: _Run(columns) for name, columns in _target_columns(residue.fit.parameters).items()}
     for block in residue.blocks():
         data, weighted = sets[block.measurements], block.weighted
         for name, run in runs.items():
             own = np.flatnonzero(_of_target(data, name)[block.rows])
             if len(own):
                 run.add(block.measurements, block.rows.start + own, weighted[own])
-    tried = {name: run.splits[_LEAST_ROWS - 1 : -_LEAST_ROWS] for name, run in runs.items()}
+    related = {name for relation in residue.fit.model.relations for name in relation.targets}
+    tried = {name: list(run.splits(residue.C, related=name in related)) for name, run in runs.items()}
     number = sum(map(len, tried.values()))
-    found = []
-    for name, splits in tried.items():
-        best = max(splits, key=lambda split: split.gain, default=None)
-        if best is None or best.gain == 0.0:
-            continue
-        unknowns = [residue.fit.parameters[k] for k in runs[name].columns]
-        gain = best.gain / residue.scatter(best.gain, len(unknowns))
-        p = residue.probability(gain, len(unknowns))
-        before = splits.index(best) + _LEAST_ROWS
-        data = sets[best.measurements]
-        found.append(
-            Jump(
-                name,
-                data.where,
-                int(data.lines[best.row]),
-                (before, len(runs[name].splits) - before),
-                tuple(parameter.name.rpartition(".")[2] for parameter in unknowns),
-                tuple((best.shift * scales(unknowns)).tolist()),
-                gain,
-                p,
-                min(1.0, number * p),
-            )
-        )
+    best = {name: max(splits, key=lambda split: split.gain) for name, splits in tried.items() if splits}
+    best = {name: split for name, split in best.items() if split.gain > 0.0}
+    if not best:
+        return ()
+    # The normal equations of all best splits together, the model's own parameters eliminated.
+    S, g = np.concatenate([split.S for split in best.values()]), np.concatenate([split.g for split in best.values()])
+    M = -S @ residue.C @ S.T
+    at: dict[str, slice] = {}
+    for name, split in best.items():
+        start = sum(len(runs[other].columns) for other in at)
+        place = slice(start, start + len(split.g))
+        M[place, place] += split.S[:, runs[name].columns]
+        at[name] = place
+    found: list[Jump] = []
+    gained, freedom = 0.0, 0
+    while at:
+        shifts = {name: np.linalg.solve(M[place, place], g[place]) for name, place in at.items()}
+        name = max(at, key=lambda name: (float(g[at[name]] @ shifts[name]) / len(shifts[name]), name))
+        place, shift = at.pop(name), shifts[name]
+        raw, d = float(g[place] @ shift), len(shift)
+        gain = raw / residue.scatter(gained + raw, freedom + d)
+        p = residue.probability(gain, d)
+        found.append(_jump(residue, runs[name], name, best[name], shift, gain, p, min(1.0, number * p)))
+        if found[-1].chance < level:
+            gained, freedom = gained + raw, freedom + d
+            coupling = M[:, place] @ np.linalg.inv(M[place, place])
+            g = g - coupling @ g[place]
+            M = M - coupling @ M[place, :]
     return tuple(sorted(found, key=lambda jump: (jump.p, jump.target)))
+
+
+def _jump(
+    residue: Residue, run: _Run, target: str, split: _Split, shift: Array, gain: float, p: float, chance: float
+) -> Jump:
+    unknowns = [residue.fit.parameters[k] for k in run.columns]
+    i, row = run.rows[split.before - 1]
+    data = residue.fit.measurements[i]
+    # The solution is -shift, for the half that moved.
+    later = -shift if split.later else shift
+    return Jump(
+        target,
+        residue.name(data),
+        int(data.lines[row]),
+        (split.before, len(run.rows) - split.before),
+        tuple(parameter.name.rpartition(".")[2] for parameter in unknowns),
+        tuple((later * scales(unknowns)).tolist()),
+        gain,
+        p,
+        chance,
+    )
 
 
 def _target_columns(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
@@ -175,7 +215,7 @@ def _of_target(data: Measurements, name: str) -> BoolArray:
 
 def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
     """Return all groups of rows that are not all rows, the least likely to agree with the rest first."""
-    members = _members(residue.fit.measurements)
+    members = _members(residue)
     columns = len(residue.C) + 1
     triangles = {key: np.zeros((0, columns)) for key in members}
     for block in residue.blocks():
@@ -192,8 +232,9 @@ def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
     return tuple(sorted(found, key=lambda group: (np.nan_to_num(group.p, nan=1.0), group.kind, group.name)))
 
 
-def _members(sets: Sequence[Measurements]) -> Mapping[tuple[GroupKind, str], list[BoolArray]]:
+def _members(residue: Residue) -> Mapping[tuple[GroupKind, str], list[BoolArray]]:
     """Return masks of every set for every group; of groups with the same rows the first, and none with all rows."""
+    sets = residue.fit.measurements
     found: dict[tuple[GroupKind, str], list[BoolArray]] = {}
 
     def add(kind: GroupKind, name: str, i: int, mask: BoolArray) -> None:
@@ -201,7 +242,7 @@ def _members(sets: Sequence[Measurements]) -> Mapping[tuple[GroupKind, str], lis
         found.setdefault((kind, name), none)[i] |= mask
 
     for i, data in enumerate(sets):
-        add("file", data.where, i, np.ones(len(data), dtype=np.bool_))
+        add("file", residue.name(data), i, np.ones(len(data), dtype=np.bool_))
         for word in dict.fromkeys(data.group or ()):
             add("group", word, i, np.array([own == word for own in data.group or ()]))
         for t in dict.fromkeys(data.target.tolist() if data.kind in WITH_TARGET else ()):

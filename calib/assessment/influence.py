@@ -6,7 +6,7 @@ exactly so where the model is linear (R. D. Cook, S. Weisberg, Residuals and Inf
 place of many rows a triangle of ``[J r]`` says the same.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from calib.identification.fit import Fit
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, blocks
 from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
 
 # Directions that rows determine alone, to this share, cannot be tested.
 ALONE = 1e-4
@@ -60,10 +61,11 @@ class Residue:
 
     ``sigma`` (N, d) and ``w`` (N,) of every set: noise and weights of the loss. ``squares`` and ``freedom``: of every
     set, the whitened sum of squares and the degrees of freedom. ``predicted`` (p, p): J^T J of all numbers in m,
-    unwhitened and divided by their number.
+    unwhitened and divided by their number. ``files``: what tables are called, by where they came from.
     """
 
     fit: Fit
+    files: Mapping[str, str]
     problem: Problem
     C: Array
     sigma: tuple[Array, ...]
@@ -73,7 +75,7 @@ class Residue:
     predicted: Array
 
     @classmethod
-    def of(cls, fit: Fit) -> "Residue":
+    def of(cls, fit: Fit, files: Mapping[str, str]) -> "Residue":
         """Evaluate a fit where it ended."""
         problem = Problem(
             fit.model,
@@ -105,6 +107,7 @@ class Residue:
                 numbers += len(J)
         return cls(
             fit,
+            files,
             problem,
             fit.covariance / units[:, None] / units,
             plain,
@@ -113,6 +116,10 @@ class Residue:
             np.array(freedom),
             predicted / numbers if numbers else np.full_like(predicted, np.nan),
         )
+
+    def name(self, data: Measurements) -> str:
+        """Return what the table of a set is called."""
+        return self.files.get(data.where, data.where)
 
     def blocks(self) -> Iterator[Rows]:
         """Yield all rows, block by block."""

@@ -1,6 +1,6 @@
 """Which rows, targets and groups do not go with the rest, and what becomes of a calibration without them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,20 +62,22 @@ class Outliers:
         return tuple(group for group in self.groups if group.chance < LEVEL)
 
 
-def outliers(fit: Fit) -> Outliers:
+def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
     """Return all rows, targets and groups of a fit with what becomes of it without them, the least likely first.
+
+    ``files``: what the tables are called, by where they came from; so, when None.
 
     A row is judged by the multivariate form of the externally studentised residual, F distributed by its d numbers and
     the degrees of freedom of the others of its set. A row that a robust loss gives a weight below 1 is judged as a new
     one would be. Jumps and groups: :mod:`calib.assessment.disagreement`. One linear step each: nothing is fitted anew.
     """
     with linear.one_thread():
-        residue = Residue.of(fit)
+        residue = Residue.of(fit, files or {})
         number = sum(map(len, fit.measurements))
         rows = [row for block in residue.blocks() for row in _judged(residue, block, number)]
         return Outliers(
             tuple(sorted(rows, key=lambda row: (np.nan_to_num(row.p, nan=1.0), row.file, row.line))),
-            jumps_of(residue),
+            jumps_of(residue, LEVEL),
             groups_of(residue),
         )
 
@@ -99,7 +101,7 @@ def _judged(residue: Residue, block: Rows, number: int) -> Iterator[OutlyingRow]
         found = float(q[n]) / scatter
         p = residue.probability(found, d, i)
         yield OutlyingRow(
-            data.where,
+            residue.name(data),
             int(data.lines[row]),
             data.targets[data.target[row]] if data.kind in WITH_TARGET else None,
             float(np.mean(w[n] * h[n])),
