@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from sockets_job import ARMS, HOLES, NotRecordingsError, iiwa14, read, table
@@ -21,15 +20,13 @@ from sockets_job import ARMS, HOLES, NotRecordingsError, iiwa14, read, table
 import calib
 from calib.identification.error_model import with_terms
 from calib.identification.relations import Relation
-from calib.robot.transmission import JointTerm, TermKind
+from calib.robot.transmission import JointTerm
 
 # As sockets_job.py writes them.
 SIGMA, PRIOR_LENGTH, PRIOR_ANGLE = 0.5e-3, 1e-3, 5e-3
 DISTANCE, SIGMA_OF_DISTANCE = 0.05, 1e-4
 # Wind-up of joints 2 to 6: 30 Nm turn a joint by 3 mrad at one standard deviation, either way.
 ELASTIC_JOINTS, PRIOR_ELASTIC = (1, 2, 3, 4, 5), 1e-4
-# HOOK: goes, with all that asks for it, as soon as calib has joint terms of kind "elastic".
-WIND_UP_IS_THERE = "elastic" in get_args(TermKind)
 
 
 @dataclass(frozen=True)
@@ -153,9 +150,6 @@ def main() -> int:
     parser.add_argument("--robot", choices=tuple(ARMS), required=True)
     parser.add_argument("--wind-up", action="store_true", help="joints 2 to 6 give way under gravity")
     arguments = parser.parse_args()
-    if arguments.wind_up and not WIND_UP_IS_THERE:
-        print("--wind-up: this version of calib has no joints that give way.", file=sys.stderr)
-        return 1
     try:
         robot, sets = load(arguments.recordings, arguments.robot)
         if len(sets) < 2:
