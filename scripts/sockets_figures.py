@@ -177,8 +177,8 @@ the robot and 0.87 m up, where the joints carry another load than over the table
 gravity, no place disagrees any more. Second, in right/hole_1 something moved by almost a millimetre: this jump is there
 with back-high and without, and whether or not joints give way. A socket that moved cannot be predicted by any model, so
 that the rows of that file stay off where they test. Other jumps come and go with the model: there the postures change,
-not the socket. Not all is explained: the distance of the sockets stays off by half a millimetre where panda_1 is tested,
-with wind-up and without.
+not the socket. Not all is explained: the distance of the sockets stays off by half a millimetre where panda_1 is
+tested, with wind-up and without.
 
 A chance is that of as much in ordinary data, at most. Lines count in the table of a place that the converter writes:
 one header, then all rows of hole_0, then those of hole_1."""
