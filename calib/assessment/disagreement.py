@@ -39,7 +39,7 @@ class Jump:
 
     ``rows``: how many there are before and after. ``gain``: chi-squared, with as many degrees of freedom as components,
     against the scatter that is left. ``p``: probability of as much at one place; ``chance``: of one such place among
-    all, at most.
+    all, at most. ``size``: what the shift does to a row, over the noise of the fit.
     """
 
     target: str
@@ -51,6 +51,11 @@ class Jump:
     gain: float
     p: float
     chance: float
+    size: float
+
+    def is_told(self, level: float) -> bool:
+        """Whether it is no accident. What is smaller than the noise of a fit is its priors', if that is too large."""
+        return self.chance < level and self.size > 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +170,7 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
         gain = raw / residue.scatter(gained + raw, freedom + d)
         p = residue.probability(gain, d)
         found.append(_jump(residue, runs[name], name, best[name], shift, gain, p, min(1.0, number * p)))
-        if found[-1].chance < level:
+        if found[-1].is_told(level):
             gained, freedom = gained + raw, freedom + d
             coupling = M[:, place] @ np.linalg.inv(M[place, place])
             g = g - coupling @ g[place]
@@ -181,6 +186,7 @@ def _jump(
     data = residue.fit.measurements[i]
     # The solution is -shift, for the half that moved.
     later = -shift if split.later else shift
+    moved = len(run.rows) - split.before if split.later else split.before
     return Jump(
         target,
         residue.name(data),
@@ -191,6 +197,7 @@ def _jump(
         gain,
         p,
         chance,
+        float(np.sqrt(shift @ split.S[:, run.columns] @ shift / moved)),
     )
 
 

@@ -54,7 +54,7 @@ class Outliers:
         worst: dict[str | None, float] = {}
         for row in self.rows:
             worst[row.target] = min(worst.get(row.target, 1.0), float(np.nan_to_num(row.p, nan=1.0)))
-        return tuple(jump for jump in self.jumps if jump.chance < LEVEL and jump.p < worst[jump.target])
+        return tuple(jump for jump in self.jumps if jump.is_told(LEVEL) and jump.p < worst[jump.target])
 
     @property
     def disagreeing(self) -> tuple[OutlyingGroup, ...]:

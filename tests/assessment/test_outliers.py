@@ -251,7 +251,7 @@ def test_clean_data_give_no_alarm(
             found = calib.outliers(socket_fit(robot, measured(robot, rows, (None, 5e-4)[seed % 16 // 8])))
         p_rows += [row.p for row in found.rows]
         alarms["rows"] += bool(found.outlying)
-        alarms["jumps"] += any(jump.chance < LEVEL for jump in found.jumps)
+        alarms["jumps"] += any(jump.is_told(LEVEL) for jump in found.jumps)
         alarms["groups"] += bool(found.disagreeing)
     assert max(alarms.values()) <= 2
     # The probabilities are what they say.
