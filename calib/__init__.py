@@ -16,6 +16,7 @@ from calib.assessment.advice import advice
 from calib.assessment.bootstrap import bootstrap
 from calib.assessment.choice import choose_terms
 from calib.assessment.drift import compare
+from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
@@ -64,6 +65,7 @@ __all__ = [
     "LaserTracker",
     "MeasurementError",
     "Measurements",
+    "Outliers",
     "OutputError",
     "Payload",
     "Robot",
@@ -80,6 +82,7 @@ __all__ = [
     "identify",
     "load_model",
     "load_robot",
+    "outliers",
     "outside_identified",
     "plot",
     "positioner",

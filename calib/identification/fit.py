@@ -8,6 +8,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
+from calib.identification.losses import Loss
 from calib.identification.machine import Machine
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
@@ -30,6 +31,7 @@ class Fit:
     priors see well enough.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
+    ``losses``: of every set.
     ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
     """
 
@@ -47,6 +49,7 @@ class Fit:
     policy: BlindPolicy
     held: tuple[Parameter, ...]
     noise: tuple[Noise, ...]
+    losses: tuple[Loss, ...]
     machine: Machine
     nominal: Machine
     residuals: tuple[Array, ...]

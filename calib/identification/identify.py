@@ -108,6 +108,7 @@ def _identify(
         policy=blind,
         held=held,
         noise=_noise(problem, found, after),
+        losses=problem.losses,
         machine=machine,
         nominal=nominal,
         residuals=tuple(read_only(r) for r in after),

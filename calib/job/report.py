@@ -9,6 +9,7 @@ from calib.job.run import Outcome
 from calib.job.versions import versions
 from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
+from calib.presentation.report.outlying import outliers
 
 SECTIONS: tuple[Callable[[Outcome], Section | None], ...] = (
     lambda o: sections.errors(o.metrics, o.lost_in_urdf),
@@ -19,6 +20,7 @@ SECTIONS: tuple[Callable[[Outcome], Section | None], ...] = (
     lambda o: sections.poses(o.sets),
     lambda o: sections.joints(o.fit, o.sets),
     lambda o: sections.workspace(o.fit, o.sets),
+    lambda o: outliers(o.outliers),
     lambda o: sections.parameters(o.fit),
     lambda o: sections.correlations(o.fit),
     lambda o: sections.seen(o.fit),

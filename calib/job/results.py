@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
+from calib.assessment.outliers import Outliers
 from calib.assessment.uncertainty import uncertainty_of
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
@@ -49,6 +50,7 @@ _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
 _OF_PIXELS = ("u [px]", "v [px]")
 _RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
+_MOST_WORST = 10
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _STEPS_OF_WRITING = 4
@@ -196,6 +198,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             }
             for noise in fit.noise
         ],
+        "outliers": _worst(outcome.outliers),
         "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
         "tools": {
             name: PoseEntry.of(tool).model_dump()
@@ -219,6 +222,15 @@ def result(outcome: Outcome) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _strict(contents)
     return plain
+
+
+def _worst(found: Outliers) -> dict[str, Any]:
+    """Return the rows, jumps and groups that are least likely, each with whether it is no accident."""
+    told = {*map(id, found.outlying), *map(id, found.moved), *map(id, found.disagreeing)}
+    return {
+        name: [asdict(one) | {"told": id(one) in told} for one in every[:_MOST_WORST]]
+        for name, every in (("rows", found.rows), ("jumps", found.jumps), ("groups", found.groups))
+    }
 
 
 def _strict(value: Any) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
+from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.trust import doubts
 from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.compensation.urdf import lost_in_urdf
@@ -55,7 +56,7 @@ class Outcome:
     ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
     should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
     the calibrated URDF alone is off, as it holds neither closed loops nor joint terms. ``choice``: of the joint terms,
-    where the job leaves it to the tool; ``inputs.model`` then has them.
+    where the job leaves it to the tool; ``inputs.model`` then has them. ``outliers``: of the data to identify from.
     """
 
     inputs: Inputs
@@ -63,6 +64,7 @@ class Outcome:
     sets: tuple[JudgedSet, ...]
     metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
     doubts: tuple[str, ...]
+    outliers: Outliers
     trace: Trace | None = None
     levels: tuple[LevelReport, ...] = ()
     grid: SectorGrid | None = None
@@ -101,6 +103,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     if grid is not None:
         values = int(3 * grid.measured.sum())
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, judged["after"]))
+    progress("looking for outliers")
+    files = {data.where: file for file, data in zip(inputs.tables("identify"), inputs.identify, strict=True)}
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     return Outcome(
         inputs,
@@ -108,6 +112,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         judged_sets,
         figures,
         (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
+        outliers(fit, files=files),
         trace,
         reports,
         grid,

@@ -1,0 +1,325 @@
+"""Targets that have moved, and groups of rows that ask for another machine than the rest.
+
+Jumps: the unknowns of a target are doubled, one value before a row and one after it. What that gains is a score test
+(C. R. Rao, 1948) on running sums, at every row, and nothing is fitted anew. It is judged by the scatter that is left.
+That a model is wrong at the postures that come later looks the same.
+
+Groups (targets, words of the column ``group``, files): a group's rows are a triangle of ``[J r]``. What leaving them
+out gains (see :mod:`calib.assessment.influence`), in directions that the group sees well enough and the rest determines
+as well, is the chi-squared of the difference between the two machines they ask for, with as many degrees of freedom.
+Where a target is that only this group saw, does not count. It is judged by the larger of the scatter that is left and
+the noise of the fit, as with too large a noise priors are held too strongly and make groups differ. A real arm is never
+quite what its model says: where the noise is estimated from the scatter, groups of many rows disagree significantly
+though little; a stated noise says what matters.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from calib.assessment.influence import ALONE, Influence, Residue
+from calib.foundations import linear
+from calib.foundations.arrays import Array, BoolArray
+from calib.identification.identifiability import RANK_TOLERANCE, USABLE
+from calib.identification.parameters import Parameter, scales
+from calib.measurement.kinds import WITH_TARGET
+from calib.measurement.measurements import Measurements
+
+# On either side of a jump there are two rows; what one row does is its own.
+_LEAST_ROWS = 2
+
+GroupKind = Literal["target", "group", "file"]
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """The likeliest place where a target has moved: after ``line`` of ``file``, by ``shift`` (SI) in ``components``.
+
+    ``rows``: how many there are before and after. ``gain``: chi-squared, with as many degrees of freedom as components,
+    against the scatter that is left. ``p``: probability of as much at one place; ``chance``: of one such place among
+    all, at most. ``size``: what the shift does to a row, over the noise of the fit.
+    """
+
+    target: str
+    file: str
+    line: int
+    rows: tuple[int, int]
+    components: tuple[str, ...]
+    shift: tuple[float, ...]
+    gain: float
+    p: float
+    chance: float
+    size: float
+
+    def is_told(self, level: float) -> bool:
+        """Whether it is no accident. What is smaller than the noise of a fit is its priors', if that is too large."""
+        return self.chance < level and self.size > 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class OutlyingGroup:
+    """A target, a word of the column ``group`` or a file, with its number of ``rows``.
+
+    ``gain``: chi-squared of ``freedom`` parameter combinations that the group asks to be otherwise; ``p``: probability
+    of as much; ``chance``: of one such group among all, at most. ``scatter``: standard deviation of all residuals
+    without the group, over that with it. ``differs``: the one thing - a parameter of the robot, a tool, the base - that
+    would best be another one in this group, and ``differs_gain`` the chi-squared that this alone explains; empty and 0
+    where there is none.
+    """
+
+    kind: GroupKind
+    name: str
+    rows: int
+    gain: float
+    freedom: int
+    p: float
+    chance: float
+    scatter: float
+    differs: str
+    differs_gain: float
+    without: Influence
+
+
+# ---- jumps
+
+
+class _Split(NamedTuple):
+    """What the doubled unknowns Z of a target, for its first ``before`` rows or for those after, see and gain.
+
+    ``S`` (k, p): Z^T J; ``g`` (k,): Z^T r. ``later``: Z is for the rows after. ``gain``: chi-squared.
+    """
+
+    before: int
+    S: Array
+    g: Array
+    later: bool
+    gain: float
+
+
+class _Run:
+    """Walks along the rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
+
+    def __init__(self, columns: Sequence[int]) -> None:
+        self.columns = list(columns)
+        self.rows: list[tuple[int, int]] = []
+        self._sums = [np.zeros((1, len(columns), 0))]
+
+    def add(self, i: int, rows: Array, weighted: Array) -> None:
+        """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, p + 1)."""
+        Z = np.swapaxes(weighted[:, :, self.columns], -1, -2)
+        last = self._sums[-1][-1] if self.rows else 0.0
+        self._sums.append(last + np.cumsum(Z @ weighted, axis=0))
+        self.rows += [(i, int(n)) for n in rows]
+
+    def splits(self, C: Array, *, related: bool) -> Iterator[_Split]:
+        """Yield all splits with enough rows on either side.
+
+        What is known between targets holds for one of the halves; for ``related`` targets either is tried.
+        """
+        sums = np.concatenate(self._sums[1:]) if self.rows else np.zeros((0, len(self.columns), len(C) + 1))
+        tried = sums[_LEAST_ROWS - 1 : -_LEAST_ROWS]
+        for later, of_half in ((True, sums[-1:] - tried), (False, tried)) if related else ((False, tried),):
+            S, g = of_half[:, :, :-1], of_half[:, :, -1]
+            values, V = np.linalg.eigh(S[:, :, self.columns] - S @ C @ np.swapaxes(S, -1, -2))
+            can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
+            u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
+            gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
+            for k, gain in enumerate(gains.tolist()):
+                yield _Split(k + _LEAST_ROWS, S[k], g[k], later, gain)
+
+
+def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
+    """Return the likeliest jump of every unknown target, the least likely to be an accident first.
+
+    Those that are less likely than ``level`` are taken out, one after the other, before the rest is judged: a target
+    that has moved bends the machine, and makes others seem to have moved.
+    """
+    sets = residue.fit.measurements
+    runs = {name: _Run(columns) for name, columns in _target_columns(residue.fit.parameters).items()}
+    for block in residue.blocks():
+        data, weighted = sets[block.measurements], block.weighted
+        for name, run in runs.items():
+            own = np.flatnonzero(_of_target(data, name)[block.rows])
+            if len(own):
+                run.add(block.measurements, block.rows.start + own, weighted[own])
+    related = {name for relation in residue.fit.model.relations for name in relation.targets}
+    tried = {name: list(run.splits(residue.C, related=name in related)) for name, run in runs.items()}
+    number = sum(map(len, tried.values()))
+    best = {name: max(splits, key=lambda split: split.gain) for name, splits in tried.items() if splits}
+    best = {name: split for name, split in best.items() if split.gain > 0.0}
+    if not best:
+        return ()
+    # The normal equations of all best splits together, the model's own parameters eliminated.
+    S, g = np.concatenate([split.S for split in best.values()]), np.concatenate([split.g for split in best.values()])
+    M = -S @ residue.C @ S.T
+    at: dict[str, slice] = {}
+    for name, split in best.items():
+        start = sum(len(runs[other].columns) for other in at)
+        place = slice(start, start + len(split.g))
+        M[place, place] += split.S[:, runs[name].columns]
+        at[name] = place
+    found: list[Jump] = []
+    gained, freedom = 0.0, 0
+    while at:
+        shifts = {name: np.linalg.solve(M[place, place], g[place]) for name, place in at.items()}
+        name = max(at, key=lambda name: (float(g[at[name]] @ shifts[name]) / len(shifts[name]), name))
+        place, shift = at.pop(name), shifts[name]
+        raw, d = float(g[place] @ shift), len(shift)
+        gain = raw / residue.scatter(gained + raw, freedom + d)
+        p = residue.probability(gain, d)
+        found.append(_jump(residue, runs[name], name, best[name], shift, gain, p, min(1.0, number * p)))
+        if found[-1].is_told(level):
+            gained, freedom = gained + raw, freedom + d
+            coupling = M[:, place] @ np.linalg.inv(M[place, place])
+            g = g - coupling @ g[place]
+            M = M - coupling @ M[place, :]
+    return tuple(sorted(found, key=lambda jump: (jump.p, jump.target)))
+
+
+def _jump(
+    residue: Residue, run: _Run, target: str, split: _Split, shift: Array, gain: float, p: float, chance: float
+) -> Jump:
+    unknowns = [residue.fit.parameters[k] for k in run.columns]
+    i, row = run.rows[split.before - 1]
+    data = residue.fit.measurements[i]
+    # The solution is -shift, for the half that moved.
+    later = -shift if split.later else shift
+    moved = len(run.rows) - split.before if split.later else split.before
+    return Jump(
+        target,
+        residue.name(data),
+        int(data.lines[row]),
+        (split.before, len(run.rows) - split.before),
+        tuple(parameter.name.rpartition(".")[2] for parameter in unknowns),
+        tuple((later * scales(unknowns)).tolist()),
+        gain,
+        p,
+        chance,
+        float(np.sqrt(shift @ split.S[:, run.columns] @ shift / moved)),
+    )
+
+
+def _target_columns(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
+    """Return which parameters every unknown target has."""
+    found: dict[str, list[int]] = {}
+    for k, parameter in enumerate(parameters):
+        prefix, _, rest = parameter.name.partition(".")
+        if parameter.kind == "target" and prefix == "target":
+            found.setdefault(rest.rpartition(".")[0], []).append(k)
+    return found
+
+
+def _of_target(data: Measurements, name: str) -> BoolArray:
+    if data.kind not in WITH_TARGET:
+        return np.zeros(len(data), dtype=np.bool_)
+    return np.asarray(data.target == data.targets.index(name))
+
+
+# ---- groups
+
+
+def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
+    """Return all groups of rows that are not all rows, the least likely to agree with the rest first."""
+    members = _members(residue)
+    columns = len(residue.C) + 1
+    triangles = {key: np.zeros((0, columns)) for key in members}
+    for block in residue.blocks():
+        weighted = block.weighted
+        for key, of_set in members.items():
+            own = weighted[of_set[block.measurements][block.rows]]
+            if len(own):
+                triangles[key] = linear.triangle(np.concatenate([triangles[key], own.reshape(-1, columns)]))
+    things = _things(residue.fit.parameters)
+    found = [
+        _group(residue, kind, name, members[kind, name], triangle, things, len(members))
+        for (kind, name), triangle in triangles.items()
+    ]
+    return tuple(sorted(found, key=lambda group: (np.nan_to_num(group.p, nan=1.0), group.kind, group.name)))
+
+
+def _members(residue: Residue) -> Mapping[tuple[GroupKind, str], list[BoolArray]]:
+    """Return masks of every set for every group; of groups with the same rows the first, and none with all rows."""
+    sets = residue.fit.measurements
+    found: dict[tuple[GroupKind, str], list[BoolArray]] = {}
+
+    def add(kind: GroupKind, name: str, i: int, mask: BoolArray) -> None:
+        none = [np.zeros(len(data), dtype=np.bool_) for data in sets]
+        found.setdefault((kind, name), none)[i] |= mask
+
+    for i, data in enumerate(sets):
+        add("file", residue.name(data), i, np.ones(len(data), dtype=np.bool_))
+        for word in dict.fromkeys(data.group or ()):
+            add("group", word, i, np.array([own == word for own in data.group or ()]))
+        for t in dict.fromkeys(data.target.tolist() if data.kind in WITH_TARGET else ()):
+            add("target", data.targets[t], i, np.asarray(data.target == t))
+    kept: dict[bytes, tuple[GroupKind, str]] = {}
+    for key, masks in found.items():
+        whole = np.concatenate(masks)
+        if not whole.all():
+            kept.setdefault(whole.tobytes(), key)
+    return {key: found[key] for key in kept.values()}
+
+
+def _things(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
+    """Return what could be another one in a group: every parameter of the robot, the base and tools as a whole."""
+    found: dict[str, list[int]] = {}
+    for k, parameter in enumerate(parameters):
+        if parameter.kind != "target":
+            name = parameter.name if parameter.of_robot else parameter.name.rpartition(".")[0]
+            found.setdefault(name, []).append(k)
+    return found
+
+
+def _group(
+    residue: Residue,
+    kind: GroupKind,
+    name: str,
+    masks: Sequence[BoolArray],
+    triangle: Array,
+    things: Mapping[str, list[int]],
+    number: int,
+) -> OutlyingGroup:
+    J, r = triangle[:, :-1], triangle[:, -1]
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
+    seen = s > max(USABLE, RANK_TOLERANCE * s.max(initial=0.0))
+    # In its own principal directions the group says R x + c, and beyond them only its own scatter.
+    R, c = s[seen, None] * Vt[seen], U[:, seen].T @ r
+    CR = residue.C @ R.T
+    h, W = np.linalg.eigh(R @ CR)
+    both = 1.0 - h > ALONE
+    u = (W.T @ c)[both]
+    left = 1.0 - h[both]
+    q, freedom = float(np.sum(u**2 / left)), int(both.sum())
+    scatter = max(residue.scatter(q, freedom), 1.0)
+    p = residue.probability(q / scatter, freedom)
+    # Leaving the group out also takes away the scatter about its own machine.
+    rows = [mask.sum() * sigma.shape[1] for mask, sigma in zip(masks, residue.sigma, strict=True)]
+    alone = len(h) - freedom
+    all_squares = q + float(r @ r - c @ c)
+    after = residue.scatter(all_squares, float(sum(rows)) - alone)
+    best, gain = max(_gains(residue.C, J, r, things), key=lambda found: found[1], default=("", 0.0))
+    return OutlyingGroup(
+        kind,
+        name,
+        int(sum(mask.sum() for mask in masks)),
+        q / scatter,
+        freedom,
+        p,
+        min(1.0, number * p) if np.isfinite(p) else float("nan"),
+        float(np.sqrt(after / residue.scatter(0.0, 0.0))),
+        best,
+        gain / scatter,
+        residue.influence(CR @ (W[:, both] @ (u / left))),
+    )
+
+
+def _gains(C: Array, J: Array, r: Array, things: Mapping[str, list[int]]) -> Iterator[tuple[str, float]]:
+    """Yield for every thing what another one in the group would gain: a score test as for a jump."""
+    JJ, g = J.T @ J, J.T @ r
+    for name, own in things.items():
+        values, V = np.linalg.eigh(JJ[np.ix_(own, own)] - JJ[own] @ C @ JJ[:, own])
+        can_tell = values > ALONE * max(float(np.trace(JJ[np.ix_(own, own)])), np.finfo(float).tiny)
+        yield name, float(np.sum((V.T @ g[own])[can_tell] ** 2 / values[can_tell]))

@@ -1,0 +1,165 @@
+"""What rows do to a fit: their leverage, how far they are from what the others say, and the fit without them.
+
+With whitened residuals r and Jacobian J of some rows, the covariance C of all parameters and H = J C J^T, leaving the
+rows out lowers the sum of squares by ``q = r^T (I - H)^-1 r`` and moves the parameters by ``C J^T (I - H)^-1 r``,
+exactly so where the model is linear (R. D. Cook, S. Weisberg, Residuals and Influence in Regression, 1982). In the
+place of many rows a triangle of ``[J r]`` says the same.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from calib.foundations.arrays import Array
+from calib.identification import losses, weights
+from calib.identification.fit import Fit
+from calib.identification.parameters import scales
+from calib.identification.system import Problem, blocks
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
+
+# Directions that rows determine alone, to this share, cannot be tested.
+ALONE = 1e-4
+# A scatter of a nanometre is rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Influence:
+    """What becomes of the result without some rows, in one linear step.
+
+    ``parameter``: the one that changes most, by ``change`` of its standard deviations. ``prediction``: rms change, in
+    m, of what is predicted of all measured lengths and positions; nan where none are measured.
+    """
+
+    parameter: str
+    change: float
+    prediction: float
+
+
+class Rows(NamedTuple):
+    """Rows of one set: whitened residuals (n, d), Jacobian (n, d, p) and weights (n,) given by the set's loss."""
+
+    measurements: int
+    rows: slice
+    r: Array
+    J: Array
+    w: Array
+
+    @property
+    def weighted(self) -> Array:
+        """``[J r]`` (n, d, p + 1) as the fit takes it."""
+        return np.concatenate([self.J, self.r[:, :, None]], axis=2) * np.sqrt(self.w)[:, None, None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residue:
+    """A fit as a linear system. Columns of Jacobians are for one ordinary deviation, as is ``C`` (p, p).
+
+    ``sigma`` (N, d) and ``w`` (N,) of every set: noise and weights of the loss. ``squares`` and ``freedom``: of every
+    set, the whitened sum of squares and the degrees of freedom. ``predicted`` (p, p): J^T J of all numbers in m,
+    unwhitened and divided by their number. ``files``: what tables are called, by where they came from.
+    """
+
+    fit: Fit
+    files: Mapping[str, str]
+    problem: Problem
+    C: Array
+    sigma: tuple[Array, ...]
+    w: tuple[Array, ...]
+    squares: Array
+    freedom: Array
+    predicted: Array
+
+    @classmethod
+    def of(cls, fit: Fit, files: Mapping[str, str]) -> "Residue":
+        """Evaluate a fit where it ended."""
+        problem = Problem(
+            fit.model,
+            fit.parameters,
+            fit.machine.frames,
+            fit.measurements,
+            relations=fit.model.relations,
+            given_losses=fit.losses,
+        )
+        variances = [noise.model**2 for noise in fit.noise]
+        plain = weights.sigmas_of(problem, variances)
+        weighted = weights.sigmas_of(problem, variances, fit.residuals)
+        w = tuple((a[:, 0] / b[:, 0]) ** 2 for a, b in zip(plain, weighted, strict=True))
+        squares = [
+            float(np.sum(own[:, None] * (r / sigma) ** 2)) / losses.shrinkage(loss, r.shape[1])
+            for own, r, sigma, loss in zip(w, fit.residuals, plain, fit.losses, strict=True)
+        ]
+        freedom = [
+            sum(noise.degrees_of_freedom for noise in fit.noise if noise.measurements == i)
+            for i in range(len(fit.measurements))
+        ]
+        units = scales(fit.parameters)
+        predicted, numbers = np.zeros((len(units), len(units))), 0
+        for data in fit.measurements:
+            in_m = [k for quantity in QUANTITIES[data.kind] if quantity.unit == "m" for k in _range(quantity.columns)]
+            for block in blocks(problem, data, fit.machine, units):
+                J = block.J[:, in_m].reshape(-1, len(units))
+                predicted += J.T @ J
+                numbers += len(J)
+        return cls(
+            fit,
+            files,
+            problem,
+            fit.covariance / units[:, None] / units,
+            plain,
+            w,
+            np.array(squares),
+            np.array(freedom),
+            predicted / numbers if numbers else np.full_like(predicted, np.nan),
+        )
+
+    def name(self, data: Measurements) -> str:
+        """Return what the table of a set is called."""
+        return self.files.get(data.where, data.where)
+
+    def blocks(self) -> Iterator[Rows]:
+        """Yield all rows, block by block."""
+        units = scales(self.fit.parameters)
+        for i, data in enumerate(self.fit.measurements):
+            for block in blocks(self.problem, data, self.fit.machine, units):
+                sigma = self.sigma[i][block.rows]
+                yield Rows(
+                    i, block.rows, block.observed.residual / sigma, block.J / sigma[:, :, None], self.w[i][block.rows]
+                )
+
+    def scatter(self, without: float, freedom: float, i: int | None = None) -> float:
+        """Return the variance, as a share of the fit's, that is seen in set i (or in all) when something is left out.
+
+        ``without`` and ``freedom``: by how much that lowers the sum of squares and the degrees of freedom; nan where
+        nothing is left.
+        """
+        chosen = slice(None) if i is None else slice(i, i + 1)
+        left = float(self.freedom[chosen].sum()) - freedom
+        least = max((_ROUNDING / float(sigma.min())) ** 2 for sigma in self.sigma[chosen])
+        return max((float(self.squares[chosen].sum()) - without) / left, least) if left > 0.0 else float("nan")
+
+    def probability(self, q: float, d: int, i: int | None = None) -> float:
+        """Return how probable a chi-squared of q or more by d numbers is, against the scatter of set i (or of all)."""
+        chosen = slice(None) if i is None else slice(i, i + 1)
+        left = float(self.freedom[chosen].sum()) - d
+        # With d equal to 0 there is nothing to test.
+        return float(stats.f.sf(q / d, d, left)) if d and left > 0.0 else float("nan")
+
+    def influence(self, step: Array) -> Influence:
+        """Return the influence of rows without which the parameters (p,) are off by ``step``, scaled."""
+        sigmas = np.sqrt(np.maximum(np.diag(self.C), 0.0))
+        by_sigma = np.divide(step, sigmas, out=np.zeros_like(step), where=sigmas > 0.0)
+        k = int(np.argmax(np.abs(by_sigma)))
+        return Influence(
+            self.fit.parameters[k].name,
+            float(by_sigma[k]),
+            float(np.sqrt(np.maximum(step @ self.predicted @ step, 0.0))),
+        )
+
+
+def _range(columns: slice) -> range:
+    return range(columns.start, columns.stop)

@@ -1,0 +1,71 @@
+"""The part of a report on rows, targets and groups that do not go with the rest."""
+
+from calib.assessment.outliers import Outliers
+from calib.presentation.report.document import Block, Prose, Row, Section, Sheet
+from calib.presentation.sheets import SHOWN, count
+
+_MOST_ROWS = 10
+_MOST_GROUPS = 3
+_COLUMNS = ("row", "leverage", "distance", "chance", "moves most", "by sigmas")
+
+
+def outliers(found: Outliers) -> Section:
+    """Return the rows that are no accident, or the worst ones; targets that moved; groups that disagree."""
+    told = found.outlying
+    title = "Rows that do not go with the others" if told else "Rows that go least with the others"
+    sheet = Sheet(
+        title,
+        _COLUMNS,
+        frozenset(("leverage", "distance", "chance", "by sigmas")),
+        tuple(
+            Row(
+                (
+                    f"{row.file}:{row.line}",
+                    f"{row.leverage:.3f}",
+                    f"{row.studentised:.2f}",
+                    f"{row.chance:.1g}",
+                    row.without.parameter,
+                    f"{row.without.change:+.2f}",
+                )
+            )
+            for row in (told or found.rows)[:_MOST_ROWS]
+        ),
+        "distance: from what the other rows say, in their scatter; chance: of one such row in ordinary data; moves "
+        "most: the parameter that changes most without the row",
+        brief=bool(told),
+    )
+    blocks: list[Block] = [sheet]
+    if len(told) > _MOST_ROWS:
+        blocks.append(Prose((f"And {count(len(told) - _MOST_ROWS, 'row', 'rows')} more.",), brief=True))
+    if found.moved:
+        blocks.append(Prose(_moved(found), brief=True))
+    if found.disagreeing:
+        blocks.append(Prose(_disagreeing(found), brief=True))
+    return Section("outliers", "Outliers", tuple(blocks))
+
+
+def _moved(found: Outliers) -> tuple[str, ...]:
+    sentences = []
+    for jump in found.moved:
+        by = [
+            f"{component} {value * SHOWN[unit][0]:+.2f} {SHOWN[unit][1]}"
+            for component, value in zip(jump.components, jump.shift, strict=True)
+            for unit in ("rad" if component.startswith("r") else "m",)
+        ]
+        sentences.append(
+            f"The target {jump.target} seems to have moved after {jump.file}:{jump.line}, by {', '.join(by)} "
+            f"({jump.rows[0]} rows before, {jump.rows[1]} after; chi-squared {jump.gain:.0f} by {len(jump.shift)})."
+        )
+    return (*sentences, "Or the machine is not what the model says at the postures that come after.")
+
+
+def _disagreeing(found: Outliers) -> tuple[str, ...]:
+    sentences = []
+    for group in found.disagreeing[:_MOST_GROUPS]:
+        best = f", {group.differs_gain:.0f} of it by {group.differs} alone" if group.differs else ""
+        sentences.append(
+            f"The {group.kind} {group.name} asks for another machine than the rest: chi-squared {group.gain:.0f} by "
+            f"{group.freedom}{best}; without it all others scatter {group.scatter:.2f} times as much."
+        )
+    more = len(found.disagreeing) - _MOST_GROUPS
+    return (*sentences, *([f"{count(more, 'group', 'groups')} more disagree."] if more > 0 else []))
