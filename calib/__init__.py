@@ -11,6 +11,12 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.assessment.acceptance import verify
+from calib.assessment.advice import advice
+from calib.assessment.bootstrap import bootstrap
+from calib.assessment.choice import choose_terms
+from calib.assessment.drift import compare
+from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.compensation.urdf import write_urdf
@@ -22,6 +28,7 @@ from calib.foundations.errors import (
     OutputError,
     RobotError,
 )
+from calib.identification import positioner
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
@@ -34,6 +41,7 @@ from calib.presentation.fit_plots import plot
 from calib.presentation.frames import data_frame
 from calib.presentation.tables import table
 from calib.robot import dh
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 
@@ -56,19 +64,30 @@ __all__ = [
     "MeasurementError",
     "Measurements",
     "OutputError",
+    "Payload",
     "Robot",
     "RobotError",
     "Trace",
+    "advice",
+    "bootstrap",
+    "choose_terms",
     "commands",
+    "compare",
     "data_frame",
     "dh",
     "error_model",
     "identify",
     "load_model",
     "load_robot",
+    "outside_identified",
     "plot",
+    "positioner",
     "read_measurements",
     "table",
+    "tool_uncertainty",
     "total_differential",
+    "uncertainty_map",
+    "uncertainty_of",
+    "verify",
     "write_urdf",
 ]

@@ -1,16 +1,17 @@
 """The figures by which people compare calibrations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.measurement.kinds import QUANTITIES, UNIT_OF, Kind
 
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Statistics of n error norms, in ``unit``: distances in m or angles in rad."""
+    """Statistics of n error norms, in ``unit``: m, rad or px."""
 
     unit: str
     n: int
@@ -20,26 +21,23 @@ class Metrics:
     max: float
 
 
-def error_norms(residuals: Array) -> dict[str, Array]:
-    """Return error norms (N,) of residuals (N, 3 or 6): ``position`` in m and, for poses, ``orientation`` in rad."""
-    norms = {"position": np.linalg.norm(residuals[:, :3], axis=1)}
-    if residuals.shape[1] == 6:
-        norms["orientation"] = np.linalg.norm(residuals[:, 3:], axis=1)
-    return norms
+def error_norms(kind: Kind, residuals: Array) -> dict[str, Array]:
+    """Return error norms (N,) by quantity of residuals (N, d) of a kind: of ``position`` in m, for example."""
+    return {quantity.name: np.linalg.norm(residuals[:, quantity.columns], axis=1) for quantity in QUANTITIES[kind]}
 
 
-def metrics(residuals: Sequence[Array]) -> Mapping[str, Metrics]:
-    """Return the metrics of each quantity over all sets of residuals, (N, 3) in m or (N, 6) in m and rad."""
+def metrics(sets: Iterable[tuple[Kind, Array]]) -> Mapping[str, Metrics]:
+    """Return the metrics of each quantity over all sets: pairs of a kind and its residuals (N, d)."""
     norms: dict[str, list[Array]] = {}
-    for r in residuals:
-        for quantity, values in error_norms(r).items():
+    for kind, r in sets:
+        for quantity, values in error_norms(kind, r).items():
             norms.setdefault(quantity, []).append(values)
-    return {quantity: _metrics(np.concatenate(values), quantity) for quantity, values in norms.items()}
+    return {quantity: _metrics(np.concatenate(values), UNIT_OF[quantity]) for quantity, values in norms.items()}
 
 
-def _metrics(norms: Array, quantity: str) -> Metrics:
+def _metrics(norms: Array, unit: str) -> Metrics:
     return Metrics(
-        {"position": "m", "orientation": "rad"}[quantity],
+        unit,
         len(norms),
         float(np.mean(norms)),
         float(np.sqrt(np.mean(norms**2))),

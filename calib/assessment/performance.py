@@ -19,9 +19,10 @@ from typing import Literal, Protocol, cast
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
+from calib.identification.pivot import pivot
 from calib.measurement.table import Table, nearest, read_table
 from calib.robot.robot import Reading, Robot
 
@@ -42,8 +43,6 @@ _SIZES: Mapping[Kind, tuple[str, ...]] = {
     "articulations": ("diameter", "ball"),
 }
 _PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
-# Directions of the probe point that articulations move by less than this share of the best one stay where they were.
-_UNSEEN = 1e-6
 
 
 # ---- touches
@@ -285,11 +284,7 @@ def probe_point(tips: Array, cones: Sequence[str], guess: Array) -> Array:
     linear in p and c: the p for which the touches of every cone scatter least, each about its own mean. What the
     articulations do not show of p stays as in ``guess`` (3,), all in m.
     """
-    R, t = tips[:, :3, :3].copy(), tips[:, :3, 3] + tips[:, :3, :3] @ guess
-    for rows in _rows(cones).values():
-        R[rows] -= R[rows].mean(axis=0)
-        t[rows] -= t[rows].mean(axis=0)
-    return np.asarray(guess - np.linalg.lstsq(R.reshape(-1, 3), t.ravel(), rcond=_UNSEEN)[0])
+    return pivot(tips, cones, guess=guess).tool_point
 
 
 # ---- the figures, from touches
@@ -362,7 +357,7 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
 
 
 def _results(test: Touches, points: Array) -> list[Result]:
-    places = _rows(test.words["target"])
+    places = rows_by_word(test.words["target"])
     try:
         match test.kind:
             case "cone":
@@ -377,7 +372,9 @@ def _results(test: Touches, points: Array) -> list[Result]:
             case "articulations":
                 group = test.words["group"]
                 return [
-                    articulated_location([points[rows[own]] for own in _rows([group[n] for n in rows]).values()], place)
+                    articulated_location(
+                        [points[rows[own]] for own in rows_by_word([group[n] for n in rows]).values()], place
+                    )
                     for place, rows in places.items()
                 ]
     except MeasurementError as e:
@@ -386,8 +383,8 @@ def _results(test: Touches, points: Array) -> list[Result]:
 
 def _lengths(test: Touches, points: Array) -> Volumetric:
     measured, known = [], []
-    for pair, rows in _rows(test.words["pair"]).items():
-        ends = _rows([test.words["target"][n] for n in rows])
+    for pair, rows in rows_by_word(test.words["pair"]).items():
+        ends = rows_by_word([test.words["target"][n] for n in rows])
         if len(ends) != 2:
             listed = ", ".join(map(repr, ends))
             raise MeasurementError(f"pair {pair!r} has the ends {listed}; a length has two.")
@@ -407,11 +404,3 @@ def _only(test: Touches, column: str, rows: IntArray) -> float:
             f"{lines[n]} of the same target or pair."
         )
     return float(values[0])
-
-
-def _rows(words: Sequence[str]) -> dict[str, IntArray]:
-    """Return the rows of every word, words in the order of their first row."""
-    found: dict[str, list[int]] = {}
-    for n, word in enumerate(words):
-        found.setdefault(word, []).append(n)
-    return {word: np.array(rows, dtype=np.intp) for word, rows in found.items()}

@@ -5,6 +5,7 @@ The total differential of the touched point P = F(x) is dP = J dx, with one colu
 dalpha + df/dtheta dtheta, 25 columns for six joints). The coefficients are those of the nominal robot, analytic and
 exact; what linearising leaves out is seen by setting :func:`predicted_error` beside :func:`exact_error`.
 
+Terms that depend on more than readings count as reached from below, and a kelvin above the reference temperature.
 Everywhere ``readings`` (N, k) are encoder readings in rad or m, one column for every reading of the robot, and the
 point is the model's only tool, at its given place.
 """
@@ -24,8 +25,9 @@ from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import unmeasured
 from calib.measurement.table import nearest
+from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 
 
 class Coefficients(NamedTuple):
@@ -189,21 +191,8 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     parameters = model.parameters(tools)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    origin, rows = read_only(np.zeros((len(q), 3))), np.arange(len(q), dtype=np.intp)
-    poses = Measurements(
-        kind="position",
-        reading_names=names,
-        readings=read_only(q),
-        position=origin,
-        orientation=None,
-        sigma=origin,
-        tools=tools,
-        tool=np.zeros_like(rows),
-        group=None,
-        target=None,
-        where="poses",
-        lines=rows,
-    )
+    warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
+    poses = unmeasured(names, q, np.zeros((len(q), 3)), conditions=warm, where="poses")
     reference = model.given_frames(tools)
     return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)
 

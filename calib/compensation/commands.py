@@ -17,7 +17,9 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, TipModel
+from calib.robot.transmission import lacking
 
 PoseFrame = Literal["base", "instrument"]
 What = Literal["pose", "position"]
@@ -90,6 +92,7 @@ def for_joint_targets(
     what: What = "pose",
     residuals: ResidualModel | None = None,
     clamp: bool = False,
+    conditions: Conditions = NO_CONDITIONS,
     tolerance: float = 1e-6,
     tolerance_angle: float = 1e-6,
 ) -> Corrections:
@@ -98,17 +101,29 @@ def for_joint_targets(
     The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: the tool's whole pose,
     or its position alone, as arms of fewer than six joints need. ``residuals`` are added to predicted positions;
     where these do not reach, rows are refused, or with ``clamp`` take those at the edge, with a remark. A row is
-    reached within ``tolerance`` in m and ``tolerance_angle`` in rad.
+    reached within ``tolerance`` in m and ``tolerance_angle`` in rad. ``conditions`` of the rows: what joint terms need
+    to be told.
 
-    Raises JobError when an option or an array cannot be used.
+    Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
     readings = _start(model, readings)
+    _refuse_unknown_conditions(model, conditions)
     tools = _tools(model, tool, len(readings))
     nominal = TipModel(model.robot)
     tips, why = _rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
     return _solve(
-        model, tips @ tools, what, readings, tools, reasons, residuals, clamp, (tolerance, tolerance_angle), _REMARKABLE
+        model,
+        tips @ tools,
+        what,
+        readings,
+        tools,
+        reasons,
+        residuals,
+        clamp,
+        conditions,
+        (tolerance, tolerance_angle),
+        _REMARKABLE,
     )
 
 
@@ -121,6 +136,7 @@ def for_poses(
     frame: PoseFrame = "base",
     residuals: ResidualModel | None = None,
     clamp: bool = False,
+    conditions: Conditions = NO_CONDITIONS,
     tolerance: float = 1e-6,
     tolerance_angle: float = 1e-6,
 ) -> Corrections:
@@ -138,6 +154,7 @@ def for_poses(
         raise JobError("the poses must be finite numbers.")
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
+    _refuse_unknown_conditions(model, conditions)
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
@@ -153,7 +170,7 @@ def for_poses(
             raise JobError(
                 f"there are {len(start)} rows of readings to start from and {n} poses; there must be as many."
             )
-        return _solve(model, poses, what, start, tools, [""] * n, residuals, clamp, tolerances, np.inf)
+        return _solve(model, poses, what, start, tools, [""] * n, residuals, clamp, conditions, tolerances, np.inf)
     found: Corrections | None = None
     for row in _starting_places(model):
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached)
@@ -166,6 +183,7 @@ def for_poses(
             [""] * len(left),
             residuals,
             clamp,
+            conditions.subset(left),
             tolerances,
             np.inf,
         )
@@ -186,6 +204,12 @@ def _start(model: CalibratedModel, readings: Array) -> Array:
     if not np.isfinite(readings).all():
         raise JobError("the readings must be finite numbers.")
     return readings
+
+
+def _refuse_unknown_conditions(model: CalibratedModel, conditions: Conditions) -> None:
+    names = [reading.name for reading in model.robot.readings]
+    if missing := lacking(model.robot.terms, names, conditions):
+        raise JobError(f"{missing[0]} of the machine needs to be told {missing[1]!r} of every target.")
 
 
 def _tools(model: CalibratedModel, tool: str | Sequence[str], n: int) -> Array:
@@ -298,9 +322,11 @@ class _Machine:
         what: What,
         tools: Array,
         residuals: ResidualModel | None,
+        conditions: Conditions,
         length: float,
     ) -> None:
         self._tips, self._residuals = TipModel(model.robot, model.deviations), residuals
+        self._conditions = conditions
         self._targets, self._tools, self._to_tool = targets, tools, rigid.adjoint(rigid.inverse(tools))
         self.size = 3 if what == "position" else 6
         self._weights = np.repeat((1.0, length), 3)[: self.size]
@@ -310,11 +336,12 @@ class _Machine:
         """Return what is seen of some rows (n) at readings (n, nr)."""
         size = self._columns
 
-        def flat(readings: Array) -> Array:
-            tip, slope = self._tips.driven(readings)
+        def flat(numbered: Array) -> Array:
+            readings, own = numbered[:, :-1], rows[numbered[:, -1].astype(np.intp)]
+            tip, slope = self._tips.driven(readings, self._conditions.subset(own))
             return np.concatenate([tip.reshape(-1, 16), slope.reshape(-1, 6 * size)], axis=1)
 
-        values, why = _rowwise(flat, q, (16 + 6 * size,))
+        values, why = _rowwise(flat, np.column_stack([q, np.arange(len(q))]), (16 + 6 * size,))
         tip, slope = values[:, :16].reshape(-1, 4, 4), values[:, 16:].reshape(-1, 6, size)
         T, target = tip @ self._tools[rows], self._targets[rows]
         position = T[:, :3, 3]
@@ -350,6 +377,7 @@ def _solve(
     refused: Sequence[str],
     residuals: ResidualModel | None,
     clamp: bool,
+    conditions: Conditions,
     tolerances: tuple[float, float],
     remarkable: float,
 ) -> Corrections:
@@ -368,6 +396,7 @@ def _solve(
                 refused[n : n + _BLOCK],
                 residuals,
                 clamp,
+                conditions.subset(slice(n, n + _BLOCK)),
                 tolerances,
                 remarkable,
             )
@@ -395,11 +424,12 @@ def _solve_block(
     refused: Sequence[str],
     residuals: ResidualModel | None,
     clamp: bool,
+    conditions: Conditions,
     tolerances: tuple[float, float],
     remarkable: float,
 ) -> Corrections:
     readings = model.robot.readings
-    machine = _Machine(model, targets, what, tools, residuals, tolerances[0] / tolerances[1])
+    machine = _Machine(model, targets, what, tools, residuals, conditions, tolerances[0] / tolerances[1])
     low, high = _limits(readings)
     why = [text or _beyond(row, readings) for text, row in zip(refused, start, strict=True)]
     tried = np.flatnonzero([not text for text in why])

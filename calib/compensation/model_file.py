@@ -10,14 +10,21 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.grid import SectorGrid, load_grid
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import CalibError, JobError, OutputError, RobotError
+from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import read_bytes, recover_folder
 from calib.identification.fit import Fit
+from calib.identification.machine import Frames
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import STANDARD_GRAVITY, Payload
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.transmission import JointTerm, TermKind
 from calib.robot.urdf import parse_urdf
 
 MODEL_FILE = "model.json"
@@ -100,6 +107,28 @@ class LoopEntry(_Strict):
     passive: tuple[str, ...]
 
 
+class TermEntry(_Strict):
+    """A joint term: the reading moves on by ``amount`` (SI) times what its kind and order say."""
+
+    reading: str
+    kind: TermKind
+    order: int = Field(ge=0)
+    amount: float
+
+    @model_validator(mode="after")
+    def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
+        if (self.order > 0) != (self.kind in ("cos", "sin")):
+            raise ValueError("a term has an order if, and only if, it is a harmonic")
+        return self
+
+
+class PayloadEntry(_Strict):
+    """What the tip link carries: kg, and m in its frame."""
+
+    mass: float = Field(ge=0.0)
+    position: tuple[float, float, float]
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -114,6 +143,9 @@ class ModelFile(_Strict):
     residual_model: Literal["grid.npz"] | None = None
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
+    terms: tuple[TermEntry, ...] = ()
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: PayloadEntry | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +153,8 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``grid``: errors of tool positions that the rest leaves, over joint space, or None.
+    ``grid``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of
+    it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
     """
 
     robot: Robot
@@ -129,17 +162,21 @@ class CalibratedModel:
     base: Array
     tools: Mapping[str, Array]
     grid: SectorGrid | None = None
+    uncertainty: Uncertainty | None = None
 
-    def tips(self, readings: Array) -> Array:
-        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m."""
-        return self.robot.tips(readings, self.deviations)
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-    def predict(self, readings: Array, tool: str = "tool") -> Array:
+        Raises RobotError for a joint term that needs ``conditions`` which are not given.
+        """
+        return self.robot.tips(readings, self.deviations, conditions)
+
+    def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
         The grid, where there is one, shifts positions; outside of it, where it has no values, nothing is added.
         """
-        tips = self.tips(readings)
+        tips = self.tips(readings, conditions)
         placed = np.asarray(self.base @ tips @ self.tools[tool])
         if self.grid is not None:
             placed[:, :3, 3] += self.grid.shifts(self.base, tips, readings)
@@ -175,6 +212,14 @@ def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
             for loop in robot.closed_loops
         ),
+        terms=tuple(
+            TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
+            for term, amount in zip(robot.terms, deviations.terms, strict=True)
+        ),
+        gravity=robot.gravity,
+        payload=None
+        if robot.payload is None
+        else PayloadEntry(mass=robot.payload.mass, position=robot.payload.position),
     )
 
 
@@ -214,20 +259,37 @@ def load_model(folder: str | Path) -> CalibratedModel:
             model.base_link,
             couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
             loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in model.loops],
+            gravity=model.gravity,
+            payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
         )
-    except CalibError as e:
+        names = [reading.name for reading in robot.readings]
+        terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
+        if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+            raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
+        equipped = with_joint_terms(robot, terms)
+    except RobotError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
     if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in model.joints]:
         raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
+    amounts = [term.amount for term in model.terms]
+    deviations = Deviations(
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+    )
+    base = read_only(model.base.placement)
+    tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    doubts = folder / UNCERTAINTY_FILE
+    known = doubts.is_file() and bool(tools)
+    frames = Frames(base, np.stack(list(tools.values()))) if known else None
     return CalibratedModel(
-        robot,
-        Deviations(read_only([joint.deviation for joint in model.joints]), read_only(offsets)),
-        read_only(model.base.placement),
-        {name: read_only(tool.placement) for name, tool in model.tools.items()},
+        equipped,
+        deviations,
+        base,
+        tools,
         None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
+        None if frames is None else load_uncertainty(doubts, equipped, deviations, frames, tuple(tools)),
     )
 
 

@@ -14,8 +14,10 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
-from calib.measurement.measurements import orientations, stacked
-from calib.measurement.table import QUATERNION_COLUMNS, TEXT_COLUMNS, Table, nearest, read_table
+from calib.measurement.measurements import conditions, orientations, stacked
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
+from calib.robot.conditions import Conditions
+from calib.robot.transmission import lacking
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,12 +25,14 @@ class Targets:
     """N targets of a table.
 
     ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
-    (N, 3), or None for joint targets. ``tools``: N names. ``table``: as it was read.
+    (N, 3), or None for joint targets. ``tools``: N names. ``conditions``: what joint terms need to be told. ``table``:
+    as it was read.
     """
 
     readings: Array | None
     poses: Array | None
     tools: tuple[str, ...]
+    conditions: Conditions
     table: Table
 
     def __len__(self) -> int:
@@ -47,13 +51,21 @@ def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets
     joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, and when a tool is not known.
+    not of unit length, when a tool is not known, and when a joint term of the machine needs a column that is not there.
     """
     columns, where = table.columns, table.where
     joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
     position: dict[str, Dimension] = dict.fromkeys(("x", "y", "z"), "length")
     rotation: dict[str, Dimension] = dict.fromkeys(QUATERNION_COLUMNS, "number")
-    known = {*joints, *position, *rotation, *TEXT_COLUMNS, "time"}
+    known = {
+        *joints,
+        *position,
+        *rotation,
+        *TEXT_COLUMNS,
+        "time",
+        "temperature",
+        *(f"{what}{name}" for what in (APPROACH, TORQUE) for name in joints),
+    }
     for name in columns:
         if name not in known:
             near = nearest(name, sorted(known - columns.keys()))
@@ -77,7 +89,10 @@ def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets
                 f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
                 f"{', '.join(model.tools)}."
             )
-    return Targets(start, poses, tools, table)
+    told = conditions(table, model.robot.readings)
+    if unsaid := lacking(model.robot.terms, list(joints), told):
+        raise MeasurementError(f"{where}: there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs.")
+    return Targets(start, poses, tools, told, table)
 
 
 def corrections(
@@ -95,10 +110,21 @@ def corrections(
     """
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
-        found = for_joint_targets(model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp)
+        found = for_joint_targets(
+            model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp, conditions=wanted.conditions
+        )
     else:
         poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
-        found = for_poses(model, poses, wanted.readings, wanted.tools, frame=frame, residuals=residuals, clamp=clamp)
+        found = for_poses(
+            model,
+            poses,
+            wanted.readings,
+            wanted.tools,
+            frame=frame,
+            residuals=residuals,
+            clamp=clamp,
+            conditions=wanted.conditions,
+        )
     if not found.reached.any():
         table = wanted.table
         raise MeasurementError(

@@ -1,6 +1,7 @@
 """The calibrated URDF: the nominal document with new joint origins, in which joint offsets are folded."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
@@ -48,32 +50,35 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
 def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     """Return the calibrated document: only origins differ from the nominal one, byte for byte.
 
-    Before it is returned it is read back and compared with the calibrated machine at the tip; raises OutputError if
-    they differ.
+    Before it is returned it is read back and compared with the calibrated machine, joint terms left out, at the tip;
+    raises OutputError if they differ.
     """
     document = splice_origins(robot.urdf.source, calibrated_origins(robot, deviations), robot.urdf.where)
     again = with_document(robot, parse_urdf(document, "the calibrated URDF"))
     readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
-    difference = float(np.max(np.abs(again.tips(readings) - robot.tips(readings, deviations))))
+    plain = replace(deviations, terms=np.zeros_like(deviations.terms))
+    difference = float(np.max(np.abs(again.tips(readings) - robot.tips(readings, plain))))
     if not difference < _ROUNDING:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
     return document
 
 
-def lost_in_urdf(robot: Robot, deviations: Deviations, readings: Array) -> float:
+def lost_in_urdf(
+    robot: Robot, deviations: Deviations, readings: Array, conditions: Conditions = NO_CONDITIONS
+) -> float:
     """Return the rms distance in m at the tip, at readings (N, nr), that the calibrated URDF alone is off.
 
-    A URDF holds neither closed loops nor couplings of several drivers; whoever reads it follows its mimic joints. 0
-    where it holds all, and nan where its joints do not even take the same readings.
+    A URDF holds neither closed loops nor couplings of several drivers, nor joint terms; whoever reads it follows its
+    mimic joints. 0 where it holds all, and nan where its joints do not even take the same readings.
     """
-    if not (robot.loops or robot.couplings):
+    if not (robot.loops or robot.couplings or robot.terms):
         return 0.0
     plain = load_robot(parse_urdf(calibrated_urdf(robot, deviations), robot.urdf.where), robot.tip, robot.base)
     names = [reading.name for reading in robot.readings]
     if any(reading.name not in names for reading in plain.readings):
         return float("nan")
     taken = readings[:, [names.index(reading.name) for reading in plain.readings]]
-    apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations)[:, :3, 3]
+    apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations, conditions)[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 

@@ -1,6 +1,7 @@
 """Array types, and arrays that nobody changes behind your back."""
 
-from typing import Any
+from collections.abc import Hashable, Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +9,8 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
+
+Word = TypeVar("Word", bound=Hashable)
 
 
 def read_only(values: npt.ArrayLike) -> Array:
@@ -22,3 +25,11 @@ def read_only_view(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     view = values.view()
     view.flags.writeable = False
     return view
+
+
+def rows_by_word(words: Iterable[Word]) -> dict[Word, IntArray]:
+    """Return the rows of every word, words in the order of their first row."""
+    found: dict[Word, list[int]] = {}
+    for n, word in enumerate(words):
+        found.setdefault(word, []).append(n)
+    return {word: np.array(rows, dtype=np.intp) for word, rows in found.items()}

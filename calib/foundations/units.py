@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.foundations.errors import CalibError, JobError
 
-Dimension = Literal["length", "angle", "torque", "mass", "time", "temperature", "pixel", "number"]
+Dimension = Literal["length", "angle", "torque", "mass", "acceleration", "time", "temperature", "pixel", "number"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,7 @@ UNITS: dict[str, Unit] = {
         Unit("deg", "angle", float(np.pi) / 180.0),
         Unit("Nm", "torque", 1.0),
         Unit("kg", "mass", 1.0),
+        Unit("m/s2", "acceleration", 1.0),
         Unit("s", "time", 1.0),
         Unit("ms", "time", 1e-3),
         Unit("degC", "temperature", 1.0),
@@ -47,7 +48,7 @@ UNITS: dict[str, Unit] = {
 
 # The plain decimal and exponent forms only: float() would also take 1_0, nan, inf and full-width digits.
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?", re.ASCII)
-_QUANTITY = re.compile(rf"\s*({NUMBER.pattern})\s*([A-Za-z0-9]*)\s*", re.ASCII)
+_QUANTITY = re.compile(rf"\s*({NUMBER.pattern})\s*([A-Za-z0-9/]*)\s*", re.ASCII)
 
 
 def symbols(dimension: Dimension) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 import difflib
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,12 +12,17 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
+from calib.identification.joint_terms import ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
+from calib.identification.relations import Relation
+from calib.identification.targets import Target
 from calib.robot import deviation
 from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
 from calib.robot.dh.table import NUMBERS, Convention, DhTable
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot
+from calib.robot.transmission import JointTerm
 
 Selection = Literal["all", "none"] | Sequence[str]
 BaseFreedom = Literal["pose", "fixed"]
@@ -31,7 +36,9 @@ class ErrorModel:
     ``robot`` is in the frames in which its deviations are named: DH frames where DH parameters are free, and ``dh``
     then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
-    ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    ``terms``: names of those joint terms of the robot that are free; ``term_priors``: standard deviations, by name, of
+    those with a prior. ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
     robot: Robot
@@ -44,6 +51,10 @@ class ErrorModel:
     base_pose: Array = field(default_factory=lambda: read_only(np.eye(4)))
     tool_poses: Mapping[str, Array] = field(default_factory=dict)
     dh: DhFrames | None = None
+    targets: Mapping[str, Target] = field(default_factory=dict)
+    relations: tuple[Relation, ...] = ()
+    terms: tuple[str, ...] = ()
+    term_priors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def urdf_robot(self) -> Robot:
@@ -69,6 +80,12 @@ class ErrorModel:
             moving = self.robot.chain[i]
             if moving.name in self.offsets:
                 free(f"{moving.name}.offset", "offset", (layout.offsets + j, 1.0), length=moving.type == "prismatic")
+        dimensions = {reading.name: reading.dimension for reading in self.robot.readings}
+        for t, term in enumerate(self.robot.terms):
+            if term.name in self.terms:
+                unit = term.unit(dimensions[term.reading])
+                prior = self.term_priors.get(term.name)
+                found.append(Parameter(term.name, unit, "term", ((layout.terms + t, 1.0),), prior, ordinary(unit)))
         if self.base == "pose":
             for k, component in enumerate(POSE):
                 free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)
@@ -77,8 +94,7 @@ class ErrorModel:
             for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
                 free(f"{prefix}.{component}", "tool", (layout.tools + 6 * t + k, 1.0), length=k < 3)
         names = [parameter.name for parameter in found]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise JobError(f"the parameter name {twice[0]!r} means two things: a joint may not be called base or tool.")
         return tuple(found)
 
@@ -104,12 +120,22 @@ def error_model(
     dh: Selection = "none",
     dh_convention: Convention = "standard",
     dh_parallel: float = PARALLEL,
+    gain: Selection = "none",
+    harmonics: Selection = "none",
+    harmonic_orders: Sequence[int] = (1, 2),
+    elastic: Selection = "none",
+    torque: Selection = "none",
+    backlash: Selection = "none",
+    thermal: Selection = "none",
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
     prior_length: float | None = None,
     prior_angle: float | None = None,
+    prior_harmonics: float | None = None,
     base_pose: npt.ArrayLike | None = None,
     tool_poses: Mapping[str, npt.ArrayLike] | None = None,
+    targets: Mapping[str, Target] | None = None,
+    relations: Sequence[Relation] = (),
 ) -> ErrorModel:
     """Say which parameters of ``robot`` are unknown.
 
@@ -121,10 +147,18 @@ def error_model(
     numbers (``"joint_3.a"``, ``"*.alpha"``). A row is named after its joint and has a, d, alpha, theta, and beta in
     place of d where the next axis is parallel to within ``dh_parallel`` rad. What the joint itself moves (theta of a
     revolute one) is freed, and called, ``joint_3.offset``. ``dh_convention``: "standard" or "modified".
-    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4).
+    ``gain``, ``harmonics``, ``elastic``, ``torque``, ``backlash``, ``thermal``: "all" readings, "none", or names and
+    globs of readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity or
+    under measured torques, whose half gap by the side of approach, whose zero by temperature is unknown. Masses are
+    those of the URDF, and RobotError says what is wrong with them; torques, sides and temperatures are columns of the
+    measurements. Without a prior of their own (``prior_harmonics``, rad) amounts of terms have none.
+    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
+    nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
     a point); the only tool is called "tool". No start value is needed for what is free.
-    ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every parameter of the robot.
+    ``targets``: what is known of sockets, anchors, balls and planes by name; others are found. ``relations``: what is
+    known between targets.
+    ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every offset and placement.
 
     Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
     the same frame.
@@ -150,7 +184,11 @@ def error_model(
         # A joint's own name stands for its components; a joint name may itself hold dots.
         patterns = [p if fnmatch.filter(names, p) and p not in joints else f"{p}.*" for p in placements]
         chosen = _select(patterns, names, "placements")
-    for name, value in (("prior length", prior_length), ("prior angle", prior_angle)):
+    for name, value in (
+        ("prior length", prior_length),
+        ("prior angle", prior_angle),
+        ("prior harmonics", prior_harmonics),
+    ):
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
     for name, value_, allowed in (
@@ -169,7 +207,20 @@ def error_model(
         _refuse_shared_frames(frames, freed, numbers)
         freed += numbers
         chosen_offsets = [joint.name for joint in moving if joint.name in {*chosen_offsets, *own}]
-    return ErrorModel(
+    names = [reading.name for reading in robot.readings]
+    terms = terms_of(
+        robot,
+        _select(gain, names, "gain"),
+        _select(harmonics, names, "harmonics"),
+        harmonic_orders,
+        {
+            "elastic": _select(elastic, names, "elastic"),
+            "torque": _select(torque, names, "torque"),
+            "backlash": _select(backlash, names, "backlash"),
+            "thermal": _select(thermal, names, "thermal"),
+        },
+    )
+    model = ErrorModel(
         robot if frames is None else frames.robot,
         tuple(chosen_offsets),
         tuple(freed),
@@ -180,14 +231,31 @@ def error_model(
         read_only(np.eye(4)) if base_pose is None else _given_pose(base_pose, "base_pose"),
         {name: _given_pose(value, f"tool {name!r}") for name, value in (tool_poses or {}).items()},
         frames,
+        dict(targets or {}),
+        tuple(relations),
     )
+    if prior_harmonics is None:
+        return with_terms(model, terms)
+    return with_terms(model, terms, {term.name: prior_harmonics for term in terms if term.order})
+
+
+def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, float] | None = None) -> ErrorModel:
+    """Return the model with these joint terms, all of them free, in the place of its own.
+
+    ``priors``: standard deviations of their amounts, by name and in SI units; where there is none, none.
+    """
+    source = with_joint_terms(model.urdf_robot, terms)
+    robot = replace(model.robot, terms=source.terms, weights=source.weights)
+    dh = None if model.dh is None else replace(model.dh, source=source, robot=robot)
+    names = tuple(term.name for term in terms)
+    return replace(model, robot=robot, dh=dh, terms=names, term_priors={} if priors is None else dict(priors))
 
 
 def corrected_dh(model: ErrorModel, deviations: Deviations) -> DhTable:
     """Return the DH table with the estimates filled in: its tips are those of the machine with ``deviations``.
 
-    The deviations are those of ``fit.machine``. Raises JobError when the model has no DH parameters, or the machine
-    deviates in ways that a DH table does not hold.
+    The deviations are those of ``fit.machine``; joint terms are no part of a table. Raises JobError when the model has
+    no DH parameters, or the machine deviates in ways that a DH table does not hold.
     """
     if model.dh is None:
         raise JobError("dh: no DH parameter is free, so that there is no table; take that of the calibrated URDF.")

@@ -26,7 +26,8 @@ class Fit:
     ``rank``: number of parameter combinations that the data determine, priors left out; ``usable_rank``: of those, the
     ones known to ten ordinary deviations or better. ``singular_values`` (descending) of the whitened, scaled Jacobian;
     ``blind_directions``: what lies beyond the usable rank. ``held``: parameters that policy "minimal" kept at their
-    nominal values.
+    nominal values. ``unseen`` (p, k): orthonormal changes of the parameters, in their scales, that neither data nor
+    priors see well enough.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
@@ -42,6 +43,7 @@ class Fit:
     singular_values: Array
     blind_directions: tuple[BlindDirection, ...]
     blind: BoolArray
+    unseen: Array
     policy: BlindPolicy
     held: tuple[Parameter, ...]
     noise: tuple[Noise, ...]

@@ -82,8 +82,11 @@ def blind_parameters(blind: Array) -> BoolArray:
 
 
 def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
-    """Return the order in which a minimal set prefers parameters: base, tool, offsets, placements from the base on."""
-    rank = {"base": 0, "tool": 1, "offset": 2, "placement": 3}
+    """Return the order in which a minimal set prefers parameters.
+
+    Targets, which nobody knows beforehand, then base, tool, offsets, placements from the base on, joint terms.
+    """
+    rank = {"target": 0, "base": 1, "tool": 2, "offset": 3, "placement": 4, "term": 5}
     return tuple(sorted(range(len(parameters)), key=lambda k: (rank[parameters[k].kind], k)))
 
 
@@ -125,7 +128,7 @@ class BlindDirection:
 
     def __str__(self) -> str:
         """Say the direction in mm and mrad."""
-        own, *others = (f"{v * 1e3:+.3g} m{self.units[name]} of {name}" for name, v in self.shares.items())
+        own, *others = (f"{_amount(v, self.units[name])} of {name}" for name, v in self.shares.items())
         more = f" and {len(others) - _MOST_NAMED} more" if len(others) > _MOST_NAMED else ""
         return f"{own} cannot be told from {', '.join(others[:_MOST_NAMED]) + more if others else 'no change at all'}."
 
@@ -155,3 +158,7 @@ def blind_directions(blind: Array, parameters: Sequence[Parameter], kept: Sequen
             BlindDirection(parameters[own].name, shares, {parameters[k].name: parameters[k].unit for k in order})
         )
     return tuple(said)
+
+
+def _amount(value: float, unit: str) -> str:
+    return f"{value * 1e3:+.3g} m{unit}" if unit in ("m", "rad") else f"{value:+.3g} {unit}".removesuffix(" 1")

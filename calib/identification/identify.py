@@ -3,6 +3,7 @@
 import fnmatch
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
+from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
-from calib.identification.start import start_frames
+from calib.identification.start import posed, with_common_names, with_new_targets
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
@@ -30,6 +32,7 @@ def identify(
     start: Fit | None = None,
     blind: BlindPolicy = "nearest",
     model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
 ) -> Fit:
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
@@ -38,13 +41,14 @@ def identify(
     directions that the data cannot see: "nearest" takes, among all equal fits, the machine nearest to the nominal one;
     "minimal" holds what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard deviations (m
     or rad) of what the model cannot explain, one for each component of the data (position, then orientation, of each
-    set in order); None stands for one to be estimated.
+    set in order); None stands for one to be estimated. ``losses``: one for each set, "linear" for least squares, or
+    "huber", "soft_l1" or "cauchy", by which rows that lie off weigh less; all are linear when None.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when directions are blind under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, free, start, blind, model_sigmas)
+        return _identify(model, measurements, free, start, blind, model_sigmas, losses)
 
 
 def _identify(
@@ -54,24 +58,26 @@ def _identify(
     begin: Fit | None,
     blind: BlindPolicy,
     model_sigmas: Sequence[float | None] | None,
+    losses: Sequence[Loss] | None,
 ) -> Fit:
     if blind not in ("nearest", "minimal", "refuse"):
         raise JobError(f"blind: {blind!r} is not one of nearest, minimal, refuse.")
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    sets = with_common_tools(model, sets)
-    parameters = _chosen(model.parameters(sets[0].tools), free)
+    posed_problem = posed(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
+    sets, parameters = posed_problem.measurements, _chosen(posed_problem.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
-    aligned = start_frames(model, sets)
-    bare = replace(model, offsets=(), placements=())
-    before = Problem(bare, bare.parameters(sets[0].tools), aligned, sets)
+    aligned = posed_problem.reference
+    before = replace(posed_problem, parameters=tuple(p for p in posed_problem.parameters if not p.of_robot))
     start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
     nominal = before.machine(np.zeros(0) if start is None else start.x)
 
-    reference, deviations = _beginning(begin, sets[0].tools, nominal.frames)
-    problem = Problem(model, parameters, reference, sets, deviations)
+    reference, deviations = _beginning(begin, sets[0], nominal.frames)
+    problem = replace(posed_problem, parameters=parameters, reference=reference, held=deviations)
+    _refuse_losses(losses, sets)
+    if losses is not None:
+        problem = replace(problem, given_losses=tuple(losses))
     found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
@@ -98,6 +104,7 @@ def _identify(
         singular_values=read_only(found.directions.singular_values),
         blind_directions=directions,
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),
+        unseen=read_only(found.unseen),
         policy=blind,
         held=held,
         noise=_noise(problem, found, after),
@@ -112,23 +119,48 @@ def _identify(
 
 
 def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:
-    """Return the parameters that some name or glob matches; raises JobError for one that matches none."""
+    """Return the parameters that some name or glob matches; raises JobError for one that matches none.
+
+    Targets are always free: nobody knows them, and nothing but the measurements at hand tells.
+    """
     if free is None:
         return parameters
     names = [parameter.name for parameter in parameters]
     for pattern in free:
         if not fnmatch.filter(names, pattern):
             raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
-    return tuple(p for p in parameters if any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
+    return tuple(
+        p for p in parameters if p.kind == "target" or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free)
+    )
 
 
-def _beginning(begin: Fit | None, tools: Sequence[str], frames: Frames) -> tuple[Frames, Deviations | None]:
-    """Return base, tools and deviations to begin from: of an earlier fit, tools it did not know as in ``frames``."""
+def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) -> None:
+    if losses is None:
+        return
+    if len(losses) != len(sets):
+        raise JobError(f"{len(losses)} losses are given for {len(sets)} sets of measurements.")
+    for loss in losses:
+        if loss not in get_args(Loss):
+            raise JobError(f"losses: {loss!r} is not one of {', '.join(get_args(Loss))}.")
+
+
+def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[Frames, Deviations | None]:
+    """Return frames and deviations to begin from: of an earlier fit, what it did not know as in ``frames``."""
     if begin is None:
         return frames, None
-    known = dict(zip(begin.measurements[0].tools, begin.machine.frames.tools, strict=True))
-    placed = np.stack([known.get(name, T) for name, T in zip(tools, frames.tools, strict=True)])
-    return Frames(begin.machine.frames.base, placed), begin.machine.deviations
+    old, known = begin.machine.frames, begin.measurements[0]
+
+    def taken(new: Array, new_names: Sequence[str], old: Array, old_names: Sequence[str]) -> Array:
+        found = dict(zip(old_names, old, strict=True))
+        placed = [found.get(name, value) for name, value in zip(new_names, new, strict=True)]
+        return np.array(placed).reshape(new.shape)
+
+    return Frames(
+        old.base,
+        taken(frames.tools, names.tools, old.tools, known.tools),
+        taken(frames.targets, names.targets, old.targets, known.targets),
+        taken(frames.lengths, names.offsets, old.lengths, known.offsets),
+    ), begin.machine.deviations
 
 
 def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:
@@ -146,9 +178,12 @@ def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[N
 
 
 def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machine) -> tuple[Array, ...]:
-    """Return residuals (N, 3 or 6) of other measurements, in m and rad, for a machine of the fit.
+    """Return residuals (N, d) of other measurements, in SI units, for a machine of the fit.
 
-    Raises MeasurementError when they are not of this robot, or made with a tool that the fit does not know.
+    Targets and lengths that the fit does not know are found from these measurements, the machine staying as it is.
+
+    Raises MeasurementError when they are not of this robot, or made with a tool that the fit does not know;
+    IdentificationError when they are too few to find their targets.
     """
     tools = fit.measurements[0].tools
     for data in measurements:
@@ -156,8 +191,8 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
             if tool not in tools:
                 known = ", ".join(map(repr, tools))
                 raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
-    known_first = (fit.measurements[0], *measurements)
-    return residuals(fit.model.robot, with_common_tools(fit.model, known_first)[1:], machine)
+    sets = with_common_names(fit.model, (fit.measurements[0], *measurements))[1:]
+    return residuals(fit.model.robot, sets, with_new_targets(fit.model, sets, machine)) if sets else ()
 
 
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
@@ -167,18 +202,3 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """
     after = residuals(fit.model.robot, fit.measurements, machine)
     return replace(fit, values=read_only(values), machine=machine, residuals=tuple(read_only(r) for r in after))
-
-
-def with_common_tools(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with one common list of tools; raises MeasurementError when they are not of this robot."""
-    names = tuple(reading.name for reading in model.robot.readings)
-    for data in sets:
-        if data.reading_names != names:
-            raise MeasurementError(
-                f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
-            )
-    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
-    return tuple(
-        replace(data, tools=tools, tool=np.array([tools.index(name) for name in data.tools], dtype=np.intp)[data.tool])
-        for data in sets
-    )

@@ -1,16 +1,17 @@
 """The machine for given values of its parameters.
 
-The state of a machine is one vector: six deviations of every chain joint, the joint offsets, six values for the pose
-of the base in the instrument's frame, six for the pose of every tool in the tip link. Parameters are entries of it.
+The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the amounts of the joint
+terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip link,
+six for every target in the instrument's frame, one for every unknown length. Parameters are entries of it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, read_only
 from calib.identification.parameters import Parameter, directions
 from calib.robot import deviation
 from calib.robot.robot import Deviations, Robot
@@ -20,33 +21,52 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Base pose (4, 4) in the instrument's frame, and tool poses (k, 4, 4) in the tip link."""
+    """Base pose (4, 4) in the instrument's frame, and tool poses (k, 4, 4) in the tip link.
+
+    ``targets`` (m, 4, 4): poses in the instrument's frame of what was touched or seen: a point has its position, a
+    plane lies in its frame's x and y. ``lengths`` (s,): what is unknown of measured lengths, in m.
+    """
 
     base: Array
     tools: Array
+    targets: Array = field(default_factory=lambda: read_only(np.zeros((0, 4, 4))))
+    lengths: Array = field(default_factory=lambda: read_only(np.zeros(0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Machine:
-    """A machine: the robot's deviations, and where its base and its tools are.
+    """A machine: the robot's deviations, and where its base, its tools and the targets are.
 
-    ``base_twists`` (6, 6) and ``tool_twists`` (k, 6, 6) are the local twists of these frames for changes of their six
-    values.
+    ``base_twists`` (6, 6), ``tool_twists`` (k, 6, 6) and ``target_twists`` (m, 6, 6) are the local twists of these
+    frames for changes of their six values.
     """
 
     deviations: Deviations
     frames: Frames
     base_twists: Array
     tool_twists: Array
+    target_twists: Array
 
 
 class Layout:
-    """Where things stand in the state vector."""
+    """Where things stand in the state vector: ``targets`` and ``lengths`` behind the ``tools``, of which there are k.
 
-    def __init__(self, robot: Robot) -> None:
+    ``size``: of the whole vector.
+    """
+
+    def __init__(self, robot: Robot, tools: int = 0, targets: int = 0, lengths: int = 0) -> None:
         self.offsets = 6 * len(robot.chain)
-        self.base = self.offsets + len(robot.moving)
+        self.terms = self.offsets + len(robot.moving)
+        self.base = self.terms + len(robot.terms)
         self.tools = self.base + 6
+        self.targets = self.tools + 6 * tools
+        self.lengths = self.targets + 6 * targets
+        self.size = self.lengths + lengths
+
+    @classmethod
+    def of(cls, robot: Robot, frames: Frames) -> "Layout":
+        """Return the layout of a machine with such frames."""
+        return cls(robot, len(frames.tools), len(frames.targets), len(frames.lengths))
 
 
 def machine(
@@ -55,38 +75,52 @@ def machine(
     """Return the machine at parameter values x (p,) in SI units; deviations that are not free are as ``held``, or zero.
 
     Base and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from ``reference``. Positions are thus absolute
-    where they are free, and angles are small rotations of the reference, far from any gimbal lock.
+    where they are free, and angles are small rotations of the reference, far from any gimbal lock. Targets:
+    ``R Trans(x, y, z) Rx(rx) Ry(ry) Rz(rz)``, so that z is a plane's height and the plane turns about its middle.
     """
-    layout = Layout(robot)
+    layout = Layout.of(robot, reference)
     state = _reference_state(layout, reference, held)
     S = directions(parameters, len(state))
     # Free entries are what the parameters say; the rest stay at the reference.
     state = np.where(np.any(S, axis=1), S @ x, state)
+    values = state[layout.base : layout.targets].reshape(-1, 6)
     references = np.concatenate([reference.base[None], reference.tools])
-    values = state[layout.base :].reshape(-1, 6)
     rotations = references[:, :3, :3] @ rigid.rx_ry_rz(values[:, 3:])
     poses = rigid.placement(rotations, values[:, :3])
     twists = deviation.twists(values)
     twists[:, :3, :3] = np.swapaxes(rotations, -1, -2)
+    moved = state[layout.targets : layout.lengths].reshape(-1, 6)
+    targets = _turns(reference.targets) @ deviation.motion(moved)
     placements = state[: layout.offsets].reshape(-1, 6)
     return Machine(
-        Deviations(placements, state[layout.offsets : layout.base]), Frames(poses[0], poses[1:]), twists[0], twists[1:]
+        Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
+        Frames(poses[0], poses[1:], targets, state[layout.lengths :]),
+        twists[0],
+        twists[1:],
+        deviation.twists(moved),
     )
 
 
 def values_at(
     robot: Robot, parameters: Sequence[Parameter], reference: Frames, held: Deviations | None = None
 ) -> Array:
-    """Return the parameter values (p,) of a robot, nominal or as ``held``, with base and tools at ``reference``."""
-    state = _reference_state(Layout(robot), reference, held)
+    """Return the parameter values (p,) of a robot, nominal or as ``held``, with all frames at ``reference``."""
+    state = _reference_state(Layout.of(robot, reference), reference, held)
     return np.asarray(state @ directions(parameters, len(state)))
 
 
 def _reference_state(layout: Layout, reference: Frames, held: Deviations | None) -> Array:
-    state = np.zeros(layout.tools + 6 * len(reference.tools))
+    state = np.zeros(layout.size)
     if held is not None:
-        state[: layout.offsets], state[layout.offsets : layout.base] = held.placements.ravel(), held.offsets
-    frames = state[layout.base :].reshape(-1, 6)
-    frames[0, :3] = reference.base[:3, 3]
-    frames[1:, :3] = reference.tools[:, :3, 3]
+        state[: layout.base] = np.concatenate([held.placements.ravel(), held.offsets, held.terms])
+    frames = state[layout.base : layout.targets].reshape(-1, 6)
+    frames[:, :3] = np.concatenate([reference.base[None], reference.tools])[:, :3, 3]
+    targets = state[layout.targets : layout.lengths].reshape(-1, 6)
+    targets[:, :3] = (rigid.inverse(_turns(reference.targets)) @ reference.targets)[:, :3, 3]
+    state[layout.lengths :] = reference.lengths
     return state
+
+
+def _turns(poses: Array) -> Array:
+    """Return the rotations of poses (m, 4, 4) as placements at the origin."""
+    return rigid.placement(poses[:, :3, :3], np.zeros((len(poses), 3)))

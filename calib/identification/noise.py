@@ -64,7 +64,9 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
         at_zero = np.nansum(squares / variances)
     if at_zero <= degrees_of_freedom:
         return 0.0
-    # At v = mean the sum is at most the degrees of freedom, so the root lies below. The unknown is v / mean, as brentq
-    # stops at an absolute step.
+    # At v = mean the sum is at most the degrees of freedom (but for rounding): the root lies below. The unknown is
+    # v / mean, as brentq stops at an absolute step.
     squares, variances = squares / mean, variances / mean
-    return mean * float(brentq(lambda u: float(np.sum(squares / (variances + u))) - degrees_of_freedom, 1e-12, 1.0))
+    return mean * float(
+        brentq(lambda u: float(np.sum(squares / (variances + u))) - degrees_of_freedom, 1e-12, 1.0 + 1e-9)
+    )

@@ -7,8 +7,10 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.robot.transmission import TermUnit
 
-ParameterKind = Literal["offset", "placement", "base", "tool"]
+ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
+ParameterUnit = Literal["m", "rad"] | TermUnit
 
 # What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
@@ -20,24 +22,26 @@ class Parameter:
 
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
     ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
-    ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None.
+    ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``ordinary`` the size
+    of a deviation that surprises nobody.
     """
 
     name: str
-    unit: Literal["m", "rad"]
+    unit: ParameterUnit
     kind: ParameterKind
     direction: tuple[tuple[int, float], ...]
     prior: float | None = None
+    ordinary: float = DEFAULT_SIGMA
 
     @property
     def of_robot(self) -> bool:
         """Whether the parameter belongs to the robot itself rather than to a frame of the set-up."""
-        return self.kind in ("offset", "placement")
+        return self.kind in ("offset", "placement", "term")
 
     @property
     def scale(self) -> float:
         """Size of an ordinary deviation, in ``unit``: the prior's where there is one."""
-        return DEFAULT_SIGMA if self.prior is None else self.prior
+        return self.ordinary if self.prior is None else self.prior
 
 
 def scales(parameters: Sequence[Parameter]) -> Array:

@@ -21,10 +21,9 @@ import numpy.typing as npt
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
-from calib.identification.identify import with_common_tools
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.start import start_frames
+from calib.identification.start import start_frames, with_common_names
 from calib.identification.system import Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
@@ -102,13 +101,13 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
     give nothing. Raises MeasurementError when the measurements are not of this robot.
     """
     with linear.one_thread():
-        return _signatures(model, [data for data in measurements if len(data)])
+        return _signatures(model, [data for data in measurements if len(data) and data.position is not None])
 
 
 def _signatures(model: ErrorModel, filled: Sequence[Measurements]) -> tuple[Finding, ...]:
     if not filled:
         return ()
-    sets = tuple(_spread_rows(data, filled) for data in with_common_tools(model, filled))
+    sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))
     unknowns = len(_ordinary(model).parameters(sets[0].tools))
     if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * unknowns:
         return ()
@@ -131,6 +130,12 @@ def _spread_rows(data: Measurements, sets: Sequence[Measurements]) -> Measuremen
     return data if len(data) <= share else data.subset(np.linspace(0, len(data) - 1, share).astype(np.intp))
 
 
+def _positions(data: Measurements) -> Array:
+    """Return the measured positions (N, 3) of a set; those without were left out at the door."""
+    assert data.position is not None, "mistakes are sought in positions and poses"
+    return data.position
+
+
 # ---- how far the robot misses
 
 
@@ -140,6 +145,7 @@ def _ordinary(model: ErrorModel) -> ErrorModel:
         model,
         offsets=tuple(model.robot.chain[i].name for i in model.robot.moving),
         placements=(),
+        terms=(),
         prior_angle=_ORDINARY_ANGLE,
         prior_length=_ORDINARY_LENGTH,
     )
@@ -183,7 +189,7 @@ def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, fl
     unknown = np.full((len(tool), 3, 3), np.nan)
     seen = [unknown[: len(data)] if data.orientation is None else data.orientation for data in sets]
     orientation = np.concatenate(seen)
-    y = np.concatenate([data.position for data in sets])
+    y = np.concatenate([_positions(data) for data in sets])
     y = y - y.mean(axis=0)
     size = max(float(np.abs(y).max()), _NEGLIGIBLE)
     X = np.einsum("ni,jk->njki", y / size, np.eye(3)).reshape(-1, 9)
@@ -346,7 +352,7 @@ def _read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array 
 
 def _placed(matrix: npt.ArrayLike) -> Mend:
     M = read_only(matrix)
-    return lambda data: replace(data, position=read_only(data.position @ M.T))
+    return lambda data: replace(data, position=read_only(_positions(data) @ M.T))
 
 
 def _turned(change: Callable[[Array], Array]) -> Mend:
@@ -360,7 +366,7 @@ def _turned(change: Callable[[Array], Array]) -> Mend:
 def _inverted(data: Measurements) -> Measurements:
     if data.orientation is None:
         return data
-    T = rigid.inverse(rigid.placement(data.orientation, data.position))
+    T = rigid.inverse(rigid.placement(data.orientation, _positions(data)))
     return replace(data, position=read_only(T[:, :3, 3]), orientation=read_only(T[:, :3, :3]))
 
 

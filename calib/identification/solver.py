@@ -27,6 +27,8 @@ _STEP_OF_DECISION = 1
 _NEGLIGIBLE_STEP = 1e-6
 # Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
 _ROUNDING = 1e-10
+# Noise foretold at the start, as a share of the residuals there: less would leave blind directions without a hold.
+_LEAST_FORETOLD = 1e-3
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
 _ROUGH = 1e-4
 
@@ -89,7 +91,7 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
         (A @ A.T) * s[:, None] * s,
         identifiability.directions(state.data[:, :-1]),
         state.unseen,
-        np.concatenate([triangle[:, :-1] / f for triangle, f in zip(first.triangles, factors, strict=True)]),
+        first.reweighted(factors).rows[:, :-1],
         state.variances,
         state.redundancies,
         evaluator.count,
@@ -137,19 +139,19 @@ class _State(NamedTuple):
         sigmas, settled = weighted_by, True
         factors = np.ones(len(problem.components))
         for _ in range(_MOST_STEPS):
-            triangles = [triangle / f for triangle, f in zip(evaluation.triangles, factors, strict=True)]
-            data = np.concatenate(triangles)
+            weighted = evaluation.reweighted(factors)
+            data = weighted.rows
             rows = np.concatenate([data, priors])[:, :-1]
             directions = identifiability.directions(rows)
             seen = directions.usable if rank is None else rank
             gauge = _gauge(problem, directions, seen)
             # Full rank by construction: what neither data nor priors see, the inner constraints do.
             spread = np.linalg.pinv(np.concatenate([rows, gauge]), rcond=1e-14)
-            redundancies = weights.redundancies_of(problem, triangles, spread)
-            if None not in fixed:
+            redundancies = weights.redundancies_of(problem, weighted.triangles, spread)
+            if None not in fixed and not problem.robust:
                 break
-            v = _keep(fixed, weights.model_variances(problem, evaluation.residuals, redundancies))
-            sigmas = weights.sigmas_of(problem, v)
+            v = _keep(fixed, weights.model_variances(problem, evaluation.residuals, redundancies, v))
+            sigmas = weights.sigmas_of(problem, v, evaluation.residuals)
             new, settled = weights.factors_of(problem, weighted_by, sigmas)
             change, factors = float(np.max(np.abs(np.log(new / factors)))), new
             if change < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
@@ -180,7 +182,7 @@ def _levenberg_marquardt(
 ) -> Array:
     def rows(z: Array) -> Array:
         gauge = np.column_stack([G, G @ (z - nominal)])
-        return np.concatenate([*evaluator(z, sigmas).triangles, _prior_rows(problem, z), gauge])
+        return np.concatenate([evaluator(z, sigmas).rows, _prior_rows(problem, z), gauge])
 
     def residual(z: Array) -> Array:
         return rows(z)[:, -1]
@@ -210,8 +212,8 @@ def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, est
     What would remain of the residuals after a linear fit foretells the noise, on which the usable rank depends.
     Raises IdentificationError when there are no more rows and priors than the rank.
     """
-    data = linear.triangle(np.concatenate(evaluation.triangles))
-    count = sum(measured.sigma.size for measured in problem.measurements)
+    data = linear.triangle(evaluation.rows)
+    count = sum(measured.sigma.size for measured in problem.measurements) + len(evaluation.relations)
     rank = identifiability.directions(np.concatenate([data, priors])[:, :-1]).rank
     if count + len(priors) <= rank:
         raise IdentificationError(
@@ -219,8 +221,10 @@ def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, est
             "fit; measure more poses, free fewer parameters, or give priors."
         )
     p = data.shape[1] - 1
-    foretold = abs(data[p, p]) / np.sqrt(max(count - min(rank, p), 1)) if estimated and len(data) > p else 1.0
-    rows = np.concatenate([data / max(float(foretold), 1e-12), priors])
+    foretold = 1.0
+    if estimated and len(data) > p:
+        foretold = max(float(abs(data[p, p]) / np.sqrt(max(count - min(rank, p), 1))), _LEAST_FORETOLD)
+    rows = np.concatenate([data / foretold, priors])
     directions = identifiability.directions(rows[:, :-1])
     return _gauge(problem, directions, directions.usable) * foretold
 

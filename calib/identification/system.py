@@ -12,15 +12,21 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import PoseError
 from calib.identification.error_model import ErrorModel
+from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Layout, Machine, machine
-from calib.identification.observations import Linearised, pose, position
+from calib.identification.observations import observe
+from calib.identification.observations.seen import Linearised, Seen
 from calib.identification.parameters import Parameter, directions, scales
+from calib.identification.relations import Relation, relate
+from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
-from calib.robot.robot import Deviations, Robot, TipModel
+from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
+# Two ways to move every tool are the same when they differ by less than this share.
+_SAME = 1e-7
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
 BLOCK = 768
 
@@ -29,7 +35,7 @@ class Component(NamedTuple):
     """Rows of one physical quantity in one set of measurements, which share a noise model."""
 
     measurements: int
-    quantity: str  # "position" or "orientation"
+    quantity: str  # as in calib.measurement.kinds
     columns: slice
 
 
@@ -37,7 +43,8 @@ class Component(NamedTuple):
 class Problem:
     """The unknowns, the frames they are relative to, and the measurements that are to be explained.
 
-    ``held``: deviations of the robot where they are not free; zero when None.
+    ``held``: deviations of the robot where they are not free; zero when None. ``relations``: what is known between
+    targets. ``given_losses``: one for each set; least squares for all when None.
     """
 
     model: ErrorModel
@@ -45,16 +52,38 @@ class Problem:
     reference: Frames
     measurements: tuple[Measurements, ...]
     held: Deviations | None = None
+    relations: tuple[Relation, ...] = ()
+    given_losses: tuple[Loss, ...] | None = None
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The loss of every set."""
+        linear: Loss = "linear"
+        return (linear,) * len(self.measurements) if self.given_losses is None else self.given_losses
+
+    @property
+    def robust(self) -> bool:
+        """Whether rows that lie off weigh less."""
+        return any(loss != "linear" for loss in self.losses)
 
     @property
     def components(self) -> tuple[Component, ...]:
         """The groups of residuals that share a noise model."""
-        parts = {"position": (("position", slice(0, 3)),), "orientation": (("orientation", slice(3, 6)),)}
-        kinds = {"position": parts["position"], "pose": parts["position"] + parts["orientation"]}
         return tuple(
-            Component(i, quantity, columns)
+            Component(i, quantity.name, quantity.columns)
             for i, data in enumerate(self.measurements)
-            for quantity, columns in kinds[data.kind]
+            for quantity in QUANTITIES[data.kind]
+        )
+
+    @property
+    def sizeless(self) -> bool:
+        """Whether nothing tells a length: sockets and planes in unknown places, which a smaller machine fits too."""
+        known = {name for name, target in self.model.targets.items() if target.height_is_known}
+        return not any(relation.kind != "angle" for relation in self.relations) and all(
+            data.kind in ("socket", "plane")
+            and not data.value.any()
+            and not any(data.targets[t] in known for t in set(data.target.tolist()))
+            for data in self.measurements
         )
 
     def machine(self, x: Array) -> Machine:
@@ -62,15 +91,40 @@ class Problem:
         return machine(self.model.robot, self.parameters, self.reference, x, self.held)
 
 
+class Block(NamedTuple):
+    """Rows of one set: residuals with derivatives by twists, their Jacobian (n, d, p), and the tools (n, 4, 4)."""
+
+    rows: slice
+    observed: Linearised
+    J: Array
+    tools: Array
+
+
 class Evaluation(NamedTuple):
     """Residuals of every set (N, d) in m and rad, and a triangle (q, p + 1) of ``[J r]`` for every component.
 
     Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
-    the sigmas that were given.
+    the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened. ``size``
+    (p, 1 or 0): the unit direction in which the whole set-up grows, where no measurement tells its size. Noise makes
+    such a direction look seen - a machine shrunk to a point explains every socket - so that it is taken out.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
+    relations: Array
+    size: Array
+
+    def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
+        """Return what it is with sigmas that are new by one factor for every component."""
+        triangles = tuple(triangle / f for triangle, f in zip(self.triangles, factors, strict=True))
+        return self._replace(triangles=triangles)
+
+    @property
+    def rows(self) -> Array:
+        """All that the data say, (q, p + 1): the triangles, then the relations; nothing of a size they cannot see."""
+        rows = np.concatenate([*self.triangles, self.relations])
+        rows[:, :-1] -= (rows[:, :-1] @ self.size) @ self.size.T
+        return rows
 
 
 def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
@@ -79,17 +133,51 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     triangles = [np.empty((0, columns)) for _ in problem.components]
     found: list[Array] = []
     at = problem.machine(x)
+    growth = Growth(problem) if problem.sizeless else None
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
-        for rows, observed, J in blocks(problem, data, at, scales(problem.parameters)):
-            parts.append(observed.residual)
-            whitened = np.concatenate([J, observed.residual[:, :, None]], axis=2) / sigma[rows, :, None]
+        for block in blocks(problem, data, at, scales(problem.parameters)):
+            residual = block.observed.residual
+            parts.append(residual)
+            whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
+            if growth is not None:
+                growth.add(block, sigma[block.rows])
             for c, component in enumerate(problem.components):
                 if component.measurements == i:
-                    block = whitened[:, component.columns].reshape(-1, columns)
-                    triangles[c] = linear.triangle(np.concatenate([triangles[c], block]))
+                    rows = whitened[:, component.columns].reshape(-1, columns)
+                    triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
         found.append(np.concatenate(parts))
-    return Evaluation(tuple(found), tuple(triangles))
+    J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
+    S = _of_targets(problem, scales(problem.parameters))
+    related = np.column_stack([np.einsum("kmi,mip->kp", J, at.target_twists @ S), r])
+    size = np.zeros((len(x), 0)) if growth is None else growth.direction(x)
+    return Evaluation(tuple(found), tuple(triangles), related, size)
+
+
+class Growth:
+    """Collects, row by row, how the set-up grows by one common factor about the instrument's origin."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._parameters = problem.parameters
+        self._of_targets = np.array([parameter.kind == "target" for parameter in problem.parameters])
+        self._triangle = np.empty((0, len(problem.parameters) + 1))
+
+    def add(self, block: Block, sigma: Array) -> None:
+        """Add rows with their sigmas (n, d): what parameters, targets left out, do to a tool, beside its growing."""
+        R, x = block.tools[:, :3, :3], block.tools[:, :3, 3]
+        grown = block.observed.twist[:, :, :3] @ (np.swapaxes(R, -1, -2) @ x[:, :, None])
+        rows = np.concatenate([np.where(self._of_targets, 0.0, block.J), grown], axis=2) / sigma[:, :, None]
+        self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
+
+    def direction(self, x: Array) -> Array:
+        """Return the unit direction (p, 1) of growing, scaled, at values x (p,); (p, 0) where lengths are not free."""
+        J, c = self._triangle[:, :-1], self._triangle[:, -1]
+        z = np.linalg.lstsq(J, c, rcond=_SAME)[0]
+        if np.linalg.norm(J @ z - c) > _SAME * np.linalg.norm(c):
+            return np.zeros((len(x), 0))
+        lengths = np.array([parameter.unit == "m" for parameter in self._parameters])
+        z = np.where(self._of_targets, np.where(lengths, x / scales(self._parameters), 0.0), z)
+        return np.asarray(z[:, None] / np.linalg.norm(z))
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -97,63 +185,92 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     at, found = problem.machine(x), []
     for data in problem.measurements:
         J = np.empty((*data.sigma.shape, len(problem.parameters)))
-        for rows, _, block in blocks(problem, data, at, np.ones(len(problem.parameters))):
-            J[rows] = block
+        for block in blocks(problem, data, at, np.ones(len(problem.parameters))):
+            J[block.rows] = block.J
         found.append(J)
     return tuple(found)
 
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
-    """Return the residuals (N, 3 or 6) of every set, measured minus predicted, in m and rad, for a machine."""
+    """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine."""
+    tip = TipModel(robot, at.deviations)
     return tuple(
         _observe(
             data,
             slice(None),
-            at.frames.base @ robot.tips(data.readings, at.deviations) @ at.frames.tools[data.tool],
+            at.frames,
+            at.frames.base @ tip.tips(data.readings, data.conditions) @ at.frames.tools[data.tool],
+            None if data.other is None else tip.tips(data.other.readings, data.other.conditions),
         ).residual
         for data in measurements
     )
 
 
-def _observe(data: Measurements, rows: slice, tools: Array) -> Linearised:
-    if data.orientation is None:
-        return position.residual(data.position[rows], tools)
-    return pose.residual(data.position[rows], data.orientation[rows], tools)
+def _observe(data: Measurements, rows: slice, frames: Frames, tools: Array, others: Array | None) -> Linearised:
+    """Return what rows leave unexplained: tools (n, 4, 4) in the instrument's frame, other ends' tips in the base."""
+    targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
+    ends = frames.targets[:0]
+    if data.other is not None and others is not None:
+        ends = frames.base @ others @ frames.tools[data.other.tool[rows]]
+    length = float(frames.lengths[data.offset]) if data.offset >= 0 else 0.0
+    return observe(data.kind, Seen(data, rows, tools, ends, targets, length))
 
 
-def blocks(
-    problem: Problem, data: Measurements, at: Machine, units: Array
-) -> Iterator[tuple[slice, Linearised, Array]]:
-    """Yield rows, residuals and Jacobians (n, d, p) of one set, block by block.
-
-    ``units`` (p,): derivatives are taken for so much of every parameter.
-    """
-    robot, tools = problem.model.robot, at.frames.tools
-    layout = Layout(robot)
-    S = directions(problem.parameters, layout.tools + 6 * len(tools)) * units
-    of_robot, of_tools = S[: layout.base], S[layout.tools :].reshape(len(tools), 6, -1)
+def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> Iterator[Block]:
+    """Yield the rows of one set, block by block; derivatives are taken for ``units`` (p,) of every parameter."""
+    robot, frames = problem.model.robot, at.frames
+    layout = Layout.of(robot, frames)
+    S = directions(problem.parameters, layout.size) * units
+    of_robot, of_tools = S[: layout.terms], S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
     tip = TipModel(robot, at.deviations)
     joints = tip.joints @ of_robot
     joints[:6] += tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
     # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
-    to_tool = rigid.adjoint(rigid.inverse(tools))
+    to_tool = rigid.adjoint(rigid.inverse(frames.tools))
     by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
+    by_target = at.target_twists @ _of_targets(problem, units)
+
+    def through_robot(twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
+        # Residual per local twist of the tip link, then per local twist of every joint placement.
+        by_tip = _times(twist, to_tool[tool])
+        J = _times(by_tip @ motion.regressor, joints)
+        J += _times(twist, by_tool[tool])
+        if robot.loops:
+            J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
+        if robot.terms:
+            J += _times(by_tip @ motion.by_terms, S[layout.terms : layout.base])
+        return J
+
+    def tool_of(numbers: IntArray) -> IntArray | int:
+        return numbers if len(frames.tools) > 1 else 0
+
     size = BLOCK // data.sigma.shape[1]
     for start in range(0, len(data), size):
         rows = slice(start, start + size)
-        tool = data.tool[rows] if len(tools) > 1 else 0
         try:
-            motion = tip.motion(data.readings[rows])
+            motion = tip.motion(data.readings[rows], data.conditions.subset(rows))
+            other = None
+            if data.other is not None:
+                other = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
         except PoseError as e:
             raise PoseError(start + e.row, e.reason) from e
-        observed = _observe(data, rows, at.frames.base @ motion.placement @ tools[tool])
-        # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = _times(observed.twist, to_tool[tool])
-        J = _times(by_tip @ motion.regressor, joints)
-        J += _times(observed.twist, by_tool[tool])
-        if robot.loops:
-            J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
-        yield rows, observed, J
+        placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]
+        observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
+        J = through_robot(observed.twist, motion, tool_of(data.tool[rows]))
+        if data.other is not None and other is not None and observed.other is not None:
+            J += through_robot(observed.other, other, tool_of(data.other.tool[rows]))
+        if observed.target is not None:
+            J += observed.target @ by_target[data.target[rows]]
+        if data.offset >= 0:
+            J -= S[layout.lengths + data.offset]
+        yield Block(rows, observed, J, placed)
+
+
+def _of_targets(problem: Problem, units: Array) -> Array:
+    """Return how the six values of every target (m, 6, p) follow the parameters, each by its unit."""
+    layout = Layout.of(problem.model.robot, problem.reference)
+    S = directions(problem.parameters, layout.size) * units
+    return S[layout.targets : layout.lengths].reshape(len(problem.reference.targets), 6, len(units))
 
 
 def _times(rows: Array, matrix: Array) -> Array:

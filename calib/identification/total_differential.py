@@ -22,10 +22,9 @@ from calib.foundations.units import UNITS
 from calib.identification import system
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
-from calib.identification.identify import with_common_tools
 from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
-from calib.identification.start import start_frames
+from calib.identification.start import posed
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
 
@@ -109,8 +108,8 @@ def total_differential(
     an estimate repeats, and after ``most`` iterations. Base and tools that are free start where the nominal robot
     explains the measurements best.
 
-    Raises JobError for an option that cannot be used or a model with priors, MeasurementError when the measurements are
-    not positions of this robot, IdentificationError when they cannot determine the parameters.
+    Raises JobError for an option that cannot be used or a model with priors or joint terms, MeasurementError when the
+    measurements are not positions of this robot, IdentificationError when they cannot determine the parameters.
     """
     if not (np.isfinite(stop) and stop >= 0.0):
         raise JobError(f"stop: {stop!r} is not a length in m from 0.")
@@ -142,19 +141,21 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
             raise MeasurementError(
                 f"{data.where}: observes {data.kind}, and the total differential is of positions; use identify."
             )
-    sets = with_common_tools(model, sets)
-    parameters = model.parameters(sets[0].tools)
+    problem = posed(model, sets)
+    parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     if any(parameter.prior is not None for parameter in parameters):
         raise JobError("the total differential knows no priors; leave them out or use identify.")
+    if model.terms:
+        raise JobError("the total differential knows no joint terms; leave them out or use identify.")
     points = sum(len(data) for data in sets)
     if 3 * points <= len(parameters):
         raise IdentificationError(
             f"{points} points give {3 * points} equations for {len(parameters)} parameters; "
             f"at least {len(parameters) // 3 + 1} points are needed."
         )
-    return Problem(model, parameters, start_frames(model, sets), sets)
+    return problem
 
 
 def _misses(problem: Problem, x: Array) -> Array:

@@ -1,10 +1,11 @@
-"""Weights of the rows: standard deviations from the instrument and from what the model cannot explain."""
+"""Weights of the rows: standard deviations from the instrument, from what the model cannot explain, and from losses."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.identification import losses
 from calib.identification.noise import model_variance
 from calib.identification.system import Problem, residuals
 
@@ -13,11 +14,30 @@ NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
 _LEAST_SIGMA = 1e-15
 
 
-def sigmas_of(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
-    """Return the standard deviations (N, d) of every set: instrument and model part together, in m and rad.
+def sigmas_of(problem: Problem, variances: Sequence[float], r: Sequence[Array] | None = None) -> tuple[Array, ...]:
+    """Return the standard deviations (N, d) of every set: instrument and model part together, in SI units.
 
-    ``variances``: of the model part, one for each component of the problem, in m^2 or rad^2.
+    ``variances``: of the model part, one for each component of the problem, squared. With residuals ``r`` (N, d) of
+    every set, rows that lie off are given larger ones, as their set's loss says.
     """
+    plain = _plain_sigmas(problem, variances)
+    if r is None:
+        return plain
+    return tuple(
+        sigma / np.sqrt(row_weights)[:, None]
+        for sigma, row_weights in zip(plain, _row_weights(problem, plain, r), strict=True)
+    )
+
+
+def _row_weights(problem: Problem, sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, ...]:
+    """Return the weights (N,) that the losses give to the rows of every set."""
+    return tuple(
+        losses.weight(loss, np.sqrt(np.mean((residual / sigma) ** 2, axis=1)))
+        for loss, residual, sigma in zip(problem.losses, r, sigmas, strict=True)
+    )
+
+
+def _plain_sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
     added = [np.zeros_like(data.sigma) for data in problem.measurements]
     for component, v in zip(problem.components, variances, strict=True):
         added[component.measurements][:, component.columns] = v
@@ -33,11 +53,21 @@ def mean_squares(problem: Problem, x: Array) -> tuple[float, ...]:
     return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
 
 
-def model_variances(problem: Problem, r: Sequence[Array], redundancies: Sequence[float]) -> tuple[float, ...]:
-    """Return the model variance of every component from the residuals (N, d) of every set and degrees of freedom."""
+def model_variances(
+    problem: Problem, r: Sequence[Array], redundancies: Sequence[float], variances: Sequence[float]
+) -> tuple[float, ...]:
+    """Return the model variance of every component from the residuals (N, d) of every set and degrees of freedom.
+
+    ``variances``: the last ones, by which losses tell which rows lie off.
+    """
+    row_weights = _row_weights(problem, _plain_sigmas(problem, variances), r)
+    counted = [
+        residual * np.sqrt(w / losses.shrinkage(loss, residual.shape[1]))[:, None]
+        for loss, residual, w in zip(problem.losses, r, row_weights, strict=True)
+    ]
     return tuple(
         model_variance(
-            r[c.measurements][:, c.columns].ravel(),
+            counted[c.measurements][:, c.columns].ravel(),
             problem.measurements[c.measurements].sigma[:, c.columns].ravel(),
             redundancy,
         )

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,28 @@ from calib.foundations.errors import JobError, MeasurementError, PoseError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.losses import Loss
+from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
-from calib.job.schema import FrameSection, InstrumentSection, Job, MeasurementsSection, read_job
+from calib.identification.targets import Target
+from calib.job.arm import Arm, read_arm, touched
+from calib.job.schema import (
+    FrameSection,
+    InstrumentSection,
+    Job,
+    MeasurementsSection,
+    PayloadSection,
+    RelationSection,
+    TargetSection,
+    read_job,
+)
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import LaserTracker
+from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.robot.deviation import axis_frame
+from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
@@ -43,9 +59,32 @@ class Inputs:
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
 
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """The losses of the sets to identify from."""
+        return tuple(section.loss for section in self.job.measurements if section.use == "identify")
+
     def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
         """Return the names, as the job has them, of the tables of one use."""
         return tuple(section.file for section in self.job.measurements if section.use == use)
+
+
+class JobArm(NamedTuple):
+    """What a job says of the arm and what is free of it; its measurements need not be there yet."""
+
+    job: Job
+    urdf: Path
+    robot: Robot
+    model: ErrorModel
+    mesh_roots: tuple[Path, ...]
+
+
+def load_arm(path: Path) -> JobArm:
+    """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
+    job = read_job(path)
+    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
+    robot = _robot(job, urdf)
+    return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
 def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
@@ -54,14 +93,13 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     Doubtful but usable things are returned as findings.
     """
     progress("reading the job")
-    job = read_job(path)
-    folder = path.parent
-    urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else folder / job.robot.urdf
-    robot = _robot(job, urdf)
-    model = _model(job, robot, path)
+    arm = load_arm(path)
+    job, urdf, robot, model, folder = arm.job, arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
-    sets = [_measurements(section, job, robot, folder) for section in sections]
+    arms = _arms(job, path)
+    doubts = [finding for arm in arms.values() for finding in arm.findings]
+    sets = [_measurements(section, job, robot, folder, arms, doubts) for section in sections]
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
@@ -69,7 +107,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
     _refuse_no_noise(job, sets, path)
-    findings = [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
+    findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
@@ -83,6 +121,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
             (path.name, path),
             (job.robot.urdf, urdf),
             *((section.file, folder / section.file) for section in sections),
+            *((name, file) for arm in arms.values() for name, file in arm.files.items()),
         )
     }
     findings += _not_held_out(job, hashes, path)
@@ -95,10 +134,15 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         validate=held_out,
         nodes=nodes,
         model_sigmas=tuple(_sigmas(section) for section in sections if section.use == "identify"),
-        mesh_roots=_mesh_roots(job, urdf, path),
+        mesh_roots=arm.mesh_roots,
         findings=tuple(findings),
         hashes=hashes,
-        files=(path, urdf, *(folder / section.file for section in sections)),
+        files=(
+            path,
+            urdf,
+            *(folder / section.file for section in sections),
+            *(file for arm in arms.values() for file in arm.files.values()),
+        ),
     )
 
 
@@ -135,7 +179,14 @@ def _robot(job: Job, urdf: Path) -> Robot:
         section.base,
         couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
+        gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
+        payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _payload(section: PayloadSection) -> Payload:
+    x, y, z = (parse_quantity(text, "length", "robot.payload") for text in section.position)
+    return Payload(parse_quantity(section.mass, "mass", "robot.payload"), (x, y, z))
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -175,9 +226,9 @@ def _refuse_unknown_points(
 def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
     for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
-        keys = ("model_sigma", "model_sigma_angle")[: data.sigma.shape[1] // 3]
-        for k, (key, sigma) in enumerate(zip(keys, _sigmas(section), strict=True)):
-            if sigma == 0.0 and not np.all(data.sigma[:, 3 * k : 3 * k + 3] > 0.0):
+        keys = ("model_sigma", "model_sigma_angle")
+        for key, sigma, quantity in zip(keys, _sigmas(section), QUANTITIES[data.kind], strict=False):
+            if sigma == 0.0 and not np.all(data.sigma[:, quantity.columns] > 0.0):
                 raise JobError(
                     f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
                     "give one of them."
@@ -226,12 +277,22 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             dh=section.dh,
             dh_convention=section.dh_convention,
             dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
+            gain=section.gain,
+            harmonics=section.harmonics,
+            harmonic_orders=section.harmonic_orders,
+            elastic=section.elastic,
+            torque=section.torque,
+            backlash=section.backlash,
+            thermal=section.thermal,
             base=section.base,
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
             prior_angle=_si(section.prior.angle, "angle"),
+            prior_harmonics=_si(section.prior.harmonics, "angle"),
             base_pose=None if job.base is None else _placement(job.base),
             tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
+            targets={name: _target(target) for name, target in job.targets.items()},
+            relations=[_relation(relation) for relation in job.relations],
         )
         free = model.parameters()
     except JobError as e:
@@ -246,7 +307,44 @@ def _placement(frame: FrameSection) -> Array:
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
 
 
-def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: Path) -> Measurements:
+def _target(section: TargetSection) -> Target:
+    if section.position is not None:
+        point = np.array([parse_quantity(text, "length", "position") for text in section.position])
+        return Target(rigid.translation(point))
+    normal = np.array(section.normal)
+    T = axis_frame(normal / np.linalg.norm(normal))
+    height = _si(section.height, "length")
+    return Target(T @ rigid.translation(np.array([0.0, 0.0, height or 0.0])), height is not None)
+
+
+def _relation(section: RelationSection) -> Relation:
+    dimension: Dimension = "angle" if section.kind == "angle" else "length"
+    value = parse_quantity(getattr(section, section.kind), dimension, section.kind)
+    return Relation(section.kind, section.targets, value, parse_quantity(section.sigma, dimension, "sigma"))
+
+
+def _arms(job: Job, path: Path) -> dict[str, Arm]:
+    """Return the instruments of a job that are arms and that some table was measured with."""
+    used = {section.instrument for section in job.measurements}
+    arms = {name: arm for name, arm in job.instruments.items() if arm.kind == "arm" and name in used}
+    try:
+        return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
+    except JobError as e:
+        raise JobError(f"{path}: {e}") from e
+
+
+def _measurements(
+    section: MeasurementsSection,
+    job: Job,
+    robot: Robot,
+    folder: Path,
+    arms: Mapping[str, Arm],
+    doubts: list[Finding],
+) -> Measurements:
+    if section.instrument is not None and section.instrument in arms:
+        data, found = touched(folder / section.file, arms[section.instrument], robot, section.columns)
+        doubts += found
+        return data
     return read_measurements(
         folder / section.file,
         robot,
@@ -254,6 +352,8 @@ def _measurements(section: MeasurementsSection, job: Job, robot: Robot, folder: 
         sigma=_si(section.sigma, "length"),
         sigma_angle=_si(section.sigma_angle, "angle"),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+        offset=section.length_offset,
+        in_order=section.in_order,
         columns=section.columns,
     )
 
@@ -270,7 +370,7 @@ def _instrument(section: InstrumentSection) -> LaserTracker:
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
     position = _si(section.model_sigma, "length")
-    return (position,) if section.observes == "position" else (position, _si(section.model_sigma_angle, "angle"))
+    return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
 
 
 def _si(text: str | None, dimension: Dimension) -> float | None:

@@ -14,6 +14,7 @@ SECTIONS: tuple[Callable[[Outcome], Section | None], ...] = (
     lambda o: sections.errors(o.metrics, o.lost_in_urdf),
     lambda o: None if o.trace is None else sections.trace(o.trace),
     lambda o: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in o.levels]) if o.levels else None,
+    lambda o: None if o.choice is None else sections.chosen(o.choice),
     lambda o: sections.distribution(o.sets),
     lambda o: sections.poses(o.sets),
     lambda o: sections.joints(o.fit, o.sets),

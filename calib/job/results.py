@@ -5,18 +5,20 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
+from calib.assessment.uncertainty import uncertainty_of
 from calib.compensation.grid import grid_bytes
 from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
+from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
-from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import previous_folder, read_bytes, replace_folder
 from calib.identification.error_model import corrected_dh
@@ -26,7 +28,7 @@ from calib.job.report import report_of
 from calib.job.run import Outcome, resolved
 from calib.job.scene import scene_of
 from calib.job.versions import versions
-from calib.measurement.measurements import Measurements
+from calib.measurement.kinds import Kind, size
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
@@ -40,9 +42,13 @@ SCENE_FILE = "scene.html"
 REPORT_FILE = "report.html"
 MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
-_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE)
+_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
 _TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
 _RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE)
+_OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+_OF_LENGTHS = ("error [mm]",)
+_OF_PIXELS = ("u [px]", "v [px]")
+_RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _STEPS_OF_WRITING = 4
@@ -108,6 +114,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         NOMINAL_FILE: robot.urdf.source,
         JOB_FILE: resolved(outcome.inputs),
         MODEL_FILE: model_json(fit, with_grid=outcome.grid is not None),
+        UNCERTAINTY_FILE: uncertainty_json(uncertainty_of(fit)),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
@@ -141,7 +148,8 @@ def robot_errors(folder: Path) -> dict[str, float]:
         found = {str(record["name"]): float(record["value"]) for record in records}
     except (ValueError, TypeError, KeyError, RecursionError) as e:
         raise OutputError(f"{path}: is not a result of this tool.") from e
-    return {name: value for name, value in found.items() if name.partition(".")[0] not in ("base", "tool")}
+    of_set_up = ("base", "tool", "target", "length")
+    return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
 def result_json(outcome: Outcome) -> str:
@@ -173,6 +181,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
                 for direction in fit.blind_directions
             ],
         },
+        "advice": [advised.sentence for advised in advice(fit)],
         "parameters": fit.records(),
         "covariance": fit.covariance.tolist(),
         "singular_values": fit.singular_values.tolist(),
@@ -197,6 +206,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}
             for level in outcome.levels
         ],
+        "choice": None if outcome.choice is None else outcome.choice.records(),
         "trace": None
         if outcome.trace is None
         else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
@@ -221,24 +231,45 @@ def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
 
 
 def residual_table(outcome: Outcome) -> str:
-    """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm and degrees."""
+    """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm, degrees and pixels.
+
+    A point's error has three components, that of a length, a height or an indicator one, called its ``error``.
+    """
+    columns = [
+        title
+        for titles in _RESIDUAL_COLUMNS
+        if titles is _OF_POSES or any(_columns_of(judged.data.kind) is titles for judged in outcome.sets)
+        for title in titles
+    ]
     whens = ("before", "after")
-    columns = [f"{when}_{axis} [mm]" for when in whens for axis in "xyz"]
-    columns += [f"{when}_{axis} [deg]" for when in whens for axis in ("rx", "ry", "rz")]
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["use", "file", "line", "point", *columns])
+    # The unit stands last in a title, so that columns of one unit follow one another.
+    titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
+    writer = csv.DictWriter(text, ["use", "file", "line", "point", *titles], restval="", lineterminator="\n")
+    writer.writeheader()
     for judged in outcome.sets:
-        rows = _residual_rows(judged.data, judged.before, judged.after)
-        writer.writerows([judged.use, judged.file, *row] for row in rows)
+        data, own = judged.data, _columns_of(judged.data.kind)
+        for n, line in enumerate(data.lines):
+            row: dict[str, object] = {
+                "use": judged.use,
+                "file": judged.file,
+                "line": line,
+                "point": data.tools[data.tool[n]],
+            }
+            for when, r in zip(whens, (judged.before, judged.after), strict=True):
+                row |= {f"{when}_{title}": _shown(value, title) for title, value in zip(own, r[n], strict=False)}
+            writer.writerow(row)
     return text.getvalue()
 
 
-def _residual_rows(data: Measurements, before: Array, after: Array) -> Iterator[list[str]]:
-    for n, line in enumerate(data.lines):
-        lengths = [f"{value * 1e3:.6f}" for r in (before, after) for value in r[n, :3]]
-        angles = [f"{np.degrees(value):.7f}" for r in (before, after) for value in r[n, 3:]] or [""] * 6
-        yield [str(line), data.tools[data.tool[n]], *lengths, *angles]
+def _columns_of(kind: Kind) -> tuple[str, ...]:
+    return {1: _OF_LENGTHS, 2: _OF_PIXELS}.get(size(kind), _OF_POSES)
+
+
+def _shown(value: float, title: str) -> str:
+    if "[mm]" in title:
+        return f"{value * 1e3:.6f}"
+    return f"{np.degrees(value):.7f}" if "[deg]" in title else f"{value:.5f}"
 
 
 def _dh_table(fit: Fit) -> dict[str, str]:

@@ -2,23 +2,25 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.trust import doubts
 from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
-from calib.foundations.errors import IdentificationError, JobError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
 
 
 class JudgedSet(NamedTuple):
@@ -51,7 +53,8 @@ class Outcome:
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
     ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
     should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
-    the calibrated URDF alone is off, as it holds no closed loops.
+    the calibrated URDF alone is off, as it holds neither closed loops nor joint terms. ``choice``: of the joint terms,
+    where the job leaves it to the tool; ``inputs.model`` then has them.
     """
 
     inputs: Inputs
@@ -63,11 +66,15 @@ class Outcome:
     levels: tuple[LevelReport, ...] = ()
     grid: SectorGrid | None = None
     lost_in_urdf: float = 0.0
+    choice: Choice | None = None
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     """Identify, and judge by the data held out."""
     try:
+        choice = _choose(inputs, progress)
+        if choice is not None:
+            inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
         grid = _grid(inputs, fit)
     except (IdentificationError, JobError) as e:
@@ -84,8 +91,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     )
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
-            "before": metrics([judged.before for judged in judged_sets if judged.use == use]),
-            "after": metrics([judged.after for judged in judged_sets if judged.use == use]),
+            "before": metrics((judged.data.kind, judged.before) for judged in judged_sets if judged.use == use),
+            "after": metrics((judged.data.kind, judged.after) for judged in judged_sets if judged.use == use),
         }
         for use in dict.fromkeys(judged.use for judged in judged_sets)
     }
@@ -103,8 +110,33 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace,
         reports,
         grid,
-        lost_in_urdf(fit.robot, fit.deviations, np.concatenate([judged.data.readings for judged in judged_sets])),
+        lost_in_urdf(
+            fit.robot,
+            fit.deviations,
+            np.concatenate([judged.data.readings for judged in judged_sets]),
+            joined([judged.data.conditions for judged in judged_sets]),
+        ),
+        choice,
     )
+
+
+def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
+    """Choose joint terms from all that is to be identified from, where the job leaves it to the tool."""
+    section = inputs.job.error_model
+    if section.terms != "auto":
+        return None
+    prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
+    try:
+        return choose_terms(
+            inputs.model,
+            inputs.identify,
+            prior=prior,
+            model_sigmas=_flat(inputs.model_sigmas),
+            losses=inputs.losses,
+            progress=progress,
+        )
+    except MeasurementError as e:
+        raise MeasurementError(f"{inputs.path}: error_model.terms: {e}") from e
 
 
 def _follow(inputs: Inputs) -> Trace:
@@ -131,9 +163,10 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     policy = inputs.job.error_model.blind
     if not inputs.job.levels:
         progress("identifying")
-        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=_flat(inputs.model_sigmas)), ()
-    sigmas = zip(inputs.identify, inputs.model_sigmas, strict=True)
-    by_file = dict(zip(inputs.tables("identify"), sigmas, strict=True))
+        sigmas = _flat(inputs.model_sigmas)
+        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses), ()
+    given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
+    by_file = dict(zip(inputs.tables("identify"), given, strict=True))
     fit: Fit | None = None
     reports: list[LevelReport] = []
     for level in inputs.job.levels:
@@ -143,11 +176,12 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
         chosen = [by_file[file] for file in level.measurements or by_file]
         fit = identify(
             inputs.model,
-            [data for data, _ in chosen],
+            [data for data, _, _ in chosen],
             free=level.free,
             start=fit,
             blind=policy,
-            model_sigmas=_flat(group for _, group in chosen),
+            model_sigmas=_flat(group for _, group, _ in chosen),
+            losses=[loss for _, _, loss in chosen],
         )
         reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
     if fit is None:
@@ -162,7 +196,8 @@ def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
         return None
     errors = [r[:, :3] for r in residuals_of(fit, inputs.nodes, fit.machine)]
     base = fit.machine.frames.base
-    axes = [axes_of(section.frame, base, fit.robot.tips(data.readings, fit.deviations)) for data in inputs.nodes]
+    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in inputs.nodes]
+    axes = [axes_of(section.frame, base, T) for T in tips]
     return grid_from_residuals(
         np.concatenate([data.readings for data in inputs.nodes]),
         np.concatenate([(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]),
@@ -184,10 +219,10 @@ def _judged(
 ) -> Iterator[JudgedSet]:
     before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
     for file, data, b, a in zip(files, sets, before, after, strict=True):
-        if grid is not None:
+        if grid is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
             a[:, :3] -= grid.shifts(
-                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations), data.readings
+                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations, data.conditions), data.readings
             )
         yield JudgedSet(use, file, data, b, a)
 
@@ -200,7 +235,9 @@ def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
     frames = [p.name for p in inputs.model.parameters(fit.measurements[0].tools) if not p.of_robot]
     judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
-    return metrics(residuals_of(judged, inputs.validate or inputs.identify, judged.machine))
+    sets = inputs.validate or inputs.identify
+    found = residuals_of(judged, sets, judged.machine)
+    return metrics((data.kind, r) for data, r in zip(sets, found, strict=True))
 
 
 def resolved(inputs: Inputs) -> str:

@@ -5,24 +5,32 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
-from calib.job.run import Outcome
-from calib.presentation.arm import Arm, arm_of, root_in_base
+from calib.job.run import JudgedSet, Outcome
+from calib.measurement.kinds import size
+from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Scene, magnification
+from calib.robot.conditions import Conditions, joined
 from calib.robot.robot import Deviations
 
 
 def scene_of(outcome: Outcome) -> Scene:
-    """Return the scene of a finished calibration: every row of every table, in the order of the job."""
+    """Return the scene of a finished calibration: every row of every table that tells a point, in the job's order.
+
+    A socket's point is where the calibrated robot says it is; tables of lengths and heights have no points to draw.
+    """
     fit, robot = outcome.fit, outcome.fit.robot
-    root = root_in_base(robot)
-    readings = np.concatenate([judged.data.readings for judged in outcome.sets])
-    measured = np.concatenate([judged.data.position for judged in outcome.sets])
-    before = measured - np.concatenate([judged.before[:, :3] for judged in outcome.sets])
-    after = measured - np.concatenate([judged.after[:, :3] for judged in outcome.sets])
-    calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root)
+    root = robot.root_in_base
+    sets = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
+    points = [_points(outcome, judged) for judged in sets]
+    readings = np.concatenate([judged.data.readings for judged in sets or outcome.sets])
+    conditions = joined([judged.data.conditions for judged in sets or outcome.sets])
+    measured = np.concatenate([np.zeros((0, 3)), *points])
+    before = measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged in sets)])
+    after = measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged in sets)])
+    calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
-    nominal, apart = _nominal(outcome, readings, root, scales[0])
+    nominal, apart = _nominal(outcome, readings, conditions, root, scales[0])
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -34,7 +42,7 @@ def scene_of(outcome: Outcome) -> Scene:
             name: tool[:3, 3] for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
         },
         tip=robot.tip,
-        rows=tuple(f"{judged.file} line {line}" for judged in outcome.sets for line in judged.data.lines),
+        rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),
         measured=measured,
         before=before,
         after=after,
@@ -42,7 +50,18 @@ def scene_of(outcome: Outcome) -> Scene:
     )
 
 
-def _nominal(outcome: Outcome, readings: Array, root: Array, apart: float) -> tuple[Arm, float]:
+def _points(outcome: Outcome, judged: JudgedSet) -> Array:
+    """Return the points (N, 3) that a table measured, in the instrument's frame."""
+    data, fit = judged.data, outcome.fit
+    if data.position is not None:
+        return data.position
+    placed = fit.machine.frames.base @ fit.robot.tips(data.readings, fit.deviations, data.conditions)
+    names = fit.measurements[0].tools
+    own = np.array([names.index(tool) for tool in data.tools])[data.tool]
+    return np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3] + judged.after[:, :3])
+
+
+def _nominal(outcome: Outcome, readings: Array, conditions: Conditions, root: Array, apart: float) -> tuple[Arm, float]:
     """Return the nominal arm, its difference from the calibrated one taken ``apart`` times, or as often as loops allow.
 
     Deviations and base are led on beyond the nominal ones, to first order, so that its tool goes to where the errors
@@ -52,9 +71,9 @@ def _nominal(outcome: Outcome, readings: Array, root: Array, apart: float) -> tu
     for times in (*(apart / k for k in (1.0, 2.0, 5.0, 10.0, 100.0) if apart / k > 1.0), 1.0):
         d = fit.deviations
         try:
-            led = Deviations((1.0 - times) * d.placements, (1.0 - times) * d.offsets)
+            led = Deviations((1.0 - times) * d.placements, (1.0 - times) * d.offsets, (1.0 - times) * d.terms)
             base = _beyond(fit.machine.frames.base, fit.nominal.frames.base, times)
-            return arm_of(fit.robot, led, readings, base @ root), times
+            return arm_of(fit.robot, led, readings, base @ root, conditions), times
         except PoseError:  # a loop that does not close so far away
             continue
     raise AssertionError("the nominal robot closed its loops when it was read")

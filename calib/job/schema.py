@@ -15,6 +15,10 @@ from pydantic_core import ErrorDetails
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.joint_terms import HIGHEST_ORDER
+from calib.identification.losses import Loss
+from calib.identification.relations import RelationKind
+from calib.measurement.kinds import Kind
 
 _LARGEST_JOB = 1_000_000
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
@@ -31,7 +35,7 @@ def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any
 
     def checked(text: object) -> object:
         if not isinstance(text, str):
-            example = {"length": "0.02 mm"}.get(dimension, "0.01 deg")
+            example = {"length": "0.02 mm", "mass": "5 kg", "acceleration": "9.81 m/s2"}.get(dimension, "0.01 deg")
             raise ValueError(f"{_shown(text)} is not a text with a number and a unit, like {example!r}.")
         try:
             value = parse_quantity(text, dimension, "")
@@ -62,6 +66,12 @@ def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, f
     return value
 
 
+def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not np.linalg.norm(value) > 0.0:
+        raise ValueError(f"{_shown(value)} has no direction.")
+    return value
+
+
 def _selection(value: object) -> object:
     names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
     if not names and value not in ("all", "none"):
@@ -81,6 +91,12 @@ def _iterations(value: object) -> object:
     return value
 
 
+def _orders(value: object) -> object:
+    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
+        raise ValueError(f"{_shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
+    return value
+
+
 def _this_schema(value: object) -> object:
     # As Python has it, 1 == 1.0 == True.
     if type(value) is not int or value != 1:
@@ -96,10 +112,19 @@ AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
 Position = Annotated[tuple[Length, Length, Length], BeforeValidator(_list_of(3, "three lengths x, y, z"))]
+MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
+Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]
+Gravity = Annotated[
+    tuple[Acceleration, Acceleration, Acceleration],
+    BeforeValidator(_list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
+]
 Quaternion = Annotated[
     tuple[float, float, float, float],
     BeforeValidator(_list_of(4, "four numbers w, x, y, z")),
     AfterValidator(_unit_quaternion),
+]
+Direction = Annotated[
+    tuple[float, float, float], BeforeValidator(_list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
 ]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
 
@@ -128,22 +153,35 @@ class LoopSection(_Section):
     passive: tuple[Name, ...] = Field(min_length=1)
 
 
+class PayloadSection(_Section):
+    """``payload`` of ``[robot]``: what the tip link carries."""
+
+    mass: MassFromZero
+    position: Position = ("0 m", "0 m", "0 m")
+
+
 class RobotSection(_Section):
-    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes."""
+    """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes.
+
+    ``gravity`` in the base link, and ``payload``, matter where drives give way.
+    """
 
     urdf: Name
     tip: str | None = None
     base: str | None = None
     mesh_roots: tuple[Name, ...] = ()
+    gravity: Gravity = ("0 m/s2", "0 m/s2", "-9.80665 m/s2")
+    payload: PayloadSection | None = None
     coupling: tuple[CouplingSection, ...] = ()
     loop: tuple[LoopSection, ...] = ()
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that the robot's parameters are expected to have."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of harmonics."""
 
     length: PositiveLength | None = None
     angle: PositiveAngle | None = None
+    harmonics: PositiveAngle | None = None
 
 
 class ErrorModelSection(_Section):
@@ -154,6 +192,14 @@ class ErrorModelSection(_Section):
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: PositiveAngle = "0.01 rad"
+    terms: Literal["given", "auto"] = "given"
+    gain: Selection = "none"
+    harmonics: Selection = "none"
+    harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(_orders)] = (1, 2)
+    elastic: Selection = "none"
+    torque: Selection = "none"
+    backlash: Selection = "none"
+    thermal: Selection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
@@ -167,13 +213,47 @@ class FrameSection(_Section):
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class InstrumentSection(_Section):
-    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate."""
+class TargetSection(_Section):
+    """``[targets.NAME]``: what is known of a point, or of a plane: its normal, and its height along it."""
 
-    kind: Literal["laser_tracker"]
+    position: Position | None = None
+    normal: Direction | None = None
+    height: Length | None = None
+
+
+class RelationSection(_Section):
+    """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
+
+    targets: tuple[Name, Name]
+    distance: LengthFromZero | None = None
+    angle: AngleFromZero | None = None
+    offset: Length | None = None
+    sigma: str
+
+    @property
+    def kind(self) -> RelationKind:
+        """Which number is known."""
+        return next(kind for kind in get_args(RelationKind) if getattr(self, kind) is not None)
+
+
+class InstrumentSection(_Section):
+    """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate.
+
+    An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
+    its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
+    touches.
+    """
+
+    kind: Literal["laser_tracker", "arm"]
     sigma: LengthFromZero
     sigma_per_metre: LengthFromZero = "0 um"
     station: Position = ("0 m", "0 m", "0 m")
+    model: Name | None = None
+    urdf: Name | None = None
+    tip: Name | None = None
+    tool: Name | None = None
+    point: Position | None = None
+    pivot: Name | None = None
 
 
 class SolverSection(_Section):
@@ -211,13 +291,16 @@ class MeasurementsSection(_Section):
     """``[[measurements]]``: one table."""
 
     file: Name
-    observes: Literal["position", "pose"] = "position"
+    observes: Kind = "position"
     sigma: PositiveLength | None = None
     sigma_angle: PositiveAngle | None = None
     instrument: str | None = None
+    length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: LengthFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
+    loss: Loss = "linear"
+    in_order: bool = False
     columns: dict[str, str] = Field(default_factory=dict)
 
 
@@ -231,6 +314,8 @@ class Job(_Section):
     base: FrameSection | None = None
     tools: dict[str, FrameSection] = Field(default_factory=dict)
     instruments: dict[str, InstrumentSection] = Field(default_factory=dict)
+    targets: dict[str, TargetSection] = Field(default_factory=dict)
+    relations: tuple[RelationSection, ...] = ()
     levels: tuple[LevelSection, ...] = ()
     measurements: tuple[MeasurementsSection, ...] = Field(min_length=1)
 
@@ -240,8 +325,11 @@ _HEADERS: dict[type[BaseModel], str] = {
     RobotSection: "[robot]",
     ErrorModelSection: "[error_model]",
     PriorSection: "prior of [error_model]",
+    PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
     InstrumentSection: "[instruments.NAME]",
+    TargetSection: "[targets.NAME]",
+    RelationSection: "[[relations]]",
     MeasurementsSection: "[[measurements]]",
 }
 
@@ -286,27 +374,80 @@ def _tuples(value: Any) -> Any:
 
 def _contradictions(job: Job) -> Iterator[str]:
     """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
+    for name, instrument in job.instruments.items():
+        yield from _instrument_contradictions(_dotted(("instruments", name)), instrument)
     for i, section in enumerate(job.measurements):
         at = f"measurements[{i}]"
+        measured_by = job.instruments.get(section.instrument or "")
+        if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
+            yield f'{at}.observes: an arm that touches sees positions only; write "position".'
         if section.instrument is not None and section.instrument not in job.instruments:
             known = ", ".join(map(repr, job.instruments)) or "none"
             yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
         if section.instrument is not None and section.sigma is not None:
             yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
-        if section.observes == "position":
+        if section.observes != "pose":
             for key in ("sigma_angle", "model_sigma_angle"):
                 if getattr(section, key) is not None:
-                    yield f'{at}.{key}: positions have no angles; leave it out or write observes = "pose".'
+                    yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+        if section.observes not in ("position", "pose"):
+            if section.instrument is not None:
+                yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
+            if section.use == "nodes":
+                yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
+        if section.length_offset is not None and section.observes not in ("distance", "pair_distance", "sphere"):
+            yield f"{at}.length_offset: a {section.observes} has no length; leave it out."
         if section.use == "validate":
             for key in ("model_sigma", "model_sigma_angle"):
                 if getattr(section, key) is not None:
                     yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+        if section.use != "identify" and section.loss != "linear":
+            yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+    if job.error_model.terms == "auto":
+        for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
+            if getattr(job.error_model, key) != "none":
+                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
+    for name, target in job.targets.items():
+        if (target.position is None) == (target.normal is None):
+            yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
+        if target.height is not None and target.normal is None:
+            yield f"targets.{name}.height: belongs to a normal, and there is none."
+    for i, relation in enumerate(job.relations):
+        given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
+        if len(given) != 1:
+            yield f"relations[{i}]: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
+        else:
+            try:
+                sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
+            except JobError as e:
+                yield f"relations[{i}].sigma: {str(e).removeprefix(': ')}"
+            else:
+                if not sigma > 0.0:
+                    yield f"relations[{i}].sigma: {relation.sigma!r} is not above 0."
     if job.base is not None and job.error_model.base != "fixed":
         yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
     if job.tools and job.error_model.tool != "fixed":
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[str]:
+    of_tracker, of_arm = ("sigma_per_metre", "station"), ("model", "urdf", "tip", "tool", "point", "pivot")
+    for key in of_tracker if section.kind == "arm" else of_arm:
+        if key in section.model_fields_set:
+            yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
+    if section.kind != "arm":
+        return
+    if (section.model is None) == (section.urdf is None):
+        yield f"{at}: an arm has either a model, the folder of its results, or a urdf."
+    if section.model is not None and section.tip is not None:
+        yield f"{at}.tip: the model has its own; leave it out."
+    if section.urdf is not None and section.tool is not None:
+        yield f"{at}.tool: a urdf has no tools; give a point on its tip, or a pivot."
+    given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
+    if len(given) > 1 or (section.model is not None and not given):
+        yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."
 
 
 # One sentence for what is wrong. -----------------------------------------------------------------------------------
@@ -338,6 +479,7 @@ def _sentence(error: ValidationError) -> str:
     expected = {
         "string_type": "a text",
         "float_type": "a number",
+        "bool_type": "true or false",
         "finite_number": "a finite number",
         "tuple_type": "a list",
         "model_type": "a section with keys",

@@ -141,6 +141,8 @@ def _excess(values: Array, readings: Sequence[Reading]) -> Array:
 
 
 def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
+    if m.position is None:
+        return
     # The median row stands for all of them, so that one wild row is not taken for a wrong unit.
     distance = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=-1)
     typical, farthest = float(np.median(distance)), int(distance.argmax())
@@ -169,8 +171,11 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
 
 
 def _repeated(m: Measurements) -> Iterable[Finding]:
-    orientation = np.zeros((len(m), 0)) if m.orientation is None else m.orientation.reshape(len(m), 9)
-    rows = np.hstack([m.readings, m.position, orientation, m.tool[:, None]])
+    none = np.zeros((len(m), 0))
+    position = none if m.position is None else m.position
+    orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
+    other = none if m.other is None else np.hstack([m.other.readings, m.other.tool[:, None]])
+    rows = np.hstack([m.readings, position, orientation, m.value, other, m.tool[:, None], m.target[:, None]])
     _, first = np.unique(rows, axis=0, return_index=True)
     again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
     if again.size:

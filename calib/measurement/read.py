@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from calib.measurement.instruments import LaserTracker
-from calib.measurement.measurements import Kind, Measurements, measurements_from_table
+from calib.measurement.kinds import Kind
+from calib.measurement.measurements import Measurements, measurements_from_table
 from calib.measurement.table import Frame, read_table, table_from_arrays, table_from_frame
 from calib.robot.robot import Robot
 
@@ -18,14 +19,17 @@ def read_measurements(
     sigma: float | None = None,
     sigma_angle: float | None = None,
     instrument: LaserTracker | None = None,
+    offset: str | None = None,
+    in_order: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
     Every dimensional column has its unit in its name: ``"joint_1 [deg]"``, ``"x [mm]"``. ``sigma`` (m) and
     ``sigma_angle`` (rad) are the instrument's standard deviations of each coordinate, when no column and no
-    ``instrument`` gives them. ``columns`` maps our names to the source's, and may add a unit that it leaves out:
-    ``{"x [mm]": "measured_x"}``.
+    ``instrument`` gives them. ``offset`` names an unknown length that all lengths share. ``in_order``: the order of the
+    rows says from which side joints were reached. ``columns`` maps our names to the source's, and may add a unit that
+    it leaves out: ``{"x [mm]": "measured_x"}``.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
@@ -37,5 +41,12 @@ def read_measurements(
     else:
         table = table_from_frame(source, columns=renamed)
     return measurements_from_table(
-        table, robot.readings, observes, sigma=sigma, sigma_angle=sigma_angle, instrument=instrument
+        table,
+        robot.readings,
+        observes,
+        sigma=sigma,
+        sigma_angle=sigma_angle,
+        instrument=instrument,
+        offset=offset,
+        in_order=in_order,
     )

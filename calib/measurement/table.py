@@ -23,6 +23,10 @@ from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER, UNITS, Unit
 
 TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
+# The side from which the joint in the name was reached, in words.
+APPROACH = "direction_"
+# What the drive of the joint in the name held, by its own account.
+TORQUE = "tau_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 AS_WRITTEN: Mapping[str, str] = MappingProxyType({})
 
@@ -187,7 +191,7 @@ def _split(title: str, at: str) -> tuple[str, str | None]:
 
 
 def _unit(name: str, symbol: str | None, at: str) -> Unit | None:
-    if name in TEXT_COLUMNS:
+    if name in TEXT_COLUMNS or name.startswith(APPROACH):
         if symbol is not None:
             raise MeasurementError(f"{at}: column {name!r} holds words and takes no unit, but has [{symbol}].")
         return None

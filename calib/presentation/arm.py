@@ -11,6 +11,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.robot import deviation
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import Urdf, UrdfJoint
 
@@ -27,10 +28,12 @@ class Arm:
     positions: Array
 
 
-def arm_of(robot: Robot, deviations: Deviations, readings: Array, root: Array) -> Arm:
+def arm_of(
+    robot: Robot, deviations: Deviations, readings: Array, root: Array, conditions: Conditions = NO_CONDITIONS
+) -> Arm:
     """Return an arm at readings (N, nr). Joints beside the arm rest at 0, or follow what they mimic.
 
-    Raises PoseError for a row where a closed loop cannot close.
+    Raises PoseError for a row where a closed loop cannot close, RobotError for a joint term whose ``conditions`` lack.
     """
     urdf = robot.urdf
     column = {joint.name: k for k, joint in enumerate(urdf.joints)}
@@ -40,7 +43,7 @@ def arm_of(robot: Robot, deviations: Deviations, readings: Array, root: Array) -
         origins[k] = origins[k] @ link.frame @ deviation.motion(d) @ rigid.inverse(link.frame)
     positions = np.zeros((len(readings), len(urdf.joints)))
     known = [column[robot.chain[i].name] for i in robot.moving]
-    positions[:, known] = robot.joint_positions(readings, deviations)
+    positions[:, known] = robot.joint_positions(readings, deviations, conditions)
     for k, joint in enumerate(urdf.joints):
         if k not in known:
             positions[:, k] = _following(urdf, joint, column, positions, known)
@@ -59,18 +62,6 @@ def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
             found[joint.child] = found[joint.parent] @ arm.origins[k] @ _motions(joint, arm.positions[:, k])
         waiting = [k for k in waiting if k not in ready]
     return found
-
-
-def root_in_base(robot: Robot) -> Array:
-    """Return the root link of the URDF in the arm's base link (4, 4), joints between them at zero."""
-    T = np.eye(4)
-    link = robot.base
-    while link != robot.urdf.root:
-        joint = robot.urdf.parent_joint(link)
-        assert joint is not None, "every link but the root has a parent"
-        T = joint.origin @ T
-        link = joint.parent
-    return rigid.inverse(T)
 
 
 def _following(urdf: Urdf, joint: UrdfJoint, column: dict[str, int], positions: Array, known: list[int]) -> Array:

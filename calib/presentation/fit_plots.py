@@ -7,6 +7,7 @@ import numpy as np
 from calib.assessment.metrics import error_norms
 from calib.foundations.arrays import Array
 from calib.identification.fit import Fit
+from calib.measurement.kinds import UNIT_OF
 from calib.presentation.correlation import correlation
 from calib.presentation.sheets import SHOWN
 
@@ -29,10 +30,10 @@ def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "erro
 def _errors(fit: Fit) -> "Figure":
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    before, after = (_norms(residuals) for residuals in (fit.nominal_residuals, fit.residuals))
+    before, after = (_norms(fit, residuals) for residuals in (fit.nominal_residuals, fit.residuals))
     figure = Figure(figsize=(4.6 * len(after), 3.2), layout="constrained")
     for k, quantity in enumerate(after):
-        factor, unit = SHOWN["m" if quantity == "position" else "rad"]
+        factor, unit = SHOWN[UNIT_OF[quantity]]
         axes = figure.add_subplot(1, len(after), k + 1)
         for name, norms, colour in (("before", before, _BEFORE), ("after", after, _AFTER)):
             axes.ecdf(norms[quantity] * factor, label=name, color=colour)
@@ -82,10 +83,10 @@ def _correlations(fit: Fit) -> "Figure":
     return figure
 
 
-def _norms(residuals: tuple[Array, ...]) -> dict[str, Array]:
-    """Return error norms by quantity over all sets, (N,) in m or rad."""
+def _norms(fit: Fit, residuals: tuple[Array, ...]) -> dict[str, Array]:
+    """Return error norms by quantity over all sets, (N,) in m, rad or px."""
     found: dict[str, list[Array]] = {}
-    for r in residuals:
-        for quantity, norms in error_norms(r).items():
+    for data, r in zip(fit.measurements, residuals, strict=True):
+        for quantity, norms in error_norms(data.kind, r).items():
             found.setdefault(quantity, []).append(norms)
     return {quantity: np.concatenate(norms) for quantity, norms in found.items()}

@@ -17,6 +17,7 @@ from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError, PoseError
 from calib.foundations.units import UNITS
 from calib.presentation.arm import arm_of
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations
 
 ADDRESS = "127.0.0.1"
@@ -139,13 +140,14 @@ def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, RecursionError):
         return {"sentence": "This is no question that the server knows."}
     d = model.deviations
-    led = Deviations((1.0 - apart) * d.placements, (1.0 - apart) * d.offsets)
+    led = Deviations((1.0 - apart) * d.placements, (1.0 - apart) * d.offsets, (1.0 - apart) * d.terms)
+    usual = ordinary(readings)
     try:
         positions = {
-            name: arm_of(robot, deviations, readings, np.eye(4)).positions[0].tolist()
+            name: arm_of(robot, deviations, readings, np.eye(4), usual).positions[0].tolist()
             for name, deviations in (("robot", d), ("nominal", led))
         }
-        tips = robot.tips(readings, d)[0], robot.tips(readings)[0]
+        tips = robot.tips(readings, d, usual)[0], robot.tips(readings, conditions=usual)[0]
     except PoseError as e:
         return {"sentence": f"At these readings {e.reason}."}
     distance = 1e3 * float(np.linalg.norm(tips[0][:3, 3] - tips[1][:3, 3]))

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
@@ -91,33 +90,6 @@ def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
 def moved(part: Triangles, T: Array) -> Triangles:
     """Return the triangles moved by the placement (or any affine map) ``T`` (4, 4)."""
     return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
-
-
-def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
-    """Return the file that a URDF's mesh ``filename`` means, or None when it is not a file below one of ``roots``.
-
-    ``package://NAME/REST`` is ROOT/NAME/REST or ROOT/REST; a relative path starts at a root; ``file://`` and absolute
-    paths must lead below one. Links are followed first, and a path that leaves its root is refused.
-    """
-    scheme, mark, rest = uri.partition("://")
-    if not mark:
-        names = [uri]
-    elif scheme == "file":
-        names = [unquote(rest)]
-    elif scheme == "package":
-        names = [rest, rest.partition("/")[2]]
-    else:
-        return None
-    for root in roots:
-        for name in names:
-            try:
-                path = (root / name).resolve()
-                if path.is_relative_to(root.resolve()) and path.is_file():
-                    return path
-            except (OSError, RuntimeError, ValueError):
-                # A loop of links, a name too long, a zero byte: no file of that name.
-                continue
-    return None
 
 
 def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _COLOURS = {"m": "#0d6b78", "rad": "#c4571a"}
 _LABELS = {"m": "lengths, per mm", "rad": "angles, per mrad"}
+_OTHER, _OTHERS = "#5b5b8c", "joint terms, per mille or milli-unit"
 _GRID = "#d9d9d9"
 _FORMATS = ("svg", "png", "pdf")
 _ROW = 0.19  # inches for one bar and its name
@@ -43,7 +44,7 @@ def sensitivity_figure(sensitivity: Sensitivity) -> "Figure":
     figure = Figure(figsize=(7.2, _ROOM + _ROW * len(order)), layout="constrained")
     axes = figure.add_subplot()
     # m per m is mm per mm, and m per rad is mm per mrad.
-    axes.barh(rows, sensitivity.rms[order], height=0.7, color=[_COLOURS[p.unit] for p in parameters])
+    axes.barh(rows, sensitivity.rms[order], height=0.7, color=[_COLOURS.get(p.unit, _OTHER) for p in parameters])
     axes.plot(sensitivity.largest[order], rows, linestyle="none", marker="|", markersize=8, color="black")
     axes.set_yticks(rows, [p.name for p in parameters], fontsize=8)
     axes.set_ylim(-0.7, len(rows) - 0.3)
@@ -57,5 +58,7 @@ def sensitivity_figure(sensitivity: Sensitivity) -> "Figure":
     units = [unit for unit in _COLOURS if any(p.unit == unit for p in parameters)]
     largest = Line2D([], [], linestyle="none", marker="|", markersize=8, color="black", label="largest")
     bars = [Patch(color=_COLOURS[unit], label=f"{_LABELS[unit]} (rms)") for unit in units]
+    if any(p.unit not in _COLOURS for p in parameters):
+        bars.append(Patch(color=_OTHER, label=f"{_OTHERS} (rms)"))
     axes.legend(handles=[*bars, largest], loc="lower right", frameon=False, fontsize=8)
     return figure

@@ -27,7 +27,6 @@ from calib.presentation.meshes import (
     Triangles,
     balls,
     creased,
-    find_mesh,
     joined,
     moved,
     primitive,
@@ -35,6 +34,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 
 MEASURED: Rgb = (0.13, 0.13, 0.13)
@@ -77,16 +77,17 @@ class Scene:
     """What a scene shows. All points are in the world (instrument) frame, in m.
 
     ``urdf``: the robot; ``mesh_roots``: the folders below which its meshes may be read. ``calibrated``: the arm at
-    every row, and ``nominal`` the nominal one, its difference from it taken ``apart`` times. ``tools`` (3,): points in
-    the tip link. ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which
-    ``rows`` name. ``scales``: how many times the errors before and after calibration are drawn.
+    every row, and ``nominal`` the nominal one, its difference from it taken ``apart`` times, or None where there is
+    none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
+    ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
+    ``scales``: how many times the errors before and after calibration are drawn.
     """
 
     title: str
     urdf: Urdf
     mesh_roots: tuple[Path, ...]
     calibrated: Arm
-    nominal: Arm
+    nominal: Arm | None
     apart: float
     tools: Mapping[str, Array]
     tip: str
@@ -178,8 +179,9 @@ def render_scene(scene: Scene) -> str:
         "nominal": _hex(NOMINAL),
         "apart": scene.apart,
         "arms": {
-            "robot": _arm(scene.calibrated, T_base_world, rows),
-            "nominal": _arm(scene.nominal, T_base_world, rows),
+            name: _arm(arm, T_base_world, rows if len(rows) else np.array([0]))
+            for name, arm in (("robot", scene.calibrated), ("nominal", scene.nominal))
+            if arm is not None
         },
         "rows": [scene.rows[n] for n in rows],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
@@ -405,13 +407,13 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
         for name, e in zip(("before", "after"), errors, strict=True)
-        if n
+        if n and any(map(np.any, errors))
     ]
     return {
         "n": n,
         "figures": figures,
         "scales": [f"{scale:g}" for scale in scene.scales],
-        "apart": f"{scene.apart:g}",
+        "apart": None if scene.nominal is None else f"{scene.apart:g}",
         "colours": [_css(rgb) for rgb in SCALE],
         "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
         "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],

@@ -28,7 +28,7 @@ def sensitivity_table(sensitivity: Sensitivity) -> Table:
             parameter.name,
             f"{rms:.4f}",
             f"{largest:.4f}",
-            f"mm/{'mrad' if angle else 'mm'}",
+            f"mm/{'1e-3' if parameter.unit == '1' else f'm{parameter.unit}'}",
             f"{rms * UNITS['deg'].factor / _MM:.3f} mm" if angle else "",
         )
     return out

@@ -5,13 +5,24 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
+from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 
-# What is shown of a length in m and an angle in rad.
-SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+# What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
+SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "px": (1.0, "px"),
+    "1": (1e6, "ppm"),
+    "rad/Nm": (1e6, "urad/Nm"),
+    "m/N": (1e6, "um/N"),
+    "rad/K": (1e6, "urad/K"),
+    "m/K": (1e6, "um/K"),
+}
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]
 
@@ -60,6 +71,29 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
     )
 
 
+def choice_sheet(choice: Choice) -> Sheet:
+    """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
+    start, steps = choice.steps[0].held_out.rms, choice.steps
+    quantity = next(iter(steps[0].rms))
+    factor, unit = SHOWN[UNIT_OF[quantity]]
+    least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
+    rows = []
+    for k in dict.fromkeys((*range(choice.taken + 1), least)):
+        step = steps[k]
+        name = "geometry alone" if step.added is None else step.added.name
+        figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
+        said = "yes" if k <= choice.taken else "no: the least"
+        rows.append(Row((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)))
+    return Sheet(
+        "Joint terms by what held-out data say",
+        ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
+        frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
+        tuple(rows),
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+        brief=True,
+    )
+
+
 def parameter_sheet(fit: Fit) -> Sheet:
     """Return all parameters with values, sigmas and flags."""
     rows = []
@@ -82,12 +116,16 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
     """Return the noise of every set of measurements and quantity."""
     said = []
     for noise in fit.noise:
-        unit = "m" if noise.quantity == "position" else "rad"
+        kind = fit.measurements[noise.measurements].kind
+        unit = UNIT_OF[noise.quantity]
         instrument = f"{figure(noise.instrument, unit)} instrument" if noise.instrument else "instrument not stated"
         chi = "" if np.isnan(noise.chi_square) else f", chi-square per degree of freedom {noise.chi_square:.3g}"
         of = f" of {Path(fit.measurements[noise.measurements].where).name}" if len(fit.measurements) > 1 else ""
         model = figure(noise.model, unit)
-        said.append(f"Noise of one {noise.quantity} coordinate{of}: {instrument}, {model} model{chi}.")
+        what = noise.quantity.replace("_", " ")
+        said.append(
+            f"Noise of one {what} {'coordinate' if size(kind) > 1 else 'value'}{of}: {instrument}, {model} model{chi}."
+        )
     return tuple(said)
 
 
@@ -118,7 +156,7 @@ def lost_sentences(lost: float) -> tuple[str, ...]:
     if lost == 0.0:
         return ()
     off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
-    return (f"A URDF holds no closed loops: calibrated.urdf alone {off}. model.json holds all.",)
+    return (f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.",)
 
 
 def count(n: int, one: str, several: str) -> str:

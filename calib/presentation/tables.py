@@ -25,7 +25,12 @@ def table(fit: Fit) -> str:
 
 def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
     """Return the errors of a fit before and after, on its own data, and its parameters."""
-    figures = {"identification": {"before": metrics(fit.nominal_residuals), "after": metrics(fit.residuals)}}
+    figures = {
+        "identification": {
+            when: metrics((data.kind, r) for data, r in zip(fit.measurements, residuals, strict=True))
+            for when, residuals in (("before", fit.nominal_residuals), ("after", fit.residuals))
+        }
+    }
     return error_sheet(figures), parameter_sheet(fit)
 
 
@@ -57,7 +62,7 @@ def sheet_table(sheet: Sheet) -> Table:
     return out
 
 
-def blind_lines(blind: Sequence[BlindDirection], most: int | None = None) -> list[RenderableType]:
+def blind_lines(blind: Sequence[BlindDirection | str], most: int | None = None) -> list[RenderableType]:
     """Return the blind directions under their number; nothing where there are none."""
     if not blind:
         return []

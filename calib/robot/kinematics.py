@@ -33,6 +33,14 @@ class Frame(NamedTuple):
     placement: Array
 
 
+class Mass(NamedTuple):
+    """A mass in kg whose centre (3,) is at rest, in m, in the frame of a joint; joint -1 is the root."""
+
+    joint: int
+    mass: float
+    centre: Array
+
+
 class Regressor(NamedTuple):
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
@@ -54,7 +62,7 @@ class Regressor(NamedTuple):
 class Kinematics:
     """Frames of a tree, evaluated at many configurations. Not to be shared by threads: it holds scratch memory."""
 
-    def __init__(self, tree: Tree, frames: Sequence[Frame]) -> None:
+    def __init__(self, tree: Tree, frames: Sequence[Frame], masses: Sequence[Mass] = ()) -> None:
         model = pin.Model()
         for i, (kind, parent, T) in enumerate(zip(tree.types, tree.parents, tree.placements, strict=True)):
             joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
@@ -63,6 +71,10 @@ class Kinematics:
             model.addFrame(pin.Frame(f"frame_{k}", frame.joint + 1, pin.SE3(frame.placement), pin.FrameType.OP_FRAME))
             for k, frame in enumerate(frames)
         )
+        for body in masses:
+            model.appendBodyToJoint(
+                body.joint + 1, pin.Inertia(body.mass, body.centre, np.zeros((3, 3))), pin.SE3.Identity()
+            )
         self._model, self._data = model, model.createData()
 
     def regressors(self, q: Array) -> tuple[Regressor, ...]:
@@ -93,3 +105,13 @@ class Kinematics:
             for frame, to in zip(self._frames, found, strict=True):
                 to.append(pin.updateFramePlacement(model, data, frame).homogeneous)
         return tuple(np.array(T).reshape(-1, 4, 4) for T in found)
+
+    def holding(self, q: Array, gravity: Array) -> Array:
+        """Return what the joints hold (N, nj), in Nm and N, at configurations q (N, nj), in ``gravity`` (3,) in m/s^2.
+
+        These are the slopes of the potential energy of the masses.
+        """
+        model, data = self._model, self._data
+        model.gravity.linear = gravity
+        found = [pin.computeGeneralizedGravity(model, data, q_n).copy() for q_n in np.ascontiguousarray(q)]
+        return np.array(found).reshape(-1, model.nv)

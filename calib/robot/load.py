@@ -10,6 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 from calib.robot import deviation
+from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.loops import Loop
 from calib.robot.robot import ChainJoint, ClosedLoop, Coupling, Reading, Robot
 from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
@@ -22,12 +23,15 @@ def load_robot(
     *,
     couplings: Sequence[Coupling] = (),
     loops: Sequence[ClosedLoop] = (),
+    gravity: Sequence[float] = STANDARD_GRAVITY,
+    payload: Payload | None = None,
 ) -> Robot:
     """Load the arm from link ``base`` (default: the root link) to link ``tip`` (default: the only leaf link).
 
     ``urdf`` is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data.
     ``couplings`` replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is
-    a tree, leaves open; the passive joints start their search where they would be by mimicry.
+    a tree, leaves open; the passive joints start their search where they would be by mimicry. ``gravity`` (3,), in
+    m/s^2 in the base link, and ``payload``, in the tip link, matter to joints that give way.
     Raises RobotError with one sentence when the file or the arm cannot be used.
     """
     document = urdf if isinstance(urdf, Urdf) else read_urdf(urdf)
@@ -67,12 +71,35 @@ def load_robot(
         closed,
         tuple(couplings),
         tuple(loops),
+        gravity=_gravity(document, gravity),
+        payload=_checked(document, payload),
     )
 
 
 def with_document(robot: Robot, document: Urdf) -> Robot:
     """Return the same arm of another document: same base and tip, couplings and loops. Raises RobotError."""
-    return load_robot(document, robot.tip, robot.base, couplings=robot.couplings, loops=robot.closed_loops)
+    return load_robot(
+        document,
+        robot.tip,
+        robot.base,
+        couplings=robot.couplings,
+        loops=robot.closed_loops,
+        gravity=robot.gravity,
+        payload=robot.payload,
+    )
+
+
+def _gravity(document: Urdf, gravity: Sequence[float]) -> tuple[float, float, float]:
+    if len(gravity) != 3 or not np.all(np.isfinite(gravity)):
+        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three finite numbers in m/s^2.")
+    x, y, z = map(float, gravity)
+    return x, y, z
+
+
+def _checked(document: Urdf, payload: Payload | None) -> Payload | None:
+    if payload is not None and not (np.isfinite(payload.mass) and payload.mass >= 0.0):
+        raise RobotError(f"{document.where}: the payload's mass {payload.mass!r} is not a number of kg from 0.")
+    return payload
 
 
 def _known_link(document: Urdf, name: str, role: str) -> str:

@@ -6,16 +6,19 @@ follow from closed loops.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.robot.kinematics import Kinematics, MovingType
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
+from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
+from calib.robot.transmission import JointTerm, Transmission
 from calib.robot.urdf import Urdf
 
 
@@ -75,10 +78,12 @@ class Deviations:
     ``placements`` (number of chain joints, 6): (tx, ty, tz, rx, ry, rz) of each joint's placement, in m and rad.
     ``offsets`` (number of moving joints): added to the joint's position, in rad or m; an offset of a joint that others
     mimic moves these too, as its reading does.
+    ``terms`` (number of the robot's terms): their amounts, in SI units.
     """
 
     placements: Array
     offsets: Array
+    terms: Array = field(default_factory=lambda: read_only(np.zeros(0)))
 
 
 class TipMotion(NamedTuple):
@@ -87,7 +92,8 @@ class TipMotion(NamedTuple):
     The local twist (N, 6) of the tip for a change ``e`` of the deviations (placements row by row, then offsets) is
     ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
     ``joints`` (6 nj, n) and ``tail`` (6, n) do not. ``by_passive`` (N, 6, k) and ``rates`` (N, k, n): what passive
-    joints of closed loops do to the tip, and deviations to them; k is 0 without loops.
+    joints of closed loops do to the tip, and deviations to them; k is 0 without loops. ``by_terms`` (N, 6, nt): the
+    local twists for the amounts of the robot's terms, which come on top.
     """
 
     placement: Array
@@ -96,6 +102,7 @@ class TipMotion(NamedTuple):
     tail: Array
     by_passive: Array
     rates: Array
+    by_terms: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +113,8 @@ class Robot:
     index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
+    ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
+    ``gravity`` (m/s^2) in the base link; ``payload``: what the tip link carries.
     """
 
     urdf: Urdf
@@ -120,6 +129,10 @@ class Robot:
     loops: tuple[Loop, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     closed_loops: tuple[ClosedLoop, ...] = ()
+    terms: tuple[JointTerm, ...] = ()
+    weights: Weights | None = None
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: Payload | None = None
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -150,24 +163,43 @@ class Robot:
         )
         return lengths + travel
 
+    @property
+    def root_in_base(self) -> Array:
+        """The root link of the URDF (4, 4) in the arm's base link, with joints between them at zero."""
+        T, link = np.eye(4), self.base
+        while (joint := self.urdf.parent_joint(link)) is not None:
+            T, link = joint.origin @ T, joint.parent
+        return rigid.inverse(T)
+
     def no_deviations(self) -> Deviations:
         """Return the deviations of the nominal machine: zeros."""
-        return Deviations(read_only(np.zeros((len(self.chain), 6))), read_only(np.zeros(len(self.moving))))
+        return Deviations(
+            read_only(np.zeros((len(self.chain), 6))),
+            read_only(np.zeros(len(self.moving))),
+            read_only(np.zeros(len(self.terms))),
+        )
 
-    def joint_positions(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def joint_positions(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close.
+        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
+        rows do not have.
         """
-        return TipModel(self, deviations).joint_positions(readings)
+        return TipModel(self, deviations).joint_positions(readings, conditions)
 
-    def tips(self, readings: Array, deviations: Deviations | None = None) -> Array:
+    def tips(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).tips(readings)
+        return TipModel(self, deviations).tips(readings, conditions)
 
-    def motion(self, readings: Array, deviations: Deviations | None = None) -> TipMotion:
+    def motion(
+        self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
+    ) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).motion(readings)
+        return TipModel(self, deviations).motion(readings, conditions)
 
 
 class TipModel:
@@ -180,10 +212,13 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
         d = deviations or robot.no_deviations()
-        s = skeleton(_segments(robot), d.placements)
+        s = skeleton(segments(robot), d.placements)
         self._robot, self._offsets = robot, robot.offset_coupling @ d.offsets
         self._kinematics = Kinematics(s.tree, [end_frame(s, robot.tip_joint)])
         self._closure = Closure(s, robot.loops) if robot.loops else None
+        names = [reading.name for reading in robot.readings]
+        holding = None if robot.weights is None else Holding(robot.weights)
+        self._terms = Transmission(robot.terms, names, d.terms, holding) if robot.terms else None
         joints, tail = derivative(s, robot.tip_joint)
         by_offset = np.zeros((len(joints), len(robot.moving)))
         for j, kind in enumerate(robot.moving_types):
@@ -194,45 +229,59 @@ class TipModel:
         self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
         self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[0]))
 
-    def joint_positions(self, readings: Array) -> Array:
+    def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        q = readings @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
+        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
+        q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
-    def tips(self, readings: Array) -> Array:
+    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
-        return self._kinematics.placements(self.joint_positions(readings))[0]
+        return self._kinematics.placements(self.joint_positions(readings, conditions))[0]
 
-    def motion(self, readings: Array) -> TipMotion:
+    def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
         by_passive = tip.by_joint(self._robot.moving_types, self._robot.passive)
         if self._closure is None:
             rates = np.zeros((len(q), 0, self.joints.shape[1]))
         else:
             rates = self._closure.rates(q, self._robot.offset_coupling)
-        return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates)
+        by_terms = np.zeros((len(q), 6, 0))
+        if self._terms is not None:
+            by_terms = (
+                self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings, conditions)[:, None]
+            )
+        return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
-    def driven(self, readings: Array) -> tuple[Array, Array]:
+    def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
 
         At readings (N, nr): joints move by their coupling, passive ones as their loops make them follow. Raises as
         joint_positions does.
         """
-        q = self.joint_positions(readings)
+        q = self.joint_positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
+        by_reading = self._by_reading(q, tip)
+        if self._terms is not None:
+            by_reading = by_reading * self._terms.slopes(readings)[:, None]
+        return tip.placement, by_reading
+
+    def _by_reading(self, q: Array, tip: Regressor) -> Array:
+        """Return the local twists (N, 6, nr) of the tip per change of what is coupled to the joints, at q (N, nj)."""
         coupling, types, passive = self._robot.coupling, self._robot.moving_types, self._robot.passive
         by_joint = tip.by_joint(types, range(len(types)))
         if self._closure is None:
-            return tip.placement, np.asarray(by_joint @ coupling)
+            return np.asarray(by_joint @ coupling)
         active = coupling.copy()
         active[list(passive)] = 0.0
         rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
-        return tip.placement, np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
+        return np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
 
 
-def _segments(robot: Robot) -> list[Segment]:
+def segments(robot: Robot) -> list[Segment]:
+    """Return the chain as segments of a skeleton."""
     numbers = {i: j for j, i in enumerate(robot.moving)}
     return [
         Segment(numbers.get(i), joint.type, joint.parent, joint.placement, joint.frame)

@@ -1,10 +1,12 @@
-"""Where a robot description comes from: a path of the user, or ``example:`` and a path in example-robot-data."""
+"""Where a robot description and its meshes come from: paths of the user, and ``example:`` for example-robot-data."""
 
 import contextlib
 import difflib
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
 
 from calib.foundations.errors import RobotError
 
@@ -53,6 +55,33 @@ def examples_folder() -> Path:
         if folder.is_dir():
             return folder
     raise RobotError(f"The example robots are not installed; install the package {_DISTRIBUTION}.")
+
+
+def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
+    """Return the file that a URDF's mesh ``filename`` means, or None when it is not a file below one of ``roots``.
+
+    ``package://NAME/REST`` is ROOT/NAME/REST or ROOT/REST; a relative path starts at a root; ``file://`` and absolute
+    paths must lead below one. Links are followed first, and a path that leaves its root is refused.
+    """
+    scheme, mark, rest = uri.partition("://")
+    if not mark:
+        names = [uri]
+    elif scheme == "file":
+        names = [unquote(rest)]
+    elif scheme == "package":
+        names = [rest, rest.partition("/")[2]]
+    else:
+        return None
+    for root in roots:
+        for name in names:
+            try:
+                path = (root / name).resolve()
+                if path.is_relative_to(root.resolve()) and path.is_file():
+                    return path
+            except (OSError, RuntimeError, ValueError):
+                # A loop of links, a name too long, a zero byte: no file of that name.
+                continue
+    return None
 
 
 def _hint(inside: str) -> str:

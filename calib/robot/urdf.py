@@ -2,7 +2,8 @@
 
 Only direct children of ``<robot>``, and direct children of its joints, count: ``<transmission>``, ``<gazebo>`` and
 ``<ros2_control>`` have joints and links of their own that mean something else. What does not bear on kinematics
-(inertia, meshes, unknown elements) is passed over; what does is read exactly or refused in one sentence.
+(meshes, unknown elements, and inertia until it is asked for) is passed over; what does is read exactly or refused in
+one sentence.
 """
 
 import difflib
@@ -11,7 +12,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NoReturn, cast, get_args
+from typing import Literal, NamedTuple, NoReturn, cast, get_args
 from xml.parsers import expat
 
 import numpy as np
@@ -97,6 +98,37 @@ class Urdf:
         return next((joint for joint in self.joints if joint.child == link), None)
 
 
+class Inertial(NamedTuple):
+    """Mass in kg of a link and its centre (3,) in m in the link's frame."""
+
+    mass: float
+    centre: Array
+
+
+def inertials(urdf: Urdf) -> Mapping[str, Inertial]:
+    """Return mass and centre of mass of every link that states them, by its name.
+
+    They bear on no placement, so that only who needs them is refused what is wrong with them: raises RobotError.
+    """
+    found: dict[str, Inertial] = {}
+    for name, link in _unique("link", read_document(urdf.source, urdf.where, generations=3), urdf.where).items():
+        at = f"{urdf.where}:{link.line}: link {shown(name)}"
+        stated = [child for child in link.children if child.tag == "inertial"]
+        if not stated:
+            continue
+        if len(stated) > 1:
+            raise RobotError(f"{at} has a second <inertial>; the first is in line {stated[0].line}.")
+        parts = {child.tag: child for child in stated[0].children}
+        if "mass" not in parts:
+            raise RobotError(f"{at}: <inertial> has no <mass>.")
+        mass = _numbers(parts["mass"], "value", at, count=1)[0]
+        if mass < 0.0:
+            raise RobotError(f"{at}: the mass {mass:g} kg is negative.")
+        centre = _origin(parts["origin"], at)[:3, 3] if "origin" in parts else read_only(np.zeros(3))
+        found[name] = Inertial(mass, centre)
+    return found
+
+
 def read_urdf(path: str | Path) -> Urdf:
     """Read a URDF file, or an ``example:...`` of example-robot-data.
 
@@ -139,14 +171,14 @@ class Element:
     children: tuple["Element", ...]
 
 
-def read_document(source: bytes, where: str) -> Element:
-    """Return the outermost element of an XML document with two generations below it.
+def read_document(source: bytes, where: str, generations: int = 2) -> Element:
+    """Return the outermost element of an XML document with so many ``generations`` below it.
 
     Raises RobotError for what is not XML, and for entities, document types, endless nesting and unexpanded xacro.
     """
     if len(source) > LARGEST_URDF:
         raise RobotError(f"{where}: is larger than {LARGEST_URDF} bytes.")
-    builder = _Builder(where)
+    builder = _Builder(where, generations)
     try:
         builder.parser.Parse(source, True)
     except expat.ExpatError as e:
@@ -157,8 +189,9 @@ def read_document(source: bytes, where: str) -> Element:
 class _Builder:
     """Expat's handlers: a stack of open elements, closed into frozen ones."""
 
-    def __init__(self, where: str) -> None:
+    def __init__(self, where: str, generations: int) -> None:
         self.where = where
+        self.deepest = generations + 1
         self.root: Element
         self.depth = 0
         self.open: list[tuple[str, dict[str, str], int, int, list[Element]]] = []
@@ -186,12 +219,12 @@ class _Builder:
             self.refuse(f"elements are nested more than {_DEEPEST} deep.")
         if tag.startswith("xacro:"):
             self.refuse(f"<{shortened(tag)}> is not expanded; run xacro first and use the URDF that it prints.")
-        if self.depth <= 3:
+        if self.depth <= self.deepest:
             self.open.append((tag, attributes, self.parser.CurrentLineNumber, self.parser.CurrentByteIndex, []))
 
     def end(self, _tag: str) -> None:
         self.depth -= 1
-        if self.depth >= 3:
+        if self.depth >= self.deepest:
             return
         tag, attributes, line, start, children = self.open.pop()
         element = Element(tag, attributes, line, start, self.parser.CurrentByteIndex, tuple(children))

@@ -20,8 +20,8 @@ from calib.robot.urdf import Element, Urdf, UrdfJoint, parse_urdf, read_document
 _ROUNDING = 1e-12
 
 # These read tags that expat has accepted, so they have to find things, not to judge them.
-_START_TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))*)""", re.ASCII)
-_ATTRIBUTE = re.compile(r"""(?P<name>[^\s=]+)\s*=\s*(?P<quote>["'])(?P<value>.*?)(?P=quote)""", re.ASCII | re.DOTALL)
+START_TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))*)""", re.ASCII)
+ATTRIBUTE = re.compile(r"""(?P<name>[^\s=]+)\s*=\s*(?P<quote>["'])(?P<value>.*?)(?P=quote)""", re.ASCII | re.DOTALL)
 
 
 class _Edit(NamedTuple):
@@ -56,9 +56,9 @@ def _edits(source: bytes, joint: Element, old: Array, new: Array) -> Iterator[_E
     """Yield the edits that turn the origin of a joint from ``old`` to ``new``; none where they are equal."""
     values = {}
     if not np.array_equal(old[:3, 3], new[:3, 3]):
-        values["xyz"] = _numbers(new[:3, 3])
+        values["xyz"] = numbers(new[:3, 3])
     if not np.array_equal(old[:3, :3], new[:3, :3]):
-        values["rpy"] = _numbers(rpy_of(new[:3, :3]))
+        values["rpy"] = numbers(rpy_of(new[:3, :3]))
     if not values:
         return
     origin = next((child for child in joint.children if child.tag == "origin"), None)
@@ -70,13 +70,13 @@ def _edits(source: bytes, joint: Element, old: Array, new: Array) -> Iterator[_E
         yield _Edit(first, first, f"<origin{attributes}/>{indentation}")
         return
     tag = _decoded(source, origin.start, origin.end)
-    match = _START_TAG.match(tag)
+    match = START_TAG.match(tag)
     assert match is not None, "expat found a start tag here"
-    present = {a["name"]: a for a in _ATTRIBUTE.finditer(tag, *match.span("attributes"))}
+    present = {a["name"]: a for a in ATTRIBUTE.finditer(tag, *match.span("attributes"))}
     quote = next((a["quote"] for a in present.values()), '"')
     for name, text in values.items():
         start, end = present[name].span("value") if name in present else (match.end(), match.end())
-        start, end = (origin.start + len(_encoded(source, tag[:i])) for i in (start, end))
+        start, end = (origin.start + len(encoded(source, tag[:i])) for i in (start, end))
         yield _Edit(start, end, text if name in present else f" {name}={quote}{text}{quote}")
 
 
@@ -84,7 +84,7 @@ def _applied(source: bytes, edits: list[_Edit]) -> bytes:
     """Return ``source`` with all edits made; they do not overlap, and those at one place keep their order."""
     pieces, done = [], 0
     for edit in sorted(edits, key=lambda edit: edit.start):
-        pieces += [source[done : edit.start], _encoded(source, edit.text)]
+        pieces += [source[done : edit.start], encoded(source, edit.text)]
         done = edit.end
     return b"".join([*pieces, source[done:]])
 
@@ -96,12 +96,12 @@ def _indentation(text: str) -> str:
     return line_break + text[len(line) :]
 
 
-def _numbers(values: Array) -> str:
-    """Return the shortest decimals that read back as ``values``, without the minus of a negative zero."""
+def numbers(values: Array) -> str:
+    """Return as text the shortest decimals that read back as ``values``, without the minus of a negative zero."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-def _codec(source: bytes) -> str:
+def codec_of(source: bytes) -> str:
     """Return a codec that finds tags in the bytes: UTF-16 by its mark or its zeros, as expat does, else Latin-1.
 
     In every other encoding the reader takes, markup and numbers are the bytes of ASCII, and Latin-1 maps the rest to
@@ -116,11 +116,12 @@ def _codec(source: bytes) -> str:
 
 
 def _decoded(source: bytes, start: int, end: int) -> str:
-    return source[start:end].decode(_codec(source), "surrogatepass")
+    return source[start:end].decode(codec_of(source), "surrogatepass")
 
 
-def _encoded(source: bytes, text: str) -> bytes:
-    return text.encode(_codec(source), "surrogatepass")
+def encoded(source: bytes, text: str) -> bytes:
+    """Return text as bytes of the document ``source``: by the codec of :func:`codec_of`."""
+    return text.encode(codec_of(source), "surrogatepass")
 
 
 def _check(before: Urdf, spliced: bytes, origins: Mapping[str, Array]) -> None:

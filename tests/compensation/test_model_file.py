@@ -198,3 +198,41 @@ def test_nominal_urdf_is_missing_or_cut_off(folder: Path) -> None:
     )
     urdf.unlink()
     assert refused(folder).endswith("out/nominal.urdf: there is no such file.")
+
+
+def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> None:
+    model = calib.error_model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
+    found = calib.identify(model, fit.measurements)
+    (tmp_path / "model.json").write_text(model_json(found), encoding="utf-8")
+    (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
+    again = calib.load_model(tmp_path)
+    readings = np.random.default_rng(8).uniform(-3.0, 3.0, (50, 6))
+    assert again.robot.terms == found.robot.terms
+    assert np.abs(found.deviations.terms).min() > 0.0
+    assert np.abs(again.predict(readings, "left") - machines.predicted(found, readings)).max() < 1e-13
+
+
+TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}
+
+
+@pytest.mark.parametrize(
+    ("terms", "sentence"),
+    [
+        ([TERM | {"reading": "level"}], "its joint terms are not those of nominal.urdf, or one is there twice"),
+        ([TERM, TERM], "its joint terms are not those of nominal.urdf, or one is there twice"),
+        ([TERM | {"order": 0}], "terms[0] has a wrong value"),
+        ([TERM | {"kind": "gain"}], "terms[0] has a wrong value"),
+        ([TERM | {"kind": "magic"}], "terms[0].kind has a wrong value"),
+    ],
+)
+def test_wrong_terms_are_refused(folder: Path, terms: list[object], sentence: str) -> None:
+    contents = json.loads((folder / "model.json").read_text())
+    (folder / "model.json").write_text(json.dumps(contents | {"terms": terms}))
+    assert sentence in refused(folder)
+
+
+def test_an_older_file_has_no_terms(fit: calib.Fit, folder: Path) -> None:
+    contents = json.loads((folder / "model.json").read_text())
+    del contents["terms"]
+    (folder / "model.json").write_text(json.dumps(contents))
+    assert calib.load_model(folder).robot.terms == ()

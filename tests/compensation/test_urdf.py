@@ -1,5 +1,6 @@
 """The calibrated URDF: what other programs read from it is the calibrated machine."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 
 import calib
 from calib.compensation import urdf as compensation
-from calib.compensation.urdf import calibrated_origins, calibrated_urdf, write_urdf
+from calib.compensation.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
 from calib.foundations.errors import OutputError
+from calib.robot.transmission import JointTerm
 from tests.identification import machines
 
 ARMS = {
@@ -39,6 +41,18 @@ def test_another_reader_sees_the_machine(name: str) -> None:
     shuffled = np.empty_like(readings)
     shuffled[:, order] = readings
     assert np.abs(arm.tips(shuffled) - robot.tips(readings, d)).max() < 1e-9
+
+
+def test_what_a_urdf_loses_of_joint_terms_is_told() -> None:
+    """A turntable's harmonic of 1 mrad, seen at its rim: cos averages to 1/sqrt(2)."""
+    turntable = ("table", "continuous", "0 0 0", "0 0 0", "0 0 1"), ("rim", "fixed", "0.5 0 0", "0 0 0", "0 0 0")
+    bare = machines.load(machines.urdf(*turntable), "tip")
+    robot = replace(bare, terms=(JointTerm("table", "cos", 3),))
+    d = calib.Deviations(np.zeros((2, 6)), np.zeros(1), np.array([1e-3]))
+    readings = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)[:, None]
+    assert calibrated_urdf(robot, d) == bare.urdf.source
+    assert lost_in_urdf(bare, bare.no_deviations(), readings) == 0.0
+    assert lost_in_urdf(robot, d, readings) == pytest.approx(0.5e-3 / np.sqrt(2.0), rel=1e-6)
 
 
 def test_no_deviation_is_the_document_itself() -> None:

@@ -24,7 +24,7 @@ from tests.job.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, t
 
 FILES = [
     *("calibrated.urdf", "job.json", "model.json", "nominal.urdf"),
-    *("report.html", "report.md", "residuals.csv", "result.json", "scene.html"),
+    *("report.html", "report.md", "residuals.csv", "result.json", "scene.html", "uncertainty.json"),
 ]
 
 

@@ -32,7 +32,10 @@ EVERYTHING: dict[str, Any] = {
             "sigma": "15 um",
             "sigma_per_metre": "6 um",
             "station": ["0 m", "1 m", "2 m"],
-        }
+        },
+        "arm": {"kind": "arm", "sigma": "0.1 mm", "model": "arm_results", "tool": "spike"},
+        "pivoted arm": {"kind": "arm", "sigma": "0.1 mm", "urdf": "arm.urdf", "tip": "flange", "pivot": "pivot.csv"},
+        "other arm": {"kind": "arm", "sigma": "0.1 mm", "urdf": "b.urdf", "point": ["0 mm", "0 mm", "120 mm"]},
     },
     "measurements": [
         {

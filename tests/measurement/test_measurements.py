@@ -41,7 +41,7 @@ def test_positions() -> None:
     np.testing.assert_allclose(m.position, [[1e-3, 3e-3, 5e-3], [2e-3, 4e-3, 6e-3]], rtol=1e-15)
     assert m.orientation is None
     assert m.sigma.tolist() == [[0.0] * 3] * 2
-    assert (m.tools, m.tool.tolist(), m.group, m.target) == (("tool",), [0, 0], None, None)
+    assert (m.tools, m.tool.tolist(), m.group, m.targets) == (("tool",), [0, 0], None, ())
 
 
 def test_poses_keep_the_rotation_of_their_quaternion() -> None:
@@ -68,7 +68,7 @@ def test_optional_columns() -> None:
         | {"u [px]": [1, 2], "v [px]": [1, 2], "tau_j1 [Nm]": [0, 0]}
     )
     assert (m.tools, m.tool.tolist()) == (("ball2", "ball1"), [0, 1])
-    assert (m.group, m.target) == (("a", "b"), ("t1", "t2"))
+    assert (m.group, m.targets) == (("a", "b"), ())
 
 
 def test_every_array_is_read_only() -> None:
@@ -83,7 +83,7 @@ def test_subset(rows: object) -> None:
     s = m.subset(rows)
     for name in ("readings", "position", "orientation", "sigma", "tool", "lines"):
         assert np.array_equal(getattr(s, name), getattr(m, name)[1:])
-    assert (s.tools, s.group, s.target, len(s)) == (("a", "b"), ("h",), ("u",), 1)
+    assert (s.tools, s.group, s.targets, len(s)) == (("a", "b"), ("h",), (), 1)
 
 
 def test_subset_of_no_rows() -> None:
@@ -217,7 +217,7 @@ def test_a_quaternion_with_few_digits_is_accepted() -> None:
     [
         ("position", {}, {"sigma": -1.0}, JobError, "t: sigma is -1.0; allowed are finite numbers from 0."),
         ("position", {}, {"sigma": np.inf}, JobError, "t: sigma is inf; allowed are finite numbers from 0."),
-        ("position", {}, {"sigma_angle": 1.0}, JobError, "t: sigma_angle is given, and only positions are observed."),
+        ("position", {}, {"sigma_angle": 1.0}, JobError, "t: sigma_angle is given, and only poses have angles."),
         (
             "pose",
             {},

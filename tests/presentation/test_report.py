@@ -253,7 +253,11 @@ def test_many_rows_stay_light(outcome: Outcome) -> None:
 def test_poses_beside_positions_have_figures_of_their_own(outcome: Outcome) -> None:
     own, held_out = outcome.sets
     angles = np.random.default_rng(0).normal(scale=1e-3, size=(2, len(own.data), 3))
-    poses = own._replace(before=np.hstack([own.before, 3.0 * angles[0]]), after=np.hstack([own.after, angles[1]]))
+    poses = own._replace(
+        data=replace(own.data, kind="pose"),
+        before=np.hstack([own.before, 3.0 * angles[0]]),
+        after=np.hstack([own.after, angles[1]]),
+    )
     sections = {
         section.key: section for section in report_of(replace(outcome, sets=(own, poses, held_out, held_out))).sections
     }
@@ -272,7 +276,7 @@ def test_levels_and_loops_are_told() -> None:
     (levels,) = [section for section in report.sections if section.key == "levels"]
     (sheet,) = [block for block in levels.blocks if isinstance(block, Sheet)]
     assert [row.cells[0] for row in sheet.rows] == ["base", "joint", "kinematic", "residual"]
-    assert "A URDF holds no closed loops" in render_page(report)
+    assert "A URDF holds neither loops nor joint terms" in render_page(report)
 
 
 def test_importing_the_report_loads_no_template_engine() -> None:

@@ -18,11 +18,12 @@ from calib.foundations.rigid import inverse, placement, rotation_about
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.job.scene import scene_of
-from calib.presentation.arm import arm_of, link_placements, root_in_base
-from calib.presentation.meshes import balls, find_mesh, read_mesh, simplified, sticks
+from calib.presentation.arm import arm_of, link_placements
+from calib.presentation.meshes import balls, read_mesh, simplified, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
+from calib.robot.sources import find_mesh
 from calib.robot.urdf import parse_urdf
 from tests.job.cases import CASE, JOB
 
@@ -332,8 +333,8 @@ def test_links_stand_where_another_reader_of_the_urdf_puts_them() -> None:
 def test_root_is_found_through_joints_that_rest() -> None:
     whole, upper = (load_robot(IRB / "irb2400.urdf", "tool0", base) for base in ("base_link", "turret"))
     at_rest = link_placements(whole.urdf, arm_of(whole, whole.no_deviations(), np.zeros((1, 6)), np.eye(4)))
-    np.testing.assert_allclose(root_in_base(upper), inverse(at_rest["turret"])[0], atol=1e-12)
-    np.testing.assert_array_equal(root_in_base(whole), np.eye(4))
+    np.testing.assert_allclose(upper.root_in_base, inverse(at_rest["turret"])[0], atol=1e-12)
+    np.testing.assert_array_equal(whole.root_in_base, np.eye(4))
 
 
 @pytest.mark.parametrize("case", [CASE, IRB], ids=lambda c: c.name)

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from calib.foundations.arrays import Array
-from calib.identification.observations import Linearised
+from calib.identification.observations.seen import Linearised, Seen
 
 
-def residual(measured: Array, tools: Array) -> Linearised:
-    """Return r = x_measured - x (N, 3) in m in the instrument's axes; ``tools`` (N, 4, 4), ``measured`` (N, 3)."""
-    twist = np.zeros((len(tools), 3, 6))
-    twist[:, :, :3] = -tools[:, :3, :3]
-    return Linearised(measured - tools[:, :3, 3], twist)
+def residual(seen: Seen) -> Linearised:
+    """Return r = x_measured - x (n, 3) in m in the instrument's axes."""
+    position = seen.data.position
+    assert position is not None, "positions and poses have measured positions"
+    twist = np.zeros((len(seen.tools), 3, 6))
+    twist[:, :, :3] = -seen.tools[:, :3, :3]
+    return Linearised(position[seen.rows] - seen.tools[:, :3, 3], twist)

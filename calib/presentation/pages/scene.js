@@ -16,7 +16,7 @@ const glass = new THREE.MeshLambertMaterial({
   polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 8,  // where both arms coincide, the calibrated one shows
 });
 function addNominal() {
-  for (const [link, node] of Object.entries(nodeAt("robot").children))
+  for (const [link, node] of Object.entries(page.arms.nominal ? nodeAt("robot").children : {}))
     for (const [i, part] of Object.entries(node.children))
       if (part.children["<object>"])
         viewer.set_object(["nominal", link, i], new THREE.Mesh(part.children["<object>"].object.geometry, glass));
@@ -145,6 +145,8 @@ if (last >= 0) {
     requestAnimationFrame(now => step(now, now - REST));
   });
   show(0);
+} else {
+  for (const arm of arms) place(arm, arm.positions[0]);
 }
 
 function stop() {

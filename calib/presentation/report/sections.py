@@ -8,11 +8,13 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.total_differential import Trace
+from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.presentation.correlation import correlation
 from calib.presentation.report.charts import (
@@ -31,6 +33,7 @@ from calib.presentation.report.charts import (
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import (
     SHOWN,
+    choice_sheet,
     count,
     error_sheet,
     figure,
@@ -154,6 +157,11 @@ def trace(followed: Trace) -> Section:
     return Section("trace", "Iterations", (Prose(tuple(str(followed).splitlines()), "code", brief=True),))
 
 
+def chosen(choice: Choice) -> Section:
+    """Return which joint terms were chosen, and what held-out data said of them."""
+    return Section("terms", "Joint terms", (choice_sheet(choice),))
+
+
 def distribution(sets: Sequence[Judged]) -> Section:
     """Return how errors are distributed: histogram and cumulative curve."""
     use = judged_use(sets)
@@ -174,7 +182,7 @@ def poses(sets: Sequence[Judged]) -> Section:
             Points("after", number[rows], after[rows]),
         ]
         held_out = ""
-        if edge < len(after):
+        if 0 < edge < len(after):
             marks.append(Line("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
             held_out = f" Rows from {edge + 1} on, right of the line, were held out."
         worst = int(np.argmax(after))
@@ -187,7 +195,7 @@ def poses(sets: Sequence[Judged]) -> Section:
 
 
 def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
-    """Return the position error that is left over every joint's reading: a pattern is something not modelled."""
+    """Return the error that is left over every joint's reading: a pattern is something not modelled."""
     error = _errors(_of(sets, judged_use(sets)))[0]
     readings = np.concatenate([judged.data.readings for judged in error.sets])
     pictures = []
@@ -212,7 +220,7 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
     error = _errors(_of(sets, judged_use(sets)))[0]
     tools = fit.machine.frames.tools[:, :3, 3]
-    tips = [fit.robot.tips(judged.data.readings, fit.deviations) for judged in error.sets]
+    tips = [fit.robot.tips(judged.data.readings, fit.deviations, judged.data.conditions) for judged in error.sets]
     points = np.concatenate(
         [
             T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
@@ -312,15 +320,18 @@ def _of(sets: Sequence[Judged], use: Use) -> list[Judged]:
 
 def _errors(sets: Sequence[Judged]) -> list[_Errors]:
     """Return the errors of every quantity over the tables that have it."""
-    norms = [(error_norms(judged.before), error_norms(judged.after)) for judged in sets]
+    having: dict[str, list[Judged]] = {}
+    for judged in sets:
+        for quantity in QUANTITIES[judged.data.kind]:
+            having.setdefault(quantity.name, []).append(judged)
     out = []
-    for quantity in dict.fromkeys(name for _, after in norms for name in after):
-        factor, unit = SHOWN["rad" if quantity == "orientation" else "m"]
-        having = tuple(judged for judged, (_, after) in zip(sets, norms, strict=True) if quantity in after)
+    for name, own in having.items():
+        factor, unit = SHOWN[UNIT_OF[name]]
         before, after = (
-            np.concatenate([whens[k][quantity] for whens in norms if quantity in whens[k]]) * factor for k in (0, 1)
+            np.concatenate([error_norms(judged.data.kind, r)[name] for judged, r in pairs]) * factor
+            for pairs in ([(judged, judged.before) for judged in own], [(judged, judged.after) for judged in own])
         )
-        out.append(_Errors(quantity, having, before, after, unit))
+        out.append(_Errors(name, tuple(own), before, after, unit))
     return out
 
 

@@ -112,7 +112,24 @@ class DhFrames:
                 E = rigid.inverse(joint.frame) @ E @ joint.frame
                 # Rx Ry Rz of some angles is the inverse of roll, pitch, yaw of the opposite ones.
                 found[k] = np.concatenate([E[:3, 3], -rigid.rpy_of(E[:3, :3].T)])
-        return Deviations(read_only(found), deviations.offsets)
+        return Deviations(read_only(found), deviations.offsets, deviations.terms)
+
+    def source_rates(self, deviations: Deviations) -> Array:
+        """Return how the placements' deviations of ``source`` follow those of ``robot``: (6 n_source, 6 n_robot)."""
+        there = self.in_source(deviations).placements
+        rates = np.zeros((there.size, deviations.placements.size))
+        motions = deviation.motion(deviations.placements)
+        twists = deviation.twists(deviations.placements)
+        for k, joint in enumerate(self.source.chain):
+            to_parameters = np.linalg.inv(deviation.twists(there[k])) @ rigid.adjoint(rigid.inverse(joint.frame))
+            # From the last to the first: a change passes through what stands behind it.
+            behind = np.eye(4)
+            for i in reversed([i for i, owner in enumerate(self.owner) if owner == k]):
+                frame = self.robot.chain[i].frame
+                carried = rigid.adjoint(rigid.inverse(behind) @ frame) @ twists[i]
+                rates[6 * k : 6 * k + 6, 6 * i : 6 * i + 6] = to_parameters @ carried
+                behind = frame @ motions[i] @ rigid.inverse(frame) @ behind
+        return rates
 
     def _split(self, placements: Array) -> tuple[dict[tuple[str, str], float], Array]:
         """Return the changes of the table that deviations (n, 6) are, and what these hold besides."""

@@ -1,10 +1,9 @@
-"""The command line: one command for each thing a person does with an arm."""
+"""Commands that check, identify, correct and describe an arm."""
 
 import asyncio
 import contextlib
 import json
 import shlex
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,14 +11,33 @@ from typing import Annotated
 import numpy as np
 import typer
 
-import calib
+from calib.assessment.advice import blind_advice
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
+from calib.assessment.uncertainty import outside_identified
+from calib.cli.options import (
+    NOT_TRUSTED,
+    CommandFile,
+    DhOut,
+    DhSource,
+    Errors,
+    JobFile,
+    Json,
+    OutFolder,
+    PlotFile,
+    ProbeFile,
+    Quiet,
+    ResultFolder,
+    TargetFile,
+    TouchFiles,
+    app,
+)
 from calib.compensation import targets as targets_of
+from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
-from calib.foundations.errors import CalibError, JobError, OutputError
+from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
 from calib.job.example import copy_example
@@ -35,61 +53,19 @@ from calib.job.results import (
     write_results,
 )
 from calib.job.run import run
-from calib.presentation.console import brief, literal, progress, sentence, show, show_error, warning, write
+from calib.presentation.cell_scene import cell_scene
+from calib.presentation.console import brief, literal, progress, sentence, show, warning, write
 from calib.presentation.live import serve
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.plots import figure_bytes, sensitivity_figure
+from calib.presentation.scene import render_scene
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import blind_lines
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
 
-app = typer.Typer(
-    help="Calibrate any robot arm described by a URDF.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-BAD_INPUT = 1
-NOT_TRUSTED = 3
 _STEPS_OF_LOADING = 3
-
-JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="The job file (TOML).", show_default=False)]
-OutFolder = Annotated[
-    Path,
-    typer.Option("--out", "-o", metavar="FOLDER", help="Folder of results; older results there are replaced."),
-]
-Errors = Annotated[
-    Path | None,
-    typer.Option("--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False),
-]
-TargetFile = Annotated[
-    Path, typer.Argument(metavar="TARGETS", help="Joint targets, poses or positions (CSV).", show_default=False)
-]
-CommandFile = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The corrected table, to be written.")]
-DhSource = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A DH table (.csv) or a URDF (.urdf).", show_default=False)
-]
-DhOut = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The other one, to be written.")]
-PlotFile = Annotated[
-    Path | None, typer.Option("--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False)
-]
-ResultFolder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", help="A folder of results of calib calibrate.", show_default=False)
-]
-TouchFiles = Annotated[
-    list[Path], typer.Argument(metavar="TOUCHES...", help="Touched points (CSV).", show_default=False)
-]
-ProbeFile = Annotated[
-    Path | None,
-    typer.Option("--probe", metavar="FILE", help="A cone touched to find the probe point.", show_default=False),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
 @app.command()
@@ -126,6 +102,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
+        advised = [a.sentence for a in blind_advice(inputs.model, inputs.identify, seen.blind_directions)]
     if as_json:
         contents = {
             "schema": 1,
@@ -134,7 +111,9 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
             "measured_numbers": seen.numbers,
             "rank": seen.rank,
             "condition": seen.condition if seen.rank else None,
+            "indices": seen.indices,
             "blind_directions": [str(direction) for direction in seen.blind_directions],
+            "advice": advised,
         }
         write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
     elif not quiet:
@@ -145,7 +124,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
                 f"{seen.numbers} measured numbers see {seen.rank} of {len(seen.parameters)} parameters "
                 f"(condition {seen.condition:.3g})."
             ),
-            *blind_lines(seen.blind_directions),
+            *blind_lines(advised),
         )
 
 
@@ -185,6 +164,8 @@ def compensate(
         contents = {"schema": 1, "file": str(out), "targets": len(found), "not_reached": missed_rows}
         write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
     elif not quiet:
+        if model.uncertainty is not None and found.reached.any():
+            show(*map(warning, outside_identified(model.uncertainty, found.readings[found.reached])))
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
         show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))
@@ -285,6 +266,47 @@ def performance(
         show(performance_table(before, after))
 
 
+@app.command()
+def cell(
+    arm: Annotated[Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False)],
+    positioner: Annotated[
+        Path, typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.")],
+    scene: Annotated[
+        Path | None, typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False)
+    ] = None,
+    placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
+    prefix: Annotated[
+        str | None, typer.Option("--prefix", metavar="NAME", help="Before names that both use.", show_default=False)
+    ] = None,
+    mesh_root: Annotated[
+        list[Path] | None,
+        typer.Option("--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Put an arm and the positioner it touched into one URDF.
+
+    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
+    use. It may as well be another arm, a turntable or a track.
+    """
+    for file in (out, scene):
+        if file is not None and file.exists():
+            raise OutputError(f"{file}: is there already; choose another name.")
+    found = calibrated_cell(arm, positioner, placed_in, prefix)
+    # As in a job: the URDF's own folder, and what is named.
+    roots = (arm.parent, *(mesh_root or ()))
+    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
+    write_atomically(out, found.cell.document)
+    if scene is not None and page is not None:
+        write_atomically(scene, page)
+    if not quiet:
+        renamed = [new for names in (found.cell.links, found.cell.joints) for old, new in names.items() if old != new]
+        changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
+        show(sentence(f"The cell is in {out}.{changed}"))
+
+
 @app.command(name="dh")
 def dh_view(
     source: DhSource,
@@ -306,20 +328,3 @@ def dh_view(
         write_atomically(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
     else:
         write_atomically(out, dh.write_dh(dh.dh_of(load_robot(source, tip, base), convention or "standard")))
-
-
-@app.callback(invoke_without_command=True)
-def version(show: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
-    """Calibrate any robot arm described by a URDF."""
-    if show:
-        typer.echo(calib.__version__)
-        raise typer.Exit
-
-
-def main() -> None:
-    """Run the command line; an error of the user's is one line and exit code 1, a bug shows its traceback."""
-    try:
-        app(prog_name="calib")
-    except CalibError as error:
-        show_error(str(error))
-        sys.exit(BAD_INPUT)

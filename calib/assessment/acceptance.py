@@ -1,0 +1,195 @@
+"""Is a calibrated machine still what it was? New measurements against a limit and against the stated uncertainty.
+
+With residuals r of all rows, their noise S (instrument and model part) and the parameters' covariance, which is common
+to all rows (factor F),
+
+    T = r^T (S + F F^T)^-1 r
+
+follows chi-square with as many degrees of freedom as measured numbers, if nothing has changed; with a noise that was
+itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where the base is found anew, it takes six of them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from calib.assessment.metrics import Metrics, metrics
+from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+from calib.foundations.linear import one_thread
+from calib.identification.alignment import Known, Rows, align
+from calib.identification.machine import Frames, Machine
+from calib.identification.system import residuals
+from calib.measurement.measurements import Measurements
+
+# A machine that has not changed is failed once in so many tests.
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class ChiSquare:
+    """A test of residuals against the stated uncertainty: T over ``degrees_of_freedom``, and its ``probability``.
+
+    The probability is that of a larger T if nothing has changed.
+    """
+
+    statistic: float
+    degrees_of_freedom: int
+    probability: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the residuals are no larger than the stated uncertainty explains, at ``SIGNIFICANCE``."""
+        return self.probability >= SIGNIFICANCE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """One judgement of new measurements. ``residuals`` (N, 3 or 6): measured minus predicted, in m and rad."""
+
+    metrics: dict[str, Metrics]
+    residuals: Array
+    test: ChiSquare
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verification:
+    """New measurements of a calibrated machine. Made by :func:`verify`.
+
+    ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew, None where the rows are
+    too few; ``base_moved``: by how much, in m (at the base's origin) and rad. ``limit`` in m of every position error,
+    or None. ``refit``: which of the two decides.
+    """
+
+    as_calibrated: Judgement
+    base_refitted: Judgement | None
+    base_moved: tuple[float, float] | None
+    limit: float | None
+    refit: bool
+
+    @property
+    def decisive(self) -> Judgement:
+        """The judgement that decides."""
+        return self.base_refitted if self.refit and self.base_refitted is not None else self.as_calibrated
+
+    @property
+    def within_limit(self) -> bool | None:
+        """Whether every position error is within the limit; None without one."""
+        return None if self.limit is None else self.decisive.metrics["position"].max <= self.limit
+
+    @property
+    def passed(self) -> bool:
+        """Whether the errors are within the limit, where there is one, and within the stated uncertainty."""
+        return self.within_limit is not False and self.decisive.test.passed
+
+
+def verify(
+    uncertainty: Uncertainty,
+    data: Measurements,
+    *,
+    limit: float | None = None,
+    refit: bool = False,
+    shifts: Array | None = None,
+) -> Verification:
+    """Judge new measurements of a calibrated machine by a limit in m, and by what it says of its own uncertainty.
+
+    ``refit``: the base decides where it is found anew, as after moving the instrument. ``shifts`` (N, 3): what a
+    residual grid adds to the predicted positions, in m. Where the table does not state the instrument's noise, that of
+    the calibration stands in.
+
+    Raises MeasurementError when a tool was not identified, when orientations are judged by a calibration that saw none,
+    or when the base is to be found anew from fewer than three positions.
+    """
+    if data.kind not in ("position", "pose"):
+        raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
+    data = _known_tools(uncertainty, data)
+    sigma = _sigma(uncertainty, data)
+    as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, shifts, base=False)
+    refitted, moved = None, None
+    if data.sigma.size > 6 and len(data) >= 3:
+        machine = _realigned(uncertainty, data, shifts)
+        refitted = _judged(uncertainty, machine, data, sigma, shifts, base=True)
+        change = rigid.inverse(uncertainty.machine.frames.base) @ machine.frames.base
+        moved = float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
+    elif refit:
+        raise MeasurementError(f"{data.where}: {len(data)} rows are too few to find the base anew; it takes three.")
+    return Verification(as_calibrated, refitted, moved, limit, refit)
+
+
+def _known_tools(uncertainty: Uncertainty, data: Measurements) -> Measurements:
+    names = tuple(reading.name for reading in uncertainty.robot.readings)
+    if data.reading_names != names:
+        raise MeasurementError(f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}.")
+    for tool in data.tools:
+        if tool not in uncertainty.tools:
+            known = ", ".join(map(repr, uncertainty.tools))
+            raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
+    number = np.array([uncertainty.tools.index(tool) for tool in data.tools], dtype=np.intp)
+    return replace(data, tools=uncertainty.tools, tool=number[data.tool])
+
+
+def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
+    """Return the standard deviations (N, 3 or 6) of the rows: instrument and model part."""
+    parts = []
+    for k, (quantity, level) in enumerate(
+        (("position", uncertainty.position), ("orientation", uncertainty.orientation))[: data.sigma.shape[1] // 3]
+    ):
+        if level is None:
+            raise MeasurementError(f"{data.where}: the calibration saw no {quantity}; verify what it was made from.")
+        parts.append(_with_model(data.sigma[:, 3 * k : 3 * k + 3], level))
+    return np.hstack(parts)
+
+
+def _with_model(instrument: Array, level: NoiseLevel) -> Array:
+    stated = np.hypot(instrument, level.model)
+    return np.asarray(np.where(instrument > 0.0, stated, level.total))
+
+
+def _realigned(uncertainty: Uncertainty, data: Measurements, shifts: Array | None) -> Machine:
+    """Return the machine with its base where it explains the rows best."""
+    machine = uncertainty.machine
+    tips = uncertainty.robot.tips(data.readings, machine.deviations)
+    turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
+    tools = machine.frames.tools
+    assert data.position is not None, "positions and poses have one"
+    position = data.position if shifts is None else data.position - shifts
+    base, _ = align(Rows(tips, position, turned, data.tool), Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools)
+    return replace(machine, frames=Frames(base, tools))
+
+
+def _judged(
+    uncertainty: Uncertainty, machine: Machine, data: Measurements, sigma: Array, shifts: Array | None, *, base: bool
+) -> Judgement:
+    (r,) = residuals(uncertainty.robot, [data], machine)
+    if shifts is not None:
+        r = r.copy()
+        r[:, :3] -= shifts
+    with one_thread():
+        F = common_errors(replace(uncertainty, machine=machine), data) / sigma[:, :, None]
+        w, F = (r / sigma).ravel(), F.reshape(r.size, -1)
+        inner = np.eye(F.shape[1]) + F.T @ F
+
+        def weighed(x: Array) -> Array:
+            return np.asarray(x - F @ np.linalg.solve(inner, F.T @ x))
+
+        T, n = float(w @ weighed(w)), w.size
+        if base:
+            B = (_base_motion(uncertainty, machine, data) / sigma[:, :, None]).reshape(w.size, 6)
+            seen = B.T @ weighed(w)
+            T, n = T - float(seen @ np.linalg.solve(B.T @ weighed(B), seen)), n - 6
+    nu = uncertainty.degrees_of_freedom
+    probability = stats.chi2.sf(T, n) if np.isinf(nu) else stats.f.sf(T / n, n, nu)
+    return Judgement(dict(metrics([(data.kind, r)])), read_only(r), ChiSquare(T, n, float(probability)))
+
+
+def _base_motion(uncertainty: Uncertainty, machine: Machine, data: Measurements) -> Array:
+    """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
+    tools = machine.frames.tools[data.tool]
+    in_base = uncertainty.robot.tips(data.readings, machine.deviations) @ tools
+    local = rigid.adjoint(rigid.inverse(in_base))
+    placed = machine.frames.base @ in_base
+    motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)
+    return np.asarray(motion[:, : data.sigma.shape[1]])

@@ -1,0 +1,192 @@
+"""What the data do not tell, in sentences, and what to measure or give so that they would.
+
+Remedies are not guessed: each is tried, at the poses that were measured, on every direction that is blind, and is named
+only where it shows that direction.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only
+from calib.identification.error_model import ErrorModel
+from calib.identification.fit import Fit
+from calib.identification.identifiability import BlindDirection
+from calib.identification.machine import Frames, values_at
+from calib.identification.start import start_frames, with_common_names
+from calib.identification.system import Problem, jacobian
+from calib.measurement.measurements import Measurements
+
+Kind = Literal["blind", "weak", "correlated"]
+
+# A remedy shows a direction when it moves the new residuals by more than this share of what its parameters would move
+# them one by one. Shares of a direction are told to a hundredth, and blind ones stay below 0.02.
+_SHOWN = 0.05
+_MOST_ROWS = 200
+_CORRELATED = 0.95
+# Where more tool points are tried, in m on the tip link beside the first one.
+_MORE_POINTS = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.05))
+# A base or tool that a direction moves by less of an ordinary deviation has no part in it.
+_HAS_PART = 0.02
+
+_REMEDIES = {
+    "orientation": "measure orientations as well",
+    "points": "measure two more tool points",
+    "base": "measure where the base is and fix it",
+    "tool": "measure where the tool is and fix it",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One sentence about ``parameters``. ``remedies``: keys of what would help a blind direction, each tried."""
+
+    kind: Kind
+    parameters: tuple[str, ...]
+    sentence: str
+    remedies: tuple[str, ...] = ()
+
+
+def advice(fit: Fit) -> tuple[Advice, ...]:
+    """Return what the data of a fit leave open: blind directions with remedies, weak parameters, and correlated ones.
+
+    A parameter is weak when its sigma exceeds half an ordinary deviation (half its prior); correlated are pairs beyond
+    0.95, of parameters that are seen.
+    """
+    found = blind_advice(fit.model, fit.measurements, fit.blind_directions)
+    factor = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+    said = []
+    for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
+        if weak:
+            times, unit = factor.get(parameter.unit, (1.0, parameter.unit))
+            judged = "its prior" if parameter.prior is not None else "an ordinary deviation"
+            said.append(
+                Advice(
+                    "weak",
+                    (parameter.name,),
+                    f"{parameter.name} is seen weakly: its sigma is {sigma * times:.3g} {unit}, where {judged} is "
+                    f"{parameter.scale * times:.3g} {unit}; more or other poses would help, or a prior.",
+                )
+            )
+    return (*found, *said, *_correlated(fit))
+
+
+def blind_advice(
+    model: ErrorModel, measurements: Sequence[Measurements], blind: Sequence[BlindDirection]
+) -> tuple[Advice, ...]:
+    """Return a sentence with remedies for each of the blind directions of measurements, before or after a fit.
+
+    Raises MeasurementError when the measurements are not of this robot.
+    """
+    if not blind:
+        return ()
+    if any(data.position is None for data in measurements):
+        # What more would help is tried with what an instrument sees; sockets and gauges are another matter.
+        return tuple(Advice("blind", tuple(direction.shares), str(direction)) for direction in blind)
+    helpful = _tried(model, with_common_names(model, measurements), blind)
+    return tuple(_blind_advice(direction, names) for direction, names in zip(blind, helpful, strict=True))
+
+
+def _blind_advice(direction: BlindDirection, remedies: Sequence[str]) -> Advice:
+    if remedies:
+        help_ = f"To tell them apart, {' or '.join(_REMEDIES[name] for name in remedies)}."
+    elif len(direction.shares) == 1:
+        help_ = "Nothing measured with such a tool tells it; leave it out, or take another tool."
+    else:
+        help_ = "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
+    return Advice("blind", tuple(direction.shares), f"{direction} {help_}", tuple(remedies))
+
+
+def _tried(model: ErrorModel, sets: Sequence[Measurements], blind: Sequence[BlindDirection]) -> list[tuple[str, ...]]:
+    """Return, for every direction, the remedies that show it."""
+    frames = start_frames(model, sets)
+    sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
+    names = [parameter.name for parameter in model.parameters(sets[0].tools)]
+    found: list[list[str]] = [[] for _ in blind]
+    for remedy in ("orientation", "points"):
+        trial = _trial(remedy, model, sets, frames)
+        if trial is not None:
+            J, own = _per_unit(trial)
+            new = [k for k, name in enumerate(own) if name not in names]
+            for direction, helpful in zip(blind, found, strict=True):
+                if _shown(J, own, new, direction):
+                    helpful.append(remedy)
+    for remedy in ("base", "tool"):
+        for direction, helpful in zip(blind, found, strict=True):
+            largest = max(abs(share) for share in direction.shares.values())
+            if any(
+                name.startswith(f"{remedy}.") and abs(share) > _HAS_PART * largest
+                for name, share in direction.shares.items()
+            ):
+                helpful.append(remedy)
+    return [tuple(helpful) for helpful in found]
+
+
+def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames: Frames) -> Problem | None:
+    """Return the problem with more measured, as it would be seen at the start; None where that is measured already."""
+    if remedy == "orientation":
+        if model.tool == "fixed" or all(data.kind == "pose" for data in sets):
+            return None
+        more = [_with_orientation(model, data, frames) for data in sets]
+        wider = replace(model, tool="pose")
+        return Problem(wider, wider.parameters(sets[0].tools), frames, tuple(more))
+    if model.tool == "fixed" or len(sets[0].tools) > 2:
+        return None
+    tools = (*sets[0].tools, *(f"more_{k}" for k in range(len(_MORE_POINTS))))
+    first = frames.tools[0]
+    others = np.stack([first] * len(_MORE_POINTS))
+    others[:, :3, 3] += np.array(_MORE_POINTS)
+    placed = Frames(frames.base, np.concatenate([frames.tools, others]))
+    more = [
+        replace(data, tools=tools, tool=np.full(len(data), k) if k >= len(sets[0].tools) else data.tool)
+        for data in sets
+        for k in (0, *range(len(sets[0].tools), len(tools)))
+    ]
+    return Problem(model, model.parameters(tools), placed, tuple(more))
+
+
+def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
+    placed = frames.base @ model.robot.tips(data.readings) @ frames.tools[data.tool]
+    sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
+    return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
+
+
+def _per_unit(problem: Problem) -> tuple[Array, list[str]]:
+    """Return the Jacobian (rows, p) of a problem at its start, in m and rad per SI unit, and parameter names."""
+    x = values_at(problem.model.robot, problem.parameters, problem.reference)
+    J = np.concatenate([part.reshape(-1, len(x)) for part in jacobian(problem, x)])
+    return J, [parameter.name for parameter in problem.parameters]
+
+
+def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: BlindDirection) -> bool:
+    """Whether a direction moves the residuals, whatever the new unknowns do to undo it."""
+    number = {name: k for k, name in enumerate(names)}
+    columns = np.array([number[name] for name in direction.shares])
+    # The parameter itself moves one way; what the others imitate is taken back.
+    signs = np.where(np.arange(len(columns)) == 0, 1.0, -1.0)
+    moved = J[:, columns] * (np.array(list(direction.shares.values())) * signs)
+    rest = moved.sum(axis=1)
+    if new:
+        rest = rest - J[:, new] @ np.linalg.lstsq(J[:, new], rest, rcond=None)[0]
+    return bool(np.linalg.norm(rest) > _SHOWN * np.linalg.norm(moved))
+
+
+def _correlated(fit: Fit) -> list[Advice]:
+    seen = np.flatnonzero(~fit.blind & (np.diag(fit.covariance) > 0.0))
+    sigmas = fit.sigmas[seen]
+    correlation = fit.covariance[np.ix_(seen, seen)] / (sigmas[:, None] * sigmas)
+    said = []
+    for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1)), strict=True):
+        a, b = (fit.parameters[seen[k]].name for k in (i, j))
+        r = float(correlation[i, j])
+        how = "difference" if r > 0.0 else "sum"
+        said.append(
+            Advice(
+                "correlated",
+                (a, b),
+                f"{a} and {b} are correlated by {r:+.3f}: their weighted {how} is known much better than each alone.",
+            )
+        )
+    return said

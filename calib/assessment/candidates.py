@@ -1,0 +1,199 @@
+"""Poses that could be measured, and what each would bring."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from calib.assessment.design import Rows
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, BoolArray, read_only
+from calib.foundations.errors import JobError
+from calib.identification.error_model import ErrorModel
+from calib.identification.machine import Frames, values_at
+from calib.identification.parameters import scales
+from calib.identification.system import Problem, jacobian
+from calib.measurement.measurements import unmeasured
+from calib.robot.collision import SelfCollision
+from calib.robot.robot import Robot, TipModel
+from calib.robot.sampling import closing, joint_limits
+
+Observed = Literal["position", "pose"]
+
+# What kinematic models leave out comes from eccentric encoders and gears and from gravity, mostly once a turn. On a
+# real UR10 (docs/pose_choice.md) second harmonics beside the first made the choice no better.
+_ORDERS = (1,)
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
+
+    ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
+    model will not explain, all coordinates together; 0 for none.
+    """
+
+    frames: Frames
+    observes: Observed = "position"
+    sigma: float = 0.05e-3
+    sigma_angle: float = 0.1e-3
+    misfit: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value, least in (
+            ("sigma", self.sigma, 1e-9),
+            ("sigma_angle", self.sigma_angle, 1e-9),
+            ("misfit", self.misfit, 0.0),
+        ):
+            if not (np.isfinite(value) and value >= least):
+                raise JobError(f"{name}: {value!r} is not a number from {least:g}.")
+
+
+def rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
+    """Return what measuring each of N poses would bring, as rows of 3 numbers for positions and 6 for poses."""
+    sigma = np.repeat([setup.sigma, setup.sigma_angle], 3)[: 6 if setup.observes == "pose" else 3]
+    J, H = _motions(model, setup, readings, setup.observes)
+    return Rows(-J / sigma[:, None], H / sigma[:, None])
+
+
+def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
+    """Return the motions of the tool's position at N working poses, in m: what an I-optimal design keeps small."""
+    J, H = _motions(model, setup, readings, "position")
+    return Rows(-J, H)
+
+
+def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
+    """Return residuals' changes (N, d, p) for one ordinary deviation, and effects (N, d, h) left out, in m and rad."""
+    robot, frames = model.robot, setup.frames
+    tips, by_reading = TipModel(robot).driven(readings)
+    placed = frames.base @ tips @ frames.tools[0]
+    data = unmeasured(
+        [reading.name for reading in robot.readings],
+        readings,
+        placed[:, :3, 3],
+        placed[:, :3, :3] if observes == "pose" else None,
+        where="candidates",
+    )
+    parameters = model.parameters()
+    problem = Problem(model, parameters, frames, (data,))
+    (J,) = jacobian(problem, values_at(robot, parameters, frames))
+    H = np.zeros((len(readings), J.shape[1], 0))
+    if setup.misfit > 0.0:
+        local = rigid.adjoint(rigid.inverse(frames.tools[0])) @ by_reading
+        moved = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)[:, : J.shape[1]]
+        waves = [wave(k * readings)[:, None] for k in _ORDERS for wave in (np.cos, np.sin)]
+        H = np.concatenate([moved * wave for wave in waves], axis=2)
+        size = float(np.sqrt(np.mean(np.sum(H[:, :3] ** 2, axis=(1, 2)))))
+        H = H * (setup.misfit / size)
+    return J * scales(parameters), H
+
+
+# ---- which poses can be measured
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """From where a reflector can be seen. All in m and rad.
+
+    ``station``: the tracker in the frame of its measurements. ``facing``: the direction in which the reflector looks,
+    in the tip link, None where it looks everywhere. ``acceptance``: how far from it the tracker may stand, as an angle.
+    ``nearest`` and ``farthest``: distances between tracker and reflector.
+    """
+
+    station: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    facing: tuple[float, float, float] | None = None
+    acceptance: float = float(np.deg2rad(30.0))
+    nearest: float = 0.0
+    farthest: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if self.facing is not None and not np.linalg.norm(self.facing) > 0.0:
+            raise JobError(f"facing: {self.facing} has no direction.")
+        if not 0.0 < self.acceptance <= np.pi:
+            raise JobError(f"acceptance: {np.rad2deg(self.acceptance):g} deg is not between 0 and 180 deg.")
+        if not 0.0 <= self.nearest < self.farthest:
+            raise JobError(f"range: from {self.nearest:g} m to {self.farthest:g} m holds no distance.")
+
+    def sees(self, tips: Array, points: Array) -> tuple[BoolArray, BoolArray]:
+        """Return which reflectors face the tracker, and which are in range.
+
+        ``tips`` (N, 4, 4): the tip link, and ``points`` (N, 3): the reflector, in the instrument's frame.
+        """
+        to_tracker = np.asarray(self.station) - points
+        distance = np.linalg.norm(to_tracker, axis=1)
+        within = (distance >= self.nearest) & (distance <= self.farthest)
+        if self.facing is None:
+            return np.ones(len(points), dtype=bool), within
+        looks = tips[:, :3, :3] @ (np.asarray(self.facing) / np.linalg.norm(self.facing))
+        cosine = np.sum(looks * to_tracker, axis=1) / np.maximum(distance, 1e-12)
+        return cosine >= np.cos(self.acceptance) - 1e-12, within
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Poses that can be measured: ``readings`` (N, nr). ``rejected``: of ``tried`` poses how many for which reason."""
+
+    readings: Array
+    tried: int
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+
+def possible(
+    robot: Robot, frames: Frames, readings: Array, sight: Sight | None = None, collision: SelfCollision | None = None
+) -> Candidates:
+    """Return those of the readings (N, nr) that are within the joints' limits, seen, and free of self-collision."""
+    limits = joint_limits(robot)
+    unlimited = np.array([reading.lower is None or reading.upper is None for reading in robot.readings])
+    inside = np.all(unlimited | ((readings >= limits[:, 0] - 1e-9) & (readings <= limits[:, 1] + 1e-9)), axis=1)
+    rejected = {"outside the joints' limits": int(np.count_nonzero(~inside))}
+    kept = readings[inside]
+    closes = closing(robot, kept)
+    rejected["with a loop that does not close"] = int(np.count_nonzero(~closes))
+    kept = kept[closes]
+    if sight is not None and len(kept):
+        tips = frames.base @ robot.tips(kept)
+        facing, within = sight.sees(tips, (tips @ frames.tools[0])[:, :3, 3])
+        rejected |= {
+            "reflector turned away": int(np.count_nonzero(~facing)),
+            "out of the tracker's range": int(np.count_nonzero(facing & ~within)),
+        }
+        kept = kept[facing & within]
+    if collision is not None and len(kept):
+        touching = collision.colliding(kept)
+        rejected["touching itself"] = int(np.count_nonzero(touching))
+        kept = kept[~touching]
+    return Candidates(read_only(kept), len(readings), {reason: n for reason, n in rejected.items() if n})
+
+
+def random_candidates(
+    robot: Robot,
+    frames: Frames,
+    count: int,
+    sight: Sight | None = None,
+    collision: SelfCollision | None = None,
+    *,
+    seed: int = 0,
+    most_tries: int = 200,
+    progress: Callable[[int, int], None] = lambda _done, _of: None,
+) -> Candidates:
+    """Return ``count`` random poses, uniform over the joints' limits, that can be measured.
+
+    Batches of ``count`` are drawn until there are enough, at most ``most_tries`` of them. Raises JobError with what
+    was in the way when these do not suffice.
+    """
+    limits = joint_limits(robot)
+    rng = np.random.default_rng(seed)
+    parts: list[Array] = []
+    tried, rejected = 0, dict[str, int]()
+    while (found := sum(map(len, parts))) < count and tried < most_tries * count:
+        progress(found, count)
+        some = possible(robot, frames, rng.uniform(limits[:, 0], limits[:, 1], (count, len(limits))), sight, collision)
+        parts.append(some.readings)
+        tried += some.tried
+        for reason, n in some.rejected.items():
+            rejected[reason] = rejected.get(reason, 0) + n
+    if found < count:
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items(), key=lambda item: -item[1]))
+        raise JobError(f"only {found} of {tried} random poses can be measured, and {count} are asked for: {reasons}.")
+    return Candidates(read_only(np.concatenate(parts)[:count]), tried, rejected)

@@ -1,0 +1,300 @@
+"""Which joint terms a machine needs: forward selection, stopped by what it says of poses that it never saw.
+
+About the geometric fit everything is linear in the amounts of joint terms. So the whitened Jacobian of geometry and of
+all candidates is taken once, there, and what would be hundreds of fits are eliminations on its Gram matrices, one for
+every fold. Step by step the candidate enters that lowers the sum of squares most for each of its amounts, geometry
+being fitted again. Each fold goes its own way without having seen the rows it is judged by (T. Hastie, R. Tibshirani,
+J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how many steps
+all rows then take.
+
+A parameter without a prior of its own is held by a weak one, as wide as what counts as unseen: ten ordinary deviations.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out, one_standard_error
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import RobotError
+from calib.foundations.linear import one_thread
+from calib.identification.error_model import ErrorModel, with_terms
+from calib.identification.fit import Fit
+from calib.identification.identifiability import USABLE
+from calib.identification.identify import identify
+from calib.identification.joint_terms import harmonic
+from calib.identification.losses import Loss
+from calib.identification.machine import values_at
+from calib.identification.parameters import scales
+from calib.identification.start import posed
+from calib.identification.system import blocks, evaluate
+from calib.identification.weights import sigmas_of
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
+from calib.robot.joint_terms import weights_of
+from calib.robot.robot import Deviations, Robot
+from calib.robot.transmission import JointTerm
+
+ORDERS = tuple(range(1, 13))
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Terms that enter together: cosine and sine of one order of one reading, or a term alone."""
+
+    terms: tuple[JointTerm, ...]
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+        first = self.terms[0]
+        return f"{first.reading}: harmonic {first.order}" if first.order else f"{first.reading}: {first.kind}"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of the selection: the candidate that enters, and what is said of rows held out from then on.
+
+    ``added`` is None for the first, geometry alone. ``held_out``: in standard deviations of the noise that the
+    geometric fit shows, rows that lie off weighing less where a loss says so; ``rms``: of every quantity, in SI units.
+    """
+
+    added: Candidate | None
+    held_out: HeldOut
+    rms: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
+
+    ``geometric``: the fit without terms from which they start. ``prior``: standard deviation in rad that amounts of
+    harmonics are expected to have, or None.
+    """
+
+    steps: tuple[Step, ...]
+    taken: int
+    geometric: Fit
+    prior: float | None = None
+
+    @property
+    def model(self) -> ErrorModel:
+        """The error model with the chosen terms."""
+        return _with_prior(self.geometric.model, self.terms, self.prior)
+
+    @property
+    def terms(self) -> tuple[JointTerm, ...]:
+        """The chosen terms, in the order of the robot's readings."""
+        entered = [step.added for step in self.steps[: self.taken + 1] if step.added is not None]
+        chosen = [term for candidate in entered for term in candidate.terms]
+        names = [reading.name for reading in self.geometric.robot.readings]
+        return tuple(sorted(chosen, key=lambda term: (names.index(term.reading), term.order, term.kind)))
+
+    def records(self) -> list[dict[str, object]]:
+        """Return one plain record for every step, in SI units."""
+        return [
+            {
+                "added": [] if step.added is None else [term.name for term in step.added.terms],
+                "held_out": step.held_out.rms,
+                "standard_error": step.held_out.standard_error,
+                "rms": dict(step.rms),
+                "taken": k <= self.taken,
+            }
+            for k, step in enumerate(self.steps)
+        ]
+
+
+def candidates(
+    robot: Robot, measurements: Sequence[Measurements] = (), orders: Iterable[int] = ORDERS
+) -> tuple[Candidate, ...]:
+    """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
+
+    Beside these the gap of its gears where it was reached from both sides in ``measurements``, and what it owes to the
+    temperature and to measured torques where these are told and change. Masses that the URDF states in a way that
+    cannot be used are as good as none.
+    """
+    found: list[Candidate] = []
+    weighed = True
+    try:
+        weights_of(robot)
+    except RobotError:
+        weighed = False
+    told = joined([data.conditions for data in measurements])
+    warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
+    for k, reading in enumerate(robot.readings):
+        found.append(Candidate((JointTerm(reading.name, "gain"),)))
+        if warms:
+            found.append(Candidate((JointTerm(reading.name, "thermal"),)))
+        if told.torque is not None and float(np.ptp(told.torque[:, k])) > 0.0:
+            found.append(Candidate((JointTerm(reading.name, "torque"),)))
+        if told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, k].tolist()):
+            found.append(Candidate((JointTerm(reading.name, "backlash"),)))
+        if weighed:
+            found.append(Candidate((JointTerm(reading.name, "elastic"),)))
+        if reading.dimension == "angle":
+            found += [Candidate(harmonic(reading.name, order)) for order in orders]
+    return tuple(found)
+
+
+def choose_terms(
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    offered: Sequence[Candidate] | None = None,
+    count: int = FOLDS,
+    prior: float | None = None,
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Choice:
+    """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
+
+    ``offered``: those to choose from, by default :func:`candidates` of the robot. ``prior``: standard deviation in rad
+    of the amounts of harmonics, where it is known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
+    errors this raises, and MeasurementError when all rows are of one group.
+    """
+    with one_thread():
+        progress("choosing joint terms: fitting geometry")
+        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
+        group = groups(geometric.measurements)
+        fold = folds(group, count)
+        chosen_from = candidates(model.urdf_robot, geometric.measurements) if offered is None else tuple(offered)
+        system = _System(geometric, chosen_from, prior, losses)
+        progress("choosing joint terms: linearising")
+        grams = system.grams(fold)
+        total = np.sum(grams, axis=0)
+        ways = []
+        for k, gram in enumerate(grams):
+            progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
+            ways.append(system.way(total - gram).values)
+        progress("choosing joint terms: judging by what was held out")
+        squares, rms = system.squares(fold, np.stack(ways))
+        figures = [held_out(row, group) for row in squares]
+        entered = system.way(total).order
+    steps = tuple(
+        Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
+        for k, figure in enumerate(figures)
+    )
+    return Choice(steps, one_standard_error(figures), geometric, prior)
+
+
+def _with_prior(model: ErrorModel, terms: Sequence[JointTerm], prior: float | None) -> ErrorModel:
+    return with_terms(model, terms, {} if prior is None else {term.name: prior for term in terms if term.order})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Candidates in the order in which they entered, and changes (steps + 1, p) of the scaled parameters."""
+
+    order: tuple[int, ...]
+    values: Array
+
+
+class _System:
+    """The linearised rows of geometry and all candidates, at the geometric fit."""
+
+    def __init__(
+        self, geometric: Fit, offered: Sequence[Candidate], prior: float | None, losses: Sequence[Loss] | None
+    ) -> None:
+        terms = [term for candidate in offered for term in candidate.terms]
+        full = _with_prior(geometric.model, terms, prior)
+        sets = geometric.measurements
+        frames, d = geometric.machine.frames, geometric.machine.deviations
+        held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
+        given = None if losses is None else tuple(losses)
+        self._problem = replace(posed(full, sets), reference=frames, held=held, given_losses=given)
+        parameters = self._problem.parameters
+        names = [parameter.name for parameter in parameters]
+        self._x = values_at(full.robot, parameters, frames, held)
+        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        # What is known without any row: relations between targets, and that a size which nothing tells stays.
+        found = evaluate(self._problem, self._sigmas, self._x)
+        rows = np.concatenate([found.relations, np.pad(found.size.T / USABLE, ((0, 0), (0, 1)))])
+        self._known = rows.T @ rows
+        self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
+        self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
+        with_prior = np.array([parameter.prior is not None for parameter in parameters])
+        self._priors = np.where(with_prior, 1.0, USABLE**2)
+        # A prior pulls towards zero; the weak hold is about the geometric fit.
+        self._pull = np.where(with_prior, self._x / scales(parameters), 0.0)
+
+    def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
+        """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""
+        problem = self._problem
+        at, units = problem.machine(self._x), scales(problem.parameters)
+        for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
+            for block in blocks(problem, data, at, units):
+                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
+                yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
+
+    def grams(self, fold: IntArray) -> Array:
+        """Return the Gram matrix of ``[J r]`` (p + 1, p + 1) of the rows of every fold."""
+        size = len(self._problem.parameters) + 1
+        found, start = np.zeros((int(fold.max()) + 1, size, size)), 0
+        for _, _, _, rows in self._rows():
+            own = fold[start : (start := start + len(rows))]
+            for k in np.unique(own):
+                flat = rows[own == k].reshape(-1, size)
+                found[k] += flat.T @ flat
+        return found
+
+    def way(self, gram: Array) -> _Way:
+        """Return the way that rows with this Gram matrix (p + 1, p + 1) go: all candidates, the most helpful first."""
+        p = len(gram) - 1
+        tableau = gram[:p] + self._known[:p]
+        tableau[range(p), range(p)] += self._priors
+        tableau[:, p] += self._priors * self._pull
+        _pivot(tableau, self._geometry)
+        left, order = list(range(len(self._columns))), list[int]()
+        entered = list(self._geometry)
+        values = np.zeros((len(left) + 1, p))
+        values[0, entered] = -tableau[entered, p]
+        while left:
+            best = left.pop(int(np.argmax(_gains(tableau, [self._columns[c] for c in left]))))
+            order.append(best)
+            _pivot(tableau, self._columns[best])
+            entered += self._columns[best]
+            values[len(order), entered] = -tableau[entered, p]
+        return _Way(tuple(order), values)
+
+    def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
+        """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
+
+        ``values`` (folds, steps, p): what every fold has found without its own rows.
+        """
+        found: list[Array] = []
+        sums: dict[str, Array] = {}
+        counts: dict[str, int] = {}
+        start = 0
+        for i, _, sigma, rows in self._rows():
+            own = fold[start : (start := start + len(rows))]
+            errors = np.einsum("ndp,nsp->snd", rows[:, :, :-1], values[own]) + rows[:, :, -1]
+            found.append(np.mean(errors**2, axis=2))
+            for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
+                more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
+                sums[name] = sums.get(name, 0.0) + more
+                counts[name] = counts.get(name, 0) + len(rows)
+        return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}
+
+
+def _pivot(tableau: Array, block: Sequence[int]) -> None:
+    """Eliminate a block of unknowns from a tableau (p, p + 1) of normal equations, in place."""
+    columns = np.array(block, dtype=np.intp)
+    own = np.linalg.solve(tableau[columns[:, None], columns], tableau[columns])
+    others = np.delete(np.arange(len(tableau)), columns)
+    tableau[others] -= tableau[others[:, None], columns] @ own
+    tableau[columns] = own
+
+
+def _gains(tableau: Array, left: Sequence[Sequence[int]]) -> Array:
+    """Return how much each block (one or two unknowns) would lower the sum of squares, for each of its unknowns."""
+    gains = np.empty(len(left))
+    for size in {len(block) for block in left}:
+        which = [k for k, block in enumerate(left) if len(block) == size]
+        columns = np.array([left[k] for k in which])
+        C = tableau[columns[:, :, None], columns[:, None, :]]
+        g = tableau[columns, -1]
+        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0]) / size
+    return gains

@@ -1,0 +1,206 @@
+"""Two calibrations of one machine: what has moved by more than their joint uncertainty, and what that means at the tip.
+
+Parameters are compared in the state of the robot, six deviations of every joint and the offsets of those that move;
+what joint terms did shows at the tip. What one of the two did not see is no difference: the joint test takes the
+combinations that both have seen.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.errors import MeasurementError
+from calib.foundations.linear import one_thread
+from calib.identification.alignment import Known, Rows, align
+from calib.identification.machine import Layout
+from calib.identification.parameters import DEFAULT_SIGMA
+from calib.robot.deviation import COMPONENTS
+from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import random_readings
+
+CONFIDENCE = 0.95
+# As in calib.identification.identifiability: an unseen direction that moves an entry by less has no part in it.
+_BLIND_SHARE = 0.02
+# Unseen directions of two calibrations that differ by less, as the sine of an angle, are the same.
+_SAME_DIRECTION = 0.05
+_SAMPLES = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What became of one parameter: ``old``, ``new`` and the ``sigma`` of their difference, in ``unit`` (m or rad).
+
+    ``moved``: by more than chance explains at 95 %, for all parameters together. ``at_tip``: rms in m of what the
+    difference alone does to the tool.
+    """
+
+    name: str
+    unit: str
+    old: float
+    new: float
+    sigma: float
+    moved: bool
+    at_tip: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Two calibrations of one machine. Made by :func:`compare`.
+
+    ``changes``: of parameters that both have seen by themselves. ``statistic`` follows chi-square (F, with estimated
+    noise) with ``degrees_of_freedom``; ``probability`` of a larger one if nothing has moved; both None where the two
+    free different parameters. ``tip_rms``, ``tip_max``: in m, of the tool over the poses that both were identified in,
+    the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
+    explain of that.
+    """
+
+    changes: tuple[Change, ...]
+    statistic: float | None
+    degrees_of_freedom: int
+    probability: float | None
+    tip_rms: float
+    tip_max: float
+    stated: float
+
+    @property
+    def moved(self) -> bool:
+        """Whether some parameter has, or all together have, moved by more than the joint uncertainty."""
+        together = self.probability is not None and self.probability < 1.0 - CONFIDENCE
+        return together or any(change.moved for change in self.changes)
+
+
+def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
+    """Compare two calibrations of one machine. Raises MeasurementError when they are of different ones."""
+    robot = old.robot
+    if _joints(robot) != _joints(new.robot) or not np.allclose(
+        [joint.placement for joint in robot.chain], [joint.placement for joint in new.robot.chain], atol=1e-9
+    ):
+        raise MeasurementError("the two calibrations are not of one machine: their nominal URDFs differ.")
+    if set(old.tools).isdisjoint(new.tools):
+        raise MeasurementError(f"the two calibrations have no tool in common: {old.tools} and {new.tools}.")
+    names, units = _entries(robot)
+    count = len(names)
+    free_old, free_new = (_free(u, count) for u in (old, new))
+    difference = _state(new.machine.deviations) - _state(old.machine.deviations)
+    C = old.factor[:count] @ old.factor[:count].T + new.factor[:count] @ new.factor[:count].T
+    seen = free_old & free_new & ~_blind(old, count) & ~_blind(new, count)
+    nu = min(old.degrees_of_freedom, new.degrees_of_freedom)
+    readings = _common_readings(old, new, seed)
+    # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
+    tests = max(int(np.count_nonzero(seen)), 1)
+    bound = np.sqrt(squared_bound(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
+    by_entry = _by_entry(old, readings, count)
+    changes = []
+    for k in np.flatnonzero(seen):
+        sigma = float(np.sqrt(C[k, k]))
+        changes.append(
+            Change(
+                names[k],
+                units[k],
+                float(_state(old.machine.deviations)[k]),
+                float(_state(new.machine.deviations)[k]),
+                sigma,
+                bool(abs(difference[k]) > bound * sigma),
+                float(by_entry[k] * abs(difference[k])),
+            )
+        )
+    statistic, freedom, probability = None, 0, None
+    if np.array_equal(free_old, free_new):
+        statistic, freedom = _together(old, new, difference, C, free_old)
+        if freedom:
+            tail = stats.chi2.sf(statistic, freedom) if np.isinf(nu) else stats.f.sf(statistic / freedom, freedom, nu)
+            probability = float(tail)
+    tool = next(name for name in old.tools if name in new.tools)
+    errors = _at_tip(old, new, readings, tool)
+    stated = _stated(old, readings, tool) + _stated(new, readings, tool)
+    return Comparison(
+        tuple(changes),
+        statistic,
+        freedom,
+        probability,
+        float(np.sqrt(np.mean(errors**2))),
+        float(errors.max()),
+        float(np.sqrt(stated)),
+    )
+
+
+def _joints(robot: Robot) -> tuple[tuple[str, str], ...]:
+    return tuple((joint.name, joint.type) for joint in robot.chain)
+
+
+def _entries(robot: Robot) -> tuple[list[str], list[str]]:
+    """Return names and units of the robot's part of the state."""
+    names = [f"{joint.name}.{component}" for joint in robot.chain for component in COMPONENTS]
+    units = ["m" if component.startswith("t") else "rad" for _ in robot.chain for component in COMPONENTS]
+    for i in robot.moving:
+        names.append(f"{robot.chain[i].name}.offset")
+        units.append("m" if robot.chain[i].type == "prismatic" else "rad")
+    return names, units
+
+
+def _state(deviations: Deviations) -> Array:
+    return np.concatenate([deviations.placements.ravel(), deviations.offsets])
+
+
+def _free(u: Uncertainty, count: int) -> BoolArray:
+    return np.asarray(np.any(u.factor[:count], axis=1) | np.any(u.unseen[:count], axis=1))
+
+
+def _blind(u: Uncertainty, count: int) -> BoolArray:
+    return np.asarray(np.linalg.norm(u.unseen[:count], axis=1) > _BLIND_SHARE * DEFAULT_SIGMA)
+
+
+def _together(old: Uncertainty, new: Uncertainty, d: Array, C: Array, free: BoolArray) -> tuple[float, int]:
+    """Return the statistic of the difference in the combinations that both have seen, and their number."""
+    count = len(free)
+    unseen = np.hstack([old.unseen[:count], new.unseen[:count]])[free] / DEFAULT_SIGMA
+    scaled = C[np.ix_(free, free)] / DEFAULT_SIGMA**2
+    U, values, _ = np.linalg.svd(unseen, full_matrices=True)
+    hidden = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
+    Q = U[:, hidden:]
+    z = Q.T @ d[free] / DEFAULT_SIGMA
+    return float(z @ np.linalg.solve(Q.T @ scaled @ Q, z)), Q.shape[1]
+
+
+def _common_readings(old: Uncertainty, new: Uncertainty, seed: int) -> Array:
+    low = np.maximum(old.identified[:, 0], new.identified[:, 0])
+    high = np.minimum(old.identified[:, 1], new.identified[:, 1])
+    # Where the two have no range in common, that of the new one.
+    apart = (low > high)[:, None]
+    limits = np.where(apart, new.identified, np.stack([low, high], axis=1))
+    return random_readings(old.robot, _SAMPLES, limits, (old.machine.deviations, new.machine.deviations), seed=seed)
+
+
+def _by_entry(u: Uncertainty, readings: Array, count: int) -> Array:
+    """Return the rms motion of the tool for each entry of the robot's state, in m per m or rad."""
+    unit = np.eye(len(u.factor), count)
+    J, _ = tool_motions(replace(u, factor=unit, unseen=unit[:, :0]), readings, u.tools[0])
+    return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
+
+
+def _stated(u: Uncertainty, readings: Array, tool: str) -> float:
+    """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
+    layout, number = Layout(u.robot), u.tools.index(tool)
+    of_robot = u.factor.copy()
+    of_robot[layout.base :] = 0.0
+    fitted = np.eye(len(u.factor))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
+    J, _ = tool_motions(replace(u, factor=np.hstack([of_robot, fitted]), unseen=of_robot[:, :0]), readings, tool)
+    rows = J[:, :3].reshape(-1, J.shape[2])
+    moved, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
+    rest = moved - frames @ np.linalg.lstsq(frames, moved, rcond=None)[0]
+    return float(np.sum(rest**2)) / len(readings)
+
+
+def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array, tool: str) -> Array:
+    """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
+    before, after = old.tools.index(tool), new.tools.index(tool)
+    tips = [u.robot.tips(readings, u.machine.deviations) for u in (old, new)]
+    target = (tips[1] @ new.machine.frames.tools[after])[:, :3, 3]
+    guess = old.machine.frames.tools[before : before + 1]
+    rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))
+    with one_thread():
+        base, tools = align(rows, Known(None, None, guess[:, :3, :3]), guess)
+    return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))

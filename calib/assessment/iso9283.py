@@ -1,0 +1,255 @@
+"""Pose accuracy and repeatability of a robot from repeated cycles, after ISO 9283:1998.
+
+After the method of: the figures are those that the standard defines, computed from attained and commanded poses; load,
+velocity, warm-up and the choice of poses (five in the diagonal plane of a cube, 30 cycles) are the user's affair.
+
+Everywhere positions are in one frame, that of the commands (the standard's base frame): x_j (n, 3) the attained ones of
+one pose in n cycles, xbar their mean, x_c the commanded one. Angles a, b, c are the small turns about the axes of that
+frame from the commanded orientation (from the mean one, where no command is given).
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import Dimension
+from calib.measurement.measurements import orientations, stacked
+from calib.measurement.table import QUATERNION_COLUMNS, Table, nearest, read_table
+
+_POSITION = ("x", "y", "z")
+_COMMAND = ("command_x", "command_y", "command_z")
+_COMMAND_TURN = ("command_qw", "command_qx", "command_qy", "command_qz")
+_WORDS = ("target", "direction")
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure of ISO 9283: ``value`` in ``unit`` (m or rad) at a ``place``, from ``n`` cycles."""
+
+    name: str
+    place: str
+    n: int
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cycles:
+    """N attained poses. Made by :func:`cycles` and :func:`read_cycles`.
+
+    ``position`` (N, 3) in m, ``turn`` (N, 3, 3) or None; ``commanded`` (N, 3) and ``commanded_turn`` (N, 3, 3), None
+    where no command is given. ``target``: the name of the pose, ``direction``: of its approach, None where there is one
+    only. ``time`` (N,) in s or None.
+    """
+
+    position: Array
+    turn: Array | None
+    commanded: Array | None
+    commanded_turn: Array | None
+    target: tuple[str, ...]
+    direction: tuple[str, ...] | None
+    time: Array | None
+    where: str
+
+
+def read_cycles(path: str | Path) -> Cycles:
+    """Read cycles from a CSV file. Raises MeasurementError as :func:`cycles` does."""
+    return cycles(read_table(path))
+
+
+def cycles(table: Table) -> Cycles:
+    """Return the cycles of a table: target, x, y, z; optionally qw to qz, command_x to command_z (and command_qw ...).
+
+    With ``direction`` (words): from where each pose was approached; with ``time``: drift. Raises MeasurementError when
+    a column is missing, not known or in a unit of another dimension, or when a target has several commands.
+    """
+    columns, where = table.columns, table.where
+    known = {*_POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
+    for name in columns:
+        if name not in known:
+            near = nearest(name, sorted(known - columns.keys()))
+            raise MeasurementError(f"{where}: column {name!r} is not one of cycles{near}.")
+    groups: list[Sequence[str]] = [("target", *_POSITION)]
+    groups += [some for some in (QUATERNION_COLUMNS, _COMMAND, _COMMAND_TURN) if any(name in columns for name in some)]
+    for name in itertools.chain(*groups):
+        if name not in columns:
+            raise MeasurementError(f"{where}: there is no column {name!r} of the cycles.")
+    turn = orientations(table) if "qw" in columns else None
+    commanded = stacked(table, dict.fromkeys(_COMMAND, "length")) if "command_x" in columns else None
+    commanded_turn = None
+    if "command_qw" in columns:
+        dimensions: dict[str, Dimension] = dict.fromkeys(_COMMAND_TURN, "number")
+        commanded_turn = read_only(rigid.rotation_of_quaternion(stacked(table, dimensions)))
+    target = cast(tuple[str, ...], columns["target"].values)
+    for place, rows in rows_by_word(target).items():
+        for given in (commanded, commanded_turn):
+            if given is not None and np.abs(given[rows] - given[rows[0]]).max() > 1e-9:
+                raise MeasurementError(f"{where}: target {place!r} has several commands; give each its own name.")
+    return Cycles(
+        stacked(table, dict.fromkeys(_POSITION, "length")),
+        turn,
+        commanded,
+        commanded_turn,
+        target,
+        cast(tuple[str, ...], columns["direction"].values) if "direction" in columns else None,
+        stacked(table, {"time": "time"})[:, 0] if "time" in columns else None,
+        where,
+    )
+
+
+# ---- the formulas
+
+
+def position_accuracy(attained: Array, commanded: Array) -> float:
+    """Return AP_P = |xbar - x_c| in m of attained positions (n, 3) and the commanded one (3,).
+
+    AP_P = sqrt((xbar - x_c)^2 + (ybar - y_c)^2 + (zbar - z_c)^2); the parts AP_x, AP_y, AP_z are its components.
+    """
+    return float(np.linalg.norm(attained.mean(axis=0) - commanded))
+
+
+def position_repeatability(attained: Array) -> float:
+    """Return RP_l = lbar + 3 S_l in m of attained positions (n, 3), n >= 2.
+
+    With l_j = |x_j - xbar|, lbar their mean and S_l = sqrt(sum (l_j - lbar)^2 / (n - 1)): the radius of a ball about
+    the mean position.
+    """
+    distances = np.linalg.norm(attained - attained.mean(axis=0), axis=1)
+    return float(distances.mean() + 3.0 * distances.std(ddof=1))
+
+
+def orientation_accuracy(turns: Array) -> Array:
+    """Return AP_a, AP_b, AP_c = mean turn (3,) in rad of turns (n, 3) from the commanded orientation."""
+    return np.asarray(turns.mean(axis=0))
+
+
+def orientation_repeatability(turns: Array) -> Array:
+    """Return RP_a, RP_b, RP_c = 3 S (3,) in rad, S_a = sqrt(sum (a_j - abar)^2 / (n - 1)) of turns (n, 3), n >= 2."""
+    return np.asarray(3.0 * turns.std(axis=0, ddof=1))
+
+
+def multidirectional_variation(by_direction: Sequence[Array]) -> float:
+    """Return vAP_P = max |xbar_h - xbar_k| in m over pairs of directions; attained positions (n, 3) of each."""
+    means = [attained.mean(axis=0) for attained in by_direction]
+    return float(max(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)))
+
+
+def distance_accuracy(first: Array, second: Array, commanded: float) -> float:
+    """Return AD = Dbar - D_c in m, signed, of attained positions (n, 3) of two poses, cycle by cycle.
+
+    With D_j = |x_1j - x_2j| and D_c the commanded distance.
+    """
+    return float(np.linalg.norm(first - second, axis=1).mean() - commanded)
+
+
+def distance_repeatability(first: Array, second: Array) -> float:
+    """Return RD = 3 S_D in m, S_D = sqrt(sum (D_j - Dbar)^2 / (n - 1)) of the distances of two poses, n >= 2."""
+    return float(3.0 * np.linalg.norm(first - second, axis=1).std(ddof=1))
+
+
+def accuracy_drift(first: Array, last: Array, commanded: Array) -> float:
+    """Return dAP_P = |AP_P(first) - AP_P(last)| in m: how the accuracy at one pose changed between two spells."""
+    return abs(position_accuracy(first, commanded) - position_accuracy(last, commanded))
+
+
+def repeatability_drift(first: Array, last: Array) -> float:
+    """Return dRP_P = |RP_l(first) - RP_l(last)| in m."""
+    return abs(position_repeatability(first) - position_repeatability(last))
+
+
+# ---- all figures of a table
+
+
+def figures(data: Cycles) -> tuple[Figure, ...]:
+    """Return the figures that a table of cycles has data for.
+
+    For every pose RP, and with commands AP; with several directions vAP, AP and RP for each of them; between every two
+    poses AD and RD, where they have as many cycles; with time, drift of AP and RP between the first and the last third
+    of the cycles of a pose, and how far its mean went.
+
+    Raises MeasurementError for a pose of fewer than two cycles.
+    """
+    found: list[Figure] = []
+    for place, rows in rows_by_word(data.target).items():
+        if data.direction is None:
+            found += _of_pose(data, place, rows)
+        else:
+            ways = {way: rows[own] for way, own in rows_by_word([data.direction[n] for n in rows]).items()}
+            for way, own in ways.items():
+                found += _of_pose(data, f"{place} from {way}", own)
+            if len(ways) > 1:
+                value = multidirectional_variation([data.position[own] for own in ways.values()])
+                found.append(Figure("vAP_P", place, min(map(len, ways.values())), value, "m"))
+    found += _distances(data)
+    return (*found, *_drifts(data))
+
+
+def _of_pose(data: Cycles, place: str, rows: IntArray) -> list[Figure]:
+    n = len(rows)
+    if n < 2:
+        raise MeasurementError(f"{data.where}: pose {place!r} has one cycle; repeatability takes two or more.")
+    attained = data.position[rows]
+    found = []
+    if data.commanded is not None:
+        found.append(Figure("AP_P", place, n, position_accuracy(attained, data.commanded[rows[0]]), "m"))
+        parts = attained.mean(axis=0) - data.commanded[rows[0]]
+        found += [Figure(f"AP_{axis}", place, n, float(v), "m") for axis, v in zip("xyz", parts, strict=True)]
+    found.append(Figure("RP_l", place, n, position_repeatability(attained), "m"))
+    if data.turn is not None:
+        turns = _turns(data, rows)
+        if data.commanded_turn is not None:
+            values = orientation_accuracy(turns)
+            found += [Figure(f"AP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
+        values = orientation_repeatability(turns)
+        found += [Figure(f"RP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
+    return found
+
+
+def _turns(data: Cycles, rows: IntArray) -> Array:
+    """Return the turns (n, 3) about the axes of the frame from the commanded, or else the mean, orientation."""
+    assert data.turn is not None, "asked only where orientations were measured"
+    attained = data.turn[rows]
+    given = data.commanded_turn
+    reference = rigid.nearest_rotation(attained.mean(axis=0)) if given is None else given[rows[0]]
+    return rigid.log3(attained @ reference.T)
+
+
+def _distances(data: Cycles) -> list[Figure]:
+    found = []
+    poses = rows_by_word(data.target)
+    for (a, first), (b, second) in itertools.combinations(poses.items(), 2):
+        if len(first) != len(second) or len(first) < 2:
+            continue
+        x, y, n = data.position[first], data.position[second], len(first)
+        if data.commanded is not None:
+            wanted = float(np.linalg.norm(data.commanded[first[0]] - data.commanded[second[0]]))
+            found.append(Figure("AD_P", f"{a} to {b}", n, distance_accuracy(x, y, wanted), "m"))
+        found.append(Figure("RD_P", f"{a} to {b}", n, distance_repeatability(x, y), "m"))
+    return found
+
+
+def _drifts(data: Cycles) -> list[Figure]:
+    if data.time is None:
+        return []
+    found = []
+    for place, rows in rows_by_word(data.target).items():
+        ordered = rows[np.argsort(data.time[rows], kind="stable")]
+        third = len(ordered) // 3
+        if third < 2:
+            continue
+        first, last = data.position[ordered[:third]], data.position[ordered[-third:]]
+        if data.commanded is not None:
+            found.append(Figure("dAP_P", place, third, accuracy_drift(first, last, data.commanded[rows[0]]), "m"))
+        went = float(np.linalg.norm(last.mean(axis=0) - first.mean(axis=0)))
+        found += [
+            Figure("dRP_P", place, third, repeatability_drift(first, last), "m"),
+            Figure("drift of the mean", place, third, went, "m"),
+        ]
+    return found

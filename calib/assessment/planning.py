@@ -1,0 +1,169 @@
+"""A plan of measurements: which poses, how good they will be, and how many it takes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.assessment import design
+from calib.assessment.candidates import Setup, rows, working_rows
+from calib.assessment.design import Criterion, Space
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import JobError
+from calib.foundations.linear import one_thread
+from calib.identification.error_model import ErrorModel
+from calib.identification.observability import indices
+from calib.identification.parameters import scales
+
+_RANDOM_DESIGNS = 100
+_MOST_POSES = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What ``poses`` poses will bring: rms error in m of the tool at the working poses, because they are not more.
+
+    Errors of the parameters, from noise and from bending to what the model leaves out, beyond what would remain if all
+    candidates were measured without noise (``floor`` of the plan). ``random``: the median of random designs.
+    """
+
+    poses: int
+    chosen: float
+    random: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Chosen poses. Made by :func:`plan`.
+
+    ``readings`` (n, nr) in rad and m, one near the next; ``chosen``: which of the candidates these are. ``rank`` of
+    ``parameters``: what all candidates together would see. ``forecasts``: by number of poses. ``indices`` and
+    ``random_indices``: O1 to O5 of the chosen and, as medians, of random poses. ``enough``: the fewest poses whose
+    forecast keeps within a target; None where no target is given or nothing suffices. ``floor``: rms in m of what the
+    model leaves out, which no number of poses removes.
+    """
+
+    readings: Array
+    chosen: tuple[int, ...]
+    parameters: int
+    rank: int
+    forecasts: tuple[Forecast, ...]
+    indices: dict[str, float]
+    random_indices: dict[str, float]
+    enough: int | None
+    floor: float
+    converged: bool
+
+
+def plan(
+    model: ErrorModel,
+    setup: Setup,
+    candidates: Array,
+    count: int,
+    *,
+    criterion: Criterion = "I",
+    working: Array | None = None,
+    measured: Array | None = None,
+    target: float | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda _done, _of: None,
+) -> Plan:
+    """Choose ``count`` of the candidate poses (N, nr), in rad and m, to be measured next.
+
+    ``working``: poses where the tool shall be right, the candidates when None. ``measured``: poses measured already,
+    which the new ones complete. ``target`` in m: how many poses keep the forecast within it is searched for.
+
+    Raises JobError when there are fewer candidates than ``count``, or they see nothing.
+    """
+    if count > len(candidates):
+        raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
+    with one_thread():
+        parts = rows(model, setup, candidates), working_rows(model, setup, candidates if working is None else working)
+        given = None if measured is None or not len(measured) else rows(model, setup, measured)
+        prior = _priors(model)
+        judged = design.space(parts[0], criterion, parts[1], given, prior)
+        by_error = judged if criterion == "I" else design.space(parts[0], "I", parts[1], given, prior)
+        found = design.choose(judged, count, seed=seed, progress=progress)
+        floor = design.parts_of(by_error, range(len(candidates)))[1]
+        forecasts = tuple(
+            _forecast(judged, by_error, floor, n, found.chosen if n == count else None, seed)
+            for n in _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
+        )
+        random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
+        enough = None if target is None else _enough(by_error, floor, target)
+    return Plan(
+        read_only(candidates[list(_near_each_other(candidates, found.chosen))]),
+        _near_each_other(candidates, found.chosen),
+        len(model.parameters()),
+        judged.seen,
+        forecasts,
+        _indices(judged, found.chosen),
+        {name: float(np.median([r[name] for r in random])) for name in random[0]},
+        enough,
+        _root(floor),
+        found.converged,
+    )
+
+
+def _priors(model: ErrorModel) -> Array:
+    """Return the standard deviations (p,) of priors in ordinary deviations: 1 where there is one, else infinite."""
+    parameters = model.parameters()
+    known = np.array([np.inf if parameter.prior is None else parameter.prior for parameter in parameters])
+    return np.asarray(known / scales(parameters))
+
+
+def _counts(count: int, most: int, least: int) -> list[int]:
+    """Return numbers of poses around the one that is asked for."""
+    wanted = {round(count * share) for share in (0.5, 0.75, 1.0, 1.5, 2.0)}
+    return sorted(n for n in wanted if max(least, 1) <= n <= most or n == count)
+
+
+def _forecast(
+    judged: Space, by_error: Space, floor: float, n: int, chosen: Sequence[int] | None, seed: int
+) -> Forecast:
+    poses = design.choose(judged, n, seed=seed).chosen if chosen is None else chosen
+    random = [design.value_of(by_error, some) for some in _random_sets(len(by_error.A), n, _RANDOM_DESIGNS, seed)]
+    values = design.value_of(by_error, poses), float(np.median(random))
+    return Forecast(n, *(_root(value - floor) for value in values))
+
+
+def _random_sets(of: int, n: int, sets: int, seed: int) -> list[tuple[int, ...]]:
+    rng = np.random.default_rng(seed)
+    return [tuple(map(int, rng.permutation(of)[:n])) for _ in range(sets)]
+
+
+def _enough(s: Space, floor: float, target: float) -> int | None:
+    """Return the fewest poses, each the best after those before it, that keep the error within a target."""
+    order = design.sequence(s, min(len(s.A), _MOST_POSES))
+
+    def error(n: int) -> float:
+        return _root(design.value_of(s, order[:n]) - floor)
+
+    low, high = 0, len(order)
+    if error(high) > target:
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if error(middle) <= target else (middle + 1, high)
+    return low
+
+
+def _indices(s: Space, chosen: Sequence[int]) -> dict[str, float]:
+    """Return O1 to O5 of poses, in the directions that all candidates see; of whitened rows."""
+    A = s.A[list(chosen)]
+    values = np.linalg.svd(A.reshape(-1, A.shape[2]), compute_uv=False)[: s.seen]
+    return indices(np.asarray(values, dtype=np.float64), len(chosen))
+
+
+def _root(square: float) -> float:
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def _near_each_other(candidates: Array, chosen: Sequence[int]) -> tuple[int, ...]:
+    """Return the chosen poses in an order in which each is the nearest to the one before it: less travel."""
+    left = list(chosen)
+    order = [left.pop(int(np.argmin(np.sum(candidates[left] ** 2, axis=1))))]
+    while left:
+        distance = np.max(np.abs(candidates[left] - candidates[order[-1]]), axis=1)
+        order.append(left.pop(int(np.argmin(distance))))
+    return tuple(order)

@@ -1,0 +1,155 @@
+"""How good is a model at poses that it never saw? Grouped cross-validation and the one-standard-error rule.
+
+Rows that belong together - a pose that was visited twice, or one word in the column ``group`` - never stand on both
+sides: a model that learnt one of them by heart would be praised for the other. The folds depend on what the rows say
+and not on their order.
+
+The rule (Breiman, Friedman, Olshen, Stone, *Classification and regression trees*, 1984, 3.4.3): of models of growing
+size take the smallest whose held-out error is within one standard error of the least.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from calib.foundations.arrays import Array, IntArray, read_only_view
+from calib.foundations.errors import JobError, MeasurementError
+from calib.identification.error_model import ErrorModel
+from calib.identification.identify import identify, residuals_of
+from calib.identification.losses import Loss
+from calib.measurement.kinds import QUANTITIES, Kind
+from calib.measurement.measurements import Measurements
+
+FOLDS = 10
+# Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
+# different poses of a calibration are a tenth of a radian apart.
+_ONE_POSE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Root mean square of errors at rows that were held out, and its standard error over groups."""
+
+    rms: float
+    standard_error: float
+
+
+def groups(measurements: Sequence[Measurements]) -> IntArray:
+    """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
+
+    Numbered by the poses in them, so that neither the order of the rows nor that of the sets matters.
+    """
+    readings = np.concatenate([_both_ends(data) for data in measurements])
+    cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
+    words = [word for data in measurements for word in (data.group or [None] * len(data))]
+    first: dict[str, int] = {}
+    said = [(first.setdefault(word, int(c)), int(c)) for word, c in zip(words, cell, strict=True) if word is not None]
+    pairs = np.concatenate([near, np.array(said, dtype=np.intp).reshape(-1, 2)])
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    _, component = connected_components(links, directed=False)
+    # Cells are sorted, and a component is numbered by its first one.
+    _, order = np.unique(component, return_index=True)
+    rank = np.empty(len(order), dtype=np.intp)
+    rank[np.argsort(order)] = np.arange(len(order))
+    return np.asarray(rank[component][cell], dtype=np.intp)
+
+
+def _both_ends(data: Measurements) -> Array:
+    """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
+    return np.hstack([data.readings, data.readings if data.other is None else data.other.readings])
+
+
+def folds(group: IntArray, count: int = FOLDS) -> IntArray:
+    """Return the fold (N,) of every row, from 0, given its group (N,): a group is in one fold, spread at random.
+
+    The same groups are spread alike every time. Raises MeasurementError when there are fewer than two groups, JobError
+    when fewer than two folds are asked for.
+    """
+    if count < 2:
+        raise JobError(f"folds: {count} is not a number from 2.")
+    number = int(group.max()) + 1 if len(group) else 0
+    if number < 2:
+        raise MeasurementError("the rows are of one pose or one group, and none can be held out to judge by.")
+    fold = np.empty(number, dtype=np.intp)
+    fold[np.random.default_rng(0).permutation(number)] = np.arange(number) % min(count, number)
+    return np.asarray(fold[group], dtype=np.intp)
+
+
+def held_out(squares: Array, group: IntArray) -> HeldOut:
+    """Return the figure of N squared errors of rows held out, which are random from group (N,) to group.
+
+    The standard error is that of a ratio of sums over groups, carried over to the root.
+    """
+    n = np.bincount(group)
+    mean = float(np.mean(squares))
+    spread = np.bincount(group, weights=squares) - n * mean
+    there = np.count_nonzero(n)
+    of_mean = float(np.sqrt(np.sum(spread**2) * there / max(there - 1, 1))) / len(squares)
+    rms = float(np.sqrt(mean))
+    return HeldOut(rms, 0.5 * of_mean / rms if rms else 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossValidation:
+    """Made by :func:`cross_validate`. ``residuals`` (N, d) of every set: of each row by a fit without its fold.
+
+    ``kinds``: of every set; ``group`` (all rows): as in :func:`groups`.
+    """
+
+    kinds: tuple[Kind, ...]
+    residuals: tuple[Array, ...]
+    group: IntArray
+
+    def figure(self, quantity: str = "position") -> HeldOut:
+        """Return the figure of a quantity, in its unit. Raises KeyError for one that no set has."""
+        squares: list[Array] = []
+        group: list[IntArray] = []
+        own = np.split(self.group, np.cumsum([len(r) for r in self.residuals])[:-1])
+        for kind, r, g in zip(self.kinds, self.residuals, own, strict=True):
+            for name, _, columns in QUANTITIES[kind]:
+                if name == quantity:
+                    squares.append(np.sum(r[:, columns] ** 2, axis=1))
+                    group.append(g)
+        if not squares:
+            raise KeyError(quantity)
+        return held_out(np.concatenate(squares), np.concatenate(group))
+
+
+def cross_validate(
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    count: int = FOLDS,
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+) -> CrossValidation:
+    """Identify as often as there are folds, each time without the rows of one, and predict these.
+
+    Options as in :func:`calib.identify`. Raises what it raises, and MeasurementError when all rows are of one group or
+    a tool point is in no other fold.
+    """
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    group = groups(sets)
+    fold = folds(group, count)
+    ends = np.cumsum([len(data) for data in sets])
+    own = np.split(fold, ends[:-1])
+    found = tuple(np.empty_like(data.sigma) for data in sets)
+    for k in range(int(fold.max()) + 1):
+        kept = [data.subset(f != k) for data, f in zip(sets, own, strict=True)]
+        fit = identify(model, kept, model_sigmas=model_sigmas, losses=losses)
+        left_out = [data.subset(f == k) for data, f in zip(sets, own, strict=True)]
+        for r, f, there in zip(residuals_of(fit, left_out, fit.machine), own, found, strict=True):
+            there[f == k] = r
+    return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)
+
+
+def one_standard_error(figures: Sequence[HeldOut]) -> int:
+    """Return which of models of growing size the one-standard-error rule takes."""
+    best = min(figures, key=lambda figure: figure.rms)
+    return next(k for k, figure in enumerate(figures) if figure.rms <= best.rms + best.standard_error)

@@ -1,0 +1,33 @@
+"""The command line: one command for each thing a person does with an arm; a module for every group of them."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+import calib
+from calib.cli.options import BAD_INPUT, app
+from calib.foundations.errors import CalibError
+from calib.presentation.console import show_error
+
+# In the order in which the help lists their commands.
+from calib.cli import commands as commands  # isort: skip
+from calib.cli import plan as plan  # isort: skip
+from calib.cli import acceptance as acceptance  # isort: skip
+
+
+@app.callback(invoke_without_command=True)
+def version(show: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    """Calibrate any robot arm described by a URDF."""
+    if show:
+        typer.echo(calib.__version__)
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; an error of the user's is one line and exit code 1, a bug shows its traceback."""
+    try:
+        app(prog_name="calib")
+    except CalibError as error:
+        show_error(str(error))
+        sys.exit(BAD_INPUT)

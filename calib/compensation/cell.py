@@ -1,0 +1,60 @@
+"""The calibrated cell: an arm and what it touched, in one URDF, at the calibrated place."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calib.compensation.model_file import MODEL_FILE, CalibratedModel, load_model
+from calib.compensation.urdf import calibrated_urdf
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import JobError
+from calib.robot.cell import Cell, compose
+from calib.robot.urdf import parse_urdf, read_urdf
+
+PlacedIn = Literal["arm", "instrument"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedCell:
+    """A cell and where things are in it, all in the arm's base link. Made by :func:`calibrated_cell`.
+
+    ``root`` (4, 4): the document's root link. ``placement`` (4, 4): the base link of the positioner ``model``.
+    """
+
+    cell: Cell
+    model: CalibratedModel
+    root: Array
+    placement: Array
+
+
+def calibrated_cell(
+    arm: Path, positioner: Path, placed_in: PlacedIn = "arm", prefix: str | None = None
+) -> CalibratedCell:
+    """Return the URDF that carries an arm and a positioner, or another machine, where calibration found it.
+
+    ``arm``: the folder of the arm's results, or a URDF that is calibrated already. ``positioner``: the folder of
+    results. ``placed_in``: whose frame its base was found in: "arm", because the arm touched it, or "instrument", one
+    that both were calibrated with. ``prefix``: as in :func:`calib.robot.cell.compose`.
+
+    Raises JobError when a URDF is to be placed in an instrument's frame, OutputError when a folder holds no readable
+    model, RobotError when a URDF cannot be used.
+    """
+    model = load_model(positioner)
+    second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
+    placement, root = model.base, np.eye(4)
+    if arm.suffix.lower() == ".urdf" and not (arm / MODEL_FILE).exists():
+        if placed_in == "instrument":
+            raise JobError(f"{arm}: a URDF does not say where it stands before the instrument; give its results.")
+        first = read_urdf(arm)
+        base = first.root
+    else:
+        carrier = load_model(arm)
+        first = parse_urdf(calibrated_urdf(carrier.robot, carrier.deviations), str(arm))
+        base, root = carrier.robot.base, carrier.robot.root_in_base
+        if placed_in == "instrument":
+            placement = rigid.inverse(carrier.base) @ placement
+    cell = compose(first, second, base, placement @ model.robot.root_in_base, prefix)
+    return CalibratedCell(cell, model, read_only(root), read_only(placement))

@@ -1,0 +1,112 @@
+"""``uncertainty.json``: what a calibrated machine knows of its own doubts, beside ``model.json``."""
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from calib.assessment.uncertainty import NoiseLevel, Uncertainty, placed_machine
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import OutputError
+from calib.foundations.files import read_bytes
+from calib.identification.machine import Frames, Layout
+from calib.robot.robot import Deviations, Robot
+
+UNCERTAINTY_FILE = "uncertainty.json"
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class NoiseEntry(_Strict):
+    """A noise level; ``degrees_of_freedom`` is null where nothing was estimated."""
+
+    model: float
+    total: float
+    degrees_of_freedom: float | None
+
+    @classmethod
+    def of(cls, level: NoiseLevel | None) -> "NoiseEntry | None":
+        """Return the entry of a noise level."""
+        if level is None:
+            return None
+        freedom = None if np.isinf(level.degrees_of_freedom) else level.degrees_of_freedom
+        return cls(model=level.model, total=level.total, degrees_of_freedom=freedom)
+
+    @property
+    def level(self) -> NoiseLevel:
+        """The noise level."""
+        freedom = float("inf") if self.degrees_of_freedom is None else self.degrees_of_freedom
+        return NoiseLevel(self.model, self.total, freedom)
+
+
+class UncertaintyFile(_Strict):
+    """Schema 1 of ``uncertainty.json``: as :class:`calib.assessment.uncertainty.Uncertainty`, in m and rad.
+
+    Rows of ``factor`` and ``unseen``: six deviations of every joint of model.json, the offsets of those that move,
+    then x, y, z, rx, ry, rz of the base and of every tool.
+    """
+
+    schema_: Literal[1] = Field(alias="schema")
+    identified: dict[str, tuple[float, float]]
+    position: NoiseEntry | None
+    orientation: NoiseEntry | None
+    factor: tuple[tuple[float, ...], ...]
+    unseen: tuple[tuple[float, ...], ...]
+
+
+def uncertainty_json(uncertainty: Uncertainty) -> str:
+    """Return ``uncertainty.json`` as text, one line for every row of the matrices."""
+    names = [reading.name for reading in uncertainty.robot.readings]
+    ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
+    entries = {
+        "schema": 1,
+        "identified": dict(zip(names, ranges, strict=True)),
+        "position": _plain(uncertainty.position),
+        "orientation": _plain(uncertainty.orientation),
+    }
+    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
+    for key, matrix in (("factor", uncertainty.factor), ("unseen", uncertainty.unseen)):
+        rows = ",\n".join(f"    {json.dumps(row, allow_nan=False)}" for row in matrix.tolist())
+        lines.append(f"  {json.dumps(key)}: [\n{rows}\n  ]")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
+    entry = NoiseEntry.of(level)
+    return None if entry is None else entry.model_dump()
+
+
+def load_uncertainty(
+    path: Path, robot: Robot, deviations: Deviations, frames: Frames, tools: tuple[str, ...]
+) -> Uncertainty:
+    """Read the doubts about the machine of ``model.json``. Raises OutputError when the file does not belong to it."""
+    try:
+        found = UncertaintyFile.model_validate_json(read_bytes(path, OutputError))
+    except ValidationError as e:
+        place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
+        raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
+    size = Layout(robot).tools + 6 * len(tools)
+    names = [reading.name for reading in robot.readings]
+    factor, unseen = (_matrix(rows) for rows in (found.factor, found.unseen))
+    if list(found.identified) != names or factor is None or unseen is None or not len(factor) == len(unseen) == size:
+        raise OutputError(f"{path}: is not of the machine in model.json.")
+    return Uncertainty(
+        robot,
+        placed_machine(deviations, frames),
+        tools,
+        factor,
+        unseen,
+        None if found.position is None else found.position.level,
+        None if found.orientation is None else found.orientation.level,
+        read_only([found.identified[name] for name in names]),
+    )
+
+
+def _matrix(rows: tuple[tuple[float, ...], ...]) -> Array | None:
+    """Return the rows as a matrix, or None when they are not equally long."""
+    widths = {len(row) for row in rows}
+    return read_only(np.array(rows, dtype=np.float64).reshape(len(rows), -1)) if len(widths) == 1 else None

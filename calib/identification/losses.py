@@ -1,0 +1,39 @@
+"""Robust losses: rows that lie far off weigh less, as iteratively reweighted least squares.
+
+A row counts as a whole: its distance is t = |r / sigma| / sqrt(d) over its d numbers, 1 for an ordinary row. The tuning
+constants give 95 % of the efficiency of least squares for one normal number (P. J. Huber, Robust Statistics, 1981; for
+Cauchy R. A. Maronna, R. D. Martin, V. J. Yohai, Robust Statistics, 2006); for more numbers they give more.
+"""
+
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from scipy import integrate, stats
+
+from calib.foundations.arrays import Array
+
+Loss = Literal["linear", "huber", "soft_l1", "cauchy"]
+_TUNING = {"huber": 1.345, "soft_l1": 1.0, "cauchy": 2.385}
+
+
+def weight(loss: Loss, t: Array) -> Array:
+    """Return the weights, from 0 to 1, of rows at distances t >= 0."""
+    if loss == "linear":
+        return np.ones_like(t)
+    u = t / _TUNING[loss]
+    if loss == "huber":
+        return np.asarray(1.0 / np.maximum(u, 1.0))
+    return np.asarray(1.0 / np.sqrt(1.0 + u * u) if loss == "soft_l1" else 1.0 / (1.0 + u * u))
+
+
+@cache
+def shrinkage(loss: Loss, d: int) -> float:
+    """Return by how much the weights lessen the mean square of ordinary rows of d normal numbers: E[w t^2] / E[t^2]."""
+    if loss == "linear":
+        return 1.0
+
+    def integrand(square: float) -> float:
+        return float(weight(loss, np.array(np.sqrt(square / d))) * square / d * stats.chi2.pdf(square, d))
+
+    return float(integrate.quad(integrand, 0.0, np.inf)[0])

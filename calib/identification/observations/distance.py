@@ -1,0 +1,33 @@
+"""Observations ``distance``, ``sphere`` and ``pair_distance``: how far the tool point was from another point.
+
+A telescoping ball bar or a draw wire measures the distance from its anchor; a probe that touches a ball is away from
+its centre by the sum of both radii; a gauge touched at both ends is a distance between two places of the tool.
+"""
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.identification.observations.seen import Linearised, Seen, point_columns
+
+# Where both points are one, the distance has no direction; any answer this small leaves the derivative zero.
+_TINY = 1e-12
+
+
+def residual(seen: Seen) -> Linearised:
+    """Return r = l - |x - c| - o (n, 1) in m: measured length l, the target at c, the unknown part o of lengths."""
+    r, by_tool = _between(seen, seen.targets)
+    return Linearised(r, point_columns(by_tool, seen.tools), target=point_columns(-by_tool, seen.targets))
+
+
+def residual_of_pairs(seen: Seen) -> Linearised:
+    """Return r = l - |x - x'| - o (n, 1) in m, with x' the tool point at the other end."""
+    r, by_tool = _between(seen, seen.others)
+    return Linearised(r, point_columns(by_tool, seen.tools), other=point_columns(-by_tool, seen.others))
+
+
+def _between(seen: Seen, ends: Array) -> tuple[Array, Array]:
+    """Return the residuals (n, 1), and their derivatives (n, 1, 3) by the tool point."""
+    apart = seen.tools[:, :3, 3] - ends[:, :3, 3]
+    distance = np.linalg.norm(apart, axis=1, keepdims=True)
+    direction = apart / np.maximum(distance, _TINY)
+    return seen.data.value[seen.rows] - distance - seen.length, -direction[:, None, :]

@@ -1,0 +1,124 @@
+"""Where the tip of a tool is: one fixed point touched in several orientations.
+
+A tool point p on a link at placement (R_n, t_n) stays at a fixed point c while the link turns about it:
+
+    R_n p + t_n = c,        linear in p and c.
+
+Several fixed points, each touched in several orientations, add up. Nothing but the placements is known, so a length
+that all of them get wrong goes into p.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+
+# A direction of p in which the link turns by less than this (rms, rad) is not seen: readings scatter by as much.
+_SEEN = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pivot:
+    """A tool point found by pivoting. Made by :func:`pivot`. Lengths in m.
+
+    ``tool_point`` (3,): on the link. ``fixed_points`` (m, 3): by ``targets``, in the frame of the placements.
+    ``residuals`` (N, 3): touched minus fixed point. ``covariance`` (3 + 3 m, 3 + 3 m): of the tool point, then of the
+    fixed points, in the seen directions. ``rank``: 3 where the tool point is seen in all directions, 2 where all
+    orientations turn about one axis, 0 where there is but one; ``unseen`` (3, 3 - rank): directions on the link along
+    which the tool point keeps the value of the guess. ``noise``: standard deviation of a coordinate, given or from the
+    residuals.
+    """
+
+    tool_point: Array
+    fixed_points: Array
+    targets: tuple[str, ...]
+    residuals: Array
+    covariance: Array
+    rank: int
+    unseen: Array
+    noise: float
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviations (3,) of the tool point; nan for a coordinate that an unseen direction moves."""
+        blind = np.any(np.abs(self.unseen) > 1e-6, axis=1)
+        return np.where(blind, np.nan, np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def rms(self) -> float:
+        """3D rms of the residuals."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
+
+    def __str__(self) -> str:
+        x, y, z = self.tool_point * 1e3
+        text = f"Tool point ({x:.4f}, {y:.4f}, {z:.4f}) mm, rms {self.rms * 1e3:.4f} mm"
+        if self.rank < 3:
+            axes = " and ".join("({:.3f}, {:.3f}, {:.3f})".format(*direction) for direction in self.unseen.T)
+            text += f"; not seen along {axes} of the link: tilt it otherwise as well"
+        return f"{text}."
+
+
+def pivot(
+    placements: npt.ArrayLike,
+    targets: Sequence[str] | None = None,
+    *,
+    sigma: float | None = None,
+    guess: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Pivot:
+    """Find the tool point of a link that touched a fixed point, or several ``targets`` (N names), in N placements.
+
+    ``placements`` (N, 4, 4): of the link, from joint readings through an arm that is calibrated. ``sigma``: standard
+    deviation of a coordinate of a touch in m; None estimates it from the residuals, nan where none is to spare.
+    ``guess`` (3,): the tool point, in m, in directions that are not seen.
+
+    Raises MeasurementError when the placements are none. Too few orientations are told by the rank.
+    """
+    T, names = _checked(placements, targets)
+    kept = tuple(dict.fromkeys(names))
+    own = np.array([[name == target for target in kept] for name in names], dtype=np.float64)
+    share = own / own.sum(axis=0)
+    p0 = np.asarray(guess, dtype=np.float64)
+    # Taking out every target's mean removes its fixed point.
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    R_mean, t_mean = np.einsum("nm,nij->mij", share, R), share.T @ t
+    which = own.argmax(axis=1)
+    A = (R - R_mean[which]).reshape(-1, 3)
+    b = -((t - t_mean[which]) + (R - R_mean[which]) @ p0).ravel()
+    U, values, Vt = np.linalg.svd(A, full_matrices=False)
+    rank = int(np.count_nonzero(values > _SEEN * np.sqrt(len(T))))
+    inverse = Vt[:rank].T / values[:rank] @ U[:, :rank].T
+    p = p0 + inverse @ b
+    c = R_mean @ p + t_mean
+    residuals = (R @ p + t) - c[which]
+    spare = 3 * len(T) - rank - 3 * len(kept)
+    if sigma is None:
+        sigma = float(np.sqrt(np.sum(residuals**2) / spare)) if spare > 0 else float("nan")
+    # Both are linear in the touches: p through the centred rows, c = mean(touch) + R_mean p.
+    by_touch = np.concatenate([-inverse, np.kron(share.T, np.eye(3)) - R_mean.reshape(-1, 3) @ inverse])
+    return Pivot(
+        read_only(p),
+        read_only(c),
+        kept,
+        read_only(residuals),
+        read_only(sigma**2 * by_touch @ by_touch.T),
+        rank,
+        read_only(Vt[rank:].T),
+        sigma,
+    )
+
+
+def _checked(placements: npt.ArrayLike, targets: Sequence[str] | None) -> tuple[Array, tuple[str, ...]]:
+    T = np.asarray(placements, dtype=np.float64)
+    if T.ndim != 3 or T.shape[1:] != (4, 4) or not len(T) or not np.isfinite(T).all():
+        raise MeasurementError("the placements of a pivot must be finite (N, 4, 4).")
+    if not np.allclose(rigid.inverse(T) @ T, np.eye(4), atol=1e-6):
+        raise MeasurementError("the placements of a pivot must be rigid.")
+    names = ("point",) * len(T) if targets is None else tuple(targets)
+    if len(names) != len(T):
+        raise MeasurementError(f"there are {len(T)} placements and {len(names)} targets.")
+    return T, names

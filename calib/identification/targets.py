@@ -1,0 +1,90 @@
+"""Targets: what was touched or seen beside an instrument - sockets, anchors, balls, planes - and which is unknown.
+
+Targets are nuisances: their unknowns are found with the robot's and are of no use elsewhere.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from calib.foundations.arrays import Array
+from calib.foundations.errors import JobError, MeasurementError
+from calib.identification.machine import Layout
+from calib.identification.parameters import Parameter
+from calib.measurement.kinds import Kind
+from calib.measurement.measurements import Measurements
+
+Shape = Literal["point", "plane"]
+
+SHAPES: Mapping[Kind, Shape] = {
+    "socket": "point",
+    "distance": "point",
+    "sphere": "point",
+    "plane": "plane",
+    "indicator": "plane",
+}
+_UNKNOWN: Mapping[Shape, tuple[tuple[str, int], ...]] = {
+    "point": (("x", 0), ("y", 1), ("z", 2)),
+    "plane": (("height", 2), ("rx", 3), ("ry", 4)),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What is known of a target, in the instrument's frame.
+
+    ``pose`` (4, 4): a point's position, or a frame in whose x and y a plane lies; its z points to the side from which
+    the plane is touched. ``height_is_known``: False where a plane's normal alone is known, such as an indicator's
+    direction; its zero is then found.
+    """
+
+    pose: Array
+    height_is_known: bool = True
+
+
+def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
+    """Return the shape of every target of sets with common names.
+
+    Raises MeasurementError when one target is a point in one set and a plane in another.
+    """
+    found: dict[str, Shape] = {}
+    for data in sets:
+        shape = SHAPES.get(data.kind)
+        for name in dict.fromkeys(data.targets[t] for t in data.target) if shape else ():
+            if shape and found.setdefault(name, shape) != shape:
+                raise MeasurementError(
+                    f"{data.where}: the target {name!r} is a {shape} here and a {found[name]} in another table."
+                )
+    return found
+
+
+def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: Layout) -> tuple[Parameter, ...]:
+    """Return the parameters of targets and lengths for sets with common names, in the order of the state.
+
+    Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose direction nobody gave.
+    """
+    parameters: list[Parameter] = []
+    found = shapes(sets)
+    for t, name in enumerate(sets[0].targets):
+        of_target = known.get(name)
+        if name not in found or (of_target is not None and of_target.height_is_known):
+            continue
+        for component, entry in _UNKNOWN[found[name]][: 1 if of_target is not None else None]:
+            unit: Literal["m", "rad"] = "rad" if entry > 2 else "m"
+            direction = ((layout.targets + 6 * t + entry, 1.0),)
+            parameters.append(Parameter(f"target.{name}.{component}", unit, "target", direction))
+    for data in sets:
+        if data.kind == "indicator":
+            _refuse_no_direction(data, known)
+    for k, name in enumerate(sets[0].offsets):
+        of_spheres = any(data.kind == "sphere" and data.offset == k for data in sets)
+        # A distance is l - o; a ball's is the probe's radius plus its own, which is thus -o.
+        component, share = ("radius", -1.0) if of_spheres else ("offset", 1.0)
+        parameters.append(Parameter(f"length.{name}.{component}", "m", "target", ((layout.lengths + k, share),)))
+    return tuple(parameters)
+
+
+def _refuse_no_direction(data: Measurements, known: Mapping[str, Target]) -> None:
+    for name in dict.fromkeys(data.targets[t] for t in data.target):
+        if name not in known:
+            raise JobError(f"{data.where}: the direction of the indicator {name!r} is not given; give its normal.")

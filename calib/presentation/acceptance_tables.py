@@ -1,0 +1,151 @@
+"""Tables and sentences of acceptance: verification, comparison, ISO 9283, and the map of uncertainty."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
+from calib.assessment.drift import Comparison
+from calib.assessment.iso9283 import Figure
+from calib.assessment.uncertainty import UncertaintyMap
+from calib.foundations.arrays import BoolArray
+
+_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+
+
+def verification_table(found: Verification) -> Table:
+    """Return the errors of new measurements, as calibrated and with the base found anew."""
+    out = _table("Tip errors, measured minus predicted")
+    out.add_column("base")
+    for name in ("n", "mean", "rms", "p95", "max"):
+        out.add_column(name, justify="right")
+    out.add_column("unit")
+    whens = [("as calibrated", found.as_calibrated), ("found anew", found.base_refitted)]
+    for when, judgement in whens:
+        if judgement is not None:
+            for m in judgement.metrics.values():
+                factor, unit = _SHOWN[m.unit]
+                style = "bold" if judgement is found.decisive else None
+                shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
+                out.add_row(when, str(m.n), *shown, unit, style=style)
+    return out
+
+
+def verification_lines(found: Verification) -> list[Text]:
+    """Return the verdict in sentences."""
+    lines = []
+    if found.limit is not None:
+        largest = found.decisive.metrics["position"].max
+        side = "is within" if found.within_limit else "exceeds"
+        lines.append(
+            Text(f"The largest position error, {largest * 1e3:.4f} mm, {side} the limit, {found.limit * 1e3:g} mm.")
+        )
+    lines.append(Text(_tested(found.decisive.test)))
+    anew = found.base_refitted
+    if anew is not None and found.base_moved is not None and not found.refit and not found.as_calibrated.test.passed:
+        shift, turn = found.base_moved
+        by = f"{shift * 1e3:.3f} mm and {np.degrees(turn):.4f} deg"
+        if anew.test.passed:
+            lines.append(Text(f"With the base moved by {by} it does: the arm is as calibrated, and stands elsewhere."))
+        else:
+            lines.append(Text(f"A base moved by {by} does not explain them either: the arm itself has changed."))
+    lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
+    return lines
+
+
+def _tested(test: ChiSquare) -> str:
+    per = test.statistic / test.degrees_of_freedom
+    said = "explains" if test.passed else "does not explain"
+    return (
+        f"The stated uncertainty {said} the errors: chi-square per degree of freedom {per:.3g} "
+        f"({test.degrees_of_freedom} of them), probability {test.probability:.2g}, limit {SIGNIFICANCE:g}."
+    )
+
+
+def change_table(found: Comparison) -> Table:
+    """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
+    out = _table("Changes", "at the tip: rms of what the change alone does")
+    out.add_column("parameter", overflow="fold")
+    for name in ("old", "new", "change", "sigma", "at the tip"):
+        out.add_column(name, justify="right")
+    out.add_column("unit")
+    out.add_column("moved")
+    for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
+        factor, unit = _SHOWN[change.unit]
+        values = (change.old, change.new, change.new - change.old, change.sigma)
+        shown = (f"{value * factor:+.4f}" for value in values[:3])
+        out.add_row(
+            change.name,
+            *shown,
+            f"{change.sigma * factor:.4f}",
+            f"{change.at_tip * 1e3:.3f} mm",
+            unit,
+            "yes" if change.moved else "no",
+        )
+    return out
+
+
+def comparison_lines(found: Comparison) -> list[Text]:
+    """Return the verdict of a comparison in sentences."""
+    if found.statistic is None or found.probability is None:
+        lines = [Text("The two calibrations free different parameters; as a whole only their tips can be compared.")]
+    else:
+        per = found.statistic / max(found.degrees_of_freedom, 1)
+        lines = [
+            Text(
+                f"All {found.degrees_of_freedom} combinations that both have seen: chi-square per degree of freedom "
+                f"{per:.3g}, probability {found.probability:.2g}."
+            )
+        ]
+    lines.append(
+        Text(
+            f"At the tip the two differ by {found.tip_rms * 1e3:.4f} mm rms, {found.tip_max * 1e3:.4f} mm at most, "
+            f"base and tool refitted; their uncertainties explain {found.stated * 1e3:.4f} mm."
+        )
+    )
+    moved = [change.name for change in found.changes if change.moved]
+    if moved:
+        lines.append(Text(f"Moved by more than chance: {', '.join(moved)}.", style="bold"))
+    elif found.moved:
+        lines.append(Text("The machine has changed, though no single parameter shows it.", style="bold"))
+    else:
+        lines.append(Text("Nothing has moved by more than the joint uncertainty.", style="bold"))
+    return lines
+
+
+def iso_table(figures: Sequence[Figure]) -> Table:
+    """Return the figures of ISO 9283 in mm and degrees."""
+    out = _table("Figures after ISO 9283", "after the method of the standard; no certificate")
+    out.add_column("figure")
+    out.add_column("pose", overflow="fold")
+    for name in ("n", "value"):
+        out.add_column(name, justify="right")
+    out.add_column("unit")
+    for figure in figures:
+        factor, unit = _SHOWN[figure.unit]
+        out.add_row(figure.name, figure.place, str(figure.n), f"{figure.value * factor:.4f}", unit)
+    return out
+
+
+def map_table(found: UncertaintyMap, seen: BoolArray) -> Table:
+    """Return percentiles of the standard deviations over the workspace."""
+    out = _table(
+        "Standard deviation of the tool, in the instrument's frame", "all coordinates together, over sampled poses"
+    )
+    out.add_column("quantity")
+    for name in ("5 %", "median", "95 %", "max"):
+        out.add_column(name, justify="right")
+    out.add_column("unit")
+    out.add_column("seen by the data", justify="right")
+    for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
+        factor, shown = _SHOWN[unit]
+        values = np.percentile(found.sigmas[:, k], (5, 50, 95, 100)) * factor
+        out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(seen[:, k]):.0f} %")
+    return out
+
+
+def _table(title: str, caption: str | None = None) -> Table:
+    return Table(title=title, caption=caption, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD)

@@ -1,0 +1,69 @@
+"""What a row carries beside its readings, where joints stand differently for the same reading."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+
+# Lengths are stated at this temperature (ISO 1), in degC.
+REFERENCE_TEMPERATURE = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """Conditions of N rows; None where nobody says, and NaN for a reading of which nobody does.
+
+    ``approach`` (N, nr): the side from which every reading was reached: +1 growing, -1 falling, 0 from neither.
+    ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
+    """
+
+    approach: Array | None = None
+    temperature: Array | None = None
+    torque: Array | None = None
+
+    def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
+        """Return the conditions of some rows."""
+        return Conditions(
+            None if self.approach is None else self.approach[rows],
+            None if self.temperature is None else self.temperature[rows],
+            None if self.torque is None else self.torque[rows],
+        )
+
+
+NO_CONDITIONS = Conditions()
+
+
+def ordinary(readings: Array) -> Conditions:
+    """Return the conditions of readings (N, nr) of which nothing is said: they add nothing.
+
+    Reached from neither side, at the reference temperature, no torque measured.
+    """
+    return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
+
+
+def joined(parts: Sequence[Conditions]) -> Conditions:
+    """Return the conditions of rows one part after the other; None where one part has none."""
+
+    def of_all(found: Sequence[Array | None]) -> Array | None:
+        known = [values for values in found if values is not None]
+        return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
+
+    return Conditions(
+        of_all([part.approach for part in parts]),
+        of_all([part.temperature for part in parts]),
+        of_all([part.torque for part in parts]),
+    )
+
+
+def in_order(readings: Array) -> Array:
+    """Return the approach (N, nr) of readings (N, nr) that were reached one after the other, without overshoot.
+
+    A reading that rests keeps the side of its last move; before the first one it is 0.
+    """
+    signs = np.zeros_like(readings)
+    signs[1:] = np.sign(np.diff(readings, axis=0))
+    # Of every row the last one in which the reading moved.
+    last = np.maximum.accumulate(np.where(signs != 0.0, np.arange(len(signs))[:, None], 0), axis=0)
+    return read_only(np.take_along_axis(signs, last, axis=0))

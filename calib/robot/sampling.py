@@ -1,0 +1,62 @@
+"""Random readings of a robot: within its limits, and where its loops close."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.errors import PoseError, RobotError
+from calib.robot.robot import Deviations, Robot
+
+_MOST_BATCHES = 200
+
+
+def joint_limits(robot: Robot) -> Array:
+    """Return the limits (nr, 2) of the readings; a joint without turns once, or slides a metre to either side."""
+    turn = {"angle": np.pi, "length": 1.0}
+    return np.array(
+        [
+            (
+                -turn[reading.dimension] if reading.lower is None else reading.lower,
+                turn[reading.dimension] if reading.upper is None else reading.upper,
+            )
+            for reading in robot.readings
+        ]
+    )
+
+
+def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None] = (None,)) -> BoolArray:
+    """Return at which of the readings (N, nr) the loops of all machines close; None stands for the nominal one."""
+    found = np.ones(len(readings), dtype=bool)
+    if robot.loops:
+        for n in range(len(readings)):
+            try:
+                for deviations in machines:
+                    robot.joint_positions(readings[n : n + 1], deviations)
+            except PoseError:
+                found[n] = False
+    return found
+
+
+def random_readings(
+    robot: Robot,
+    count: int,
+    limits: Array | None = None,
+    machines: Sequence[Deviations | None] = (None,),
+    *,
+    seed: int = 0,
+) -> Array:
+    """Return random readings (count, nr), uniform over ``limits`` (nr, 2), those of the joints when None.
+
+    Readings where a loop of one of the machines does not close are drawn again; raises RobotError when hardly any of
+    them does.
+    """
+    bounds = joint_limits(robot) if limits is None else limits
+    rng = np.random.default_rng(seed)
+    found = np.zeros((0, len(bounds)))
+    for _ in range(_MOST_BATCHES):
+        drawn = rng.uniform(bounds[:, 0], bounds[:, 1], (count, len(bounds)))
+        found = np.concatenate([found, drawn[closing(robot, drawn, machines)]])
+        if len(found) >= count:
+            return found[:count]
+    raise RobotError(f"{robot.urdf.where}: its loops close in hardly any pose within the limits of its joints.")

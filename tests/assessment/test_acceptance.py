@@ -1,0 +1,296 @@
+"""Verification and comparison against simulated truth: what has not changed passes as often as it should."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.acceptance import verify
+from calib.assessment.drift import compare
+from calib.assessment.uncertainty import uncertainty_of
+from calib.foundations.errors import MeasurementError
+from tests.identification import machines
+from tests.identification.machines import Machine, anywhere, pose
+from tests.job.cases import copy_case, run
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SIGMA = 5e-5
+
+
+def machine(seed: int = 0) -> tuple[calib.Robot, Machine, machines.Arm]:
+    rng = np.random.default_rng(seed)
+    arm = machines.arm(*UR10)
+    return machines.load(*UR10), Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15))}), arm
+
+
+def seen(true: Machine, rows: int, seed: int, observes: str = "position", **options: object) -> calib.Measurements:
+    rng = np.random.default_rng(seed)
+    readings = machines.arm(*UR10).draw(rng, rows)
+    return true.measure(machines.load(*UR10), readings, observes, rng=rng, sigma=SIGMA, sigma_angle=1e-4, **options)  # type: ignore[arg-type]
+
+
+def calibrated(true: Machine, seed: int, observes: str = "position", rows: int = 60, **options: object) -> calib.Fit:
+    tool = "pose" if observes == "pose" else "position"
+    model = calib.error_model(machines.load(*UR10), offsets="all", placements="all", tool=tool)
+    return calib.identify(model, seen(true, rows, seed, observes, **options))
+
+
+def with_zero(true: Machine, joint: str, by: float) -> Machine:
+    return replace(true, arm=true.arm.with_errors(np.zeros((len(true.arm.joints), 6)), {joint: by}))
+
+
+@pytest.mark.parametrize(("observes", "stated"), [("position", None), ("position", (SIGMA / 20, 0.0)), ("pose", None)])
+def test_what_has_not_changed_passes(observes: str, stated: tuple[float, float] | None) -> None:
+    """The statistic over its degrees of freedom is 1 on average, base refitted or not, from ten points."""
+    _, true, _ = machine()
+    u = uncertainty_of(calibrated(true, 1, observes, stated=stated))
+    found = [verify(u, seen(true, 10, seed, observes, stated=stated)) for seed in range(100, 116)]
+    for tests in ([v.as_calibrated.test for v in found], [v.base_refitted.test for v in found if v.base_refitted]):
+        assert len(tests) == 16
+        ratios = np.array([t.statistic / t.degrees_of_freedom for t in tests])
+        # The fit's own luck is common to all: the noise it states is known to a twentieth or so.
+        assert 0.7 < ratios.mean() < 1.35
+        assert np.mean([t.passed for t in tests]) > 0.85
+    numbers = 10 * (6 if observes == "pose" else 3)
+    assert found[0].as_calibrated.test.degrees_of_freedom == numbers
+    assert found[0].base_refitted is not None
+    assert found[0].base_refitted.test.degrees_of_freedom == numbers - 6
+
+
+def test_the_probability_is_uniform_over_calibrations() -> None:
+    """Each time another machine, another calibration and other points: no probability is likelier than another."""
+    probabilities = []
+    for seed in range(16):
+        _, true, _ = machine(seed)
+        u = uncertainty_of(calibrated(true, seed + 500, rows=40))
+        probabilities.append(verify(u, seen(true, 10, seed + 900)).as_calibrated.test.probability)
+    p = np.sort(probabilities)
+    # Kolmogorov and Smirnov: 16 uniform numbers stay within 0.36 of their places in 98 of 100 cases.
+    assert np.abs(p - (np.arange(16) + 0.5) / 16).max() < 0.36
+
+
+def test_a_shifted_zero_fails_and_a_moved_base_only_with_its_old_place() -> None:
+    _, true, _ = machine()
+    u = uncertainty_of(calibrated(true, 1))
+    bent = verify(u, seen(with_zero(true, "elbow_joint", 5e-4), 12, 7))
+    assert not bent.passed
+    assert bent.base_refitted is not None
+    assert not bent.base_refitted.test.passed
+    moved = replace(true, base=true.base @ pose((3e-4, -4e-4, 0.0), (0.0, 0.0, 1e-3)))
+    data = seen(moved, 12, 7)
+    standing, refitted = verify(u, data), verify(u, data, refit=True)
+    assert not standing.passed
+    assert refitted.passed
+    assert refitted.base_moved is not None
+    assert refitted.base_moved[0] == pytest.approx(5e-4, abs=1e-4)
+    assert refitted.base_moved[1] == pytest.approx(1e-3, abs=1e-4)
+    # From anywhere: a tracker on another stand.
+    elsewhere = replace(true, base=anywhere(np.random.default_rng(9)))
+    assert verify(u, seen(elsewhere, 12, 7), refit=True).passed
+
+
+def test_the_limit_is_one_of_every_error() -> None:
+    _, true, _ = machine()
+    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 8)
+    largest = float(np.linalg.norm(verify(u, data).as_calibrated.residuals, axis=1).max())
+    above, below = (verify(u, data, limit=largest * share) for share in (1.01, 0.99))
+    assert (above.within_limit, above.passed) == (True, True)
+    assert (below.within_limit, below.passed) == (False, False)
+    assert verify(u, data).within_limit is None
+
+
+def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
+    _, true, _ = machine()
+    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 8)
+    shifts = np.tile([1e-3, 0.0, 0.0], (12, 1))
+    shifted = replace(data, position=data.position + shifts)
+    np.testing.assert_allclose(
+        verify(u, shifted, shifts=shifts).as_calibrated.residuals, verify(u, data).as_calibrated.residuals, atol=1e-15
+    )
+    assert not verify(u, shifted).passed
+
+
+def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
+    _, true, _ = machine()
+    fit, data = calibrated(true, 1), seen(true, 12, 8)
+    u = uncertainty_of(fit)
+    order = np.random.default_rng(0).permutation(12)
+    a, b = (verify(u, some).as_calibrated.test.statistic for some in (data, data.subset(order)))
+    assert a == pytest.approx(b, rel=1e-9)
+    T = anywhere(np.random.default_rng(4))
+    (own,) = fit.measurements
+    there = calib.identify(fit.model, replace(own, position=own.position @ T[:3, :3].T + T[:3, 3]))
+    moved = replace(data, position=data.position @ T[:3, :3].T + T[:3, 3])
+    assert verify(uncertainty_of(there), moved).as_calibrated.test.statistic == pytest.approx(a, rel=1e-4)
+
+
+def test_what_cannot_be_verified_is_said() -> None:
+    _, true, _ = machine()
+    u = uncertainty_of(calibrated(true, 1))
+    with pytest.raises(MeasurementError, match="the calibration saw no orientation"):
+        verify(u, seen(true, 5, 3, "pose"))
+    with pytest.raises(MeasurementError, match="2 rows are too few to find the base anew; it takes three"):
+        verify(u, seen(true, 2, 3), refit=True)
+    assert verify(u, seen(true, 2, 3)).base_refitted is None
+    other = replace(seen(true, 5, 3), tools=("ball",))
+    with pytest.raises(MeasurementError, match="tool point 'ball' was not identified; known are 'tool'"):
+        verify(u, other)
+
+
+# ---- comparison
+
+
+def test_two_calibrations_of_one_machine_are_the_same() -> None:
+    _, true, _ = machine()
+    found = [
+        compare(*(uncertainty_of(calibrated(true, seed + k)) for k in (0, 1)))
+        for seed in range(20, 34, 2)
+    ]  # fmt: skip
+    ratios = np.array([c.statistic / c.degrees_of_freedom for c in found if c.statistic is not None])
+    assert len(ratios) == 7
+    assert 0.7 < ratios.mean() < 1.4
+    assert np.mean([c.moved for c in found]) <= 0.3
+    assert {c.degrees_of_freedom for c in found} == {18}  # 27, less base and tool
+    tips = np.array([c.tip_rms / c.stated for c in found])
+    # What both state is what the two differ by, base and tool refitted.
+    assert 0.75 < np.sqrt(np.mean(tips**2)) < 1.25
+
+
+def test_a_zero_that_moved_is_named_with_what_it_does_at_the_tip() -> None:
+    robot, true, arm = machine()
+    model = calib.error_model(robot, offsets=["elbow_joint", "wrist_1_joint"])
+    good = Machine(arm, true.base, true.tools)
+    # The tracker has been moved as well.
+    late = with_zero(replace(good, base=anywhere(np.random.default_rng(5))), "elbow_joint", 1e-3)
+    before, after = (calib.identify(model, seen(one, 60, seed)) for one, seed in ((good, 1), (late, 2)))
+    found = compare(uncertainty_of(before), uncertainty_of(after))
+    changes = {change.name: change for change in found.changes}
+    assert set(changes) == {"elbow_joint.offset", "wrist_1_joint.offset"}
+    elbow = changes["elbow_joint.offset"]
+    assert (elbow.moved, changes["wrist_1_joint.offset"].moved) == (True, False)
+    assert elbow.new - elbow.old == pytest.approx(1e-3, abs=5 * elbow.sigma)
+    assert found.probability is not None
+    assert found.probability < 1e-6
+    assert found.moved
+    # The lever: the distance of the tool point from the elbow's axis, rms over the poses.
+    readings = arm.draw(np.random.default_rng(1), 500)
+    h = np.zeros(6)
+    h[2] = 5e-7
+    ends = [(arm.tips(readings + s * h) @ true.tools["tool"])[:, :3, 3] for s in (1, -1)]
+    lever = float(np.sqrt(np.mean(np.sum(((ends[0] - ends[1]) / 1e-6) ** 2, axis=1))))
+    assert elbow.at_tip == pytest.approx(lever * (elbow.new - elbow.old), rel=0.1)
+    assert found.tip_max > found.tip_rms > 1e-4
+
+
+def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
+    robot, true, _ = machine()
+    some = calib.error_model(robot, offsets=["elbow_joint"])
+    found = compare(uncertainty_of(calibrated(true, 1)), uncertainty_of(calib.identify(some, seen(true, 60, 2))))
+    assert (found.statistic, found.probability) == (None, None)
+    assert found.tip_rms > 5e-4
+
+
+def test_other_machines_are_not_compared() -> None:
+    _, true, _ = machine()
+    name = (machines.INLINE["negative"], "tip")
+    rng = np.random.default_rng(0)
+    arm = machines.arm(*name)
+    data = Machine(arm, pose(), true.tools).measure(machines.load(*name), arm.draw(rng, 30), rng=rng, sigma=SIGMA)
+    fit = calib.identify(calib.error_model(machines.load(*name), offsets="all"), data)
+    with pytest.raises(MeasurementError, match="not of one machine"):
+        compare(uncertainty_of(calibrated(true, 1)), uncertainty_of(fit))
+
+
+# ---- the commands
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("acceptance")
+    job = copy_case(folder)
+    assert run("calibrate", job, "-o", folder / "out", "-q").code == 0
+    return folder
+
+
+def test_verify_passes_and_fails(case: Path) -> None:
+    out, table = case / "out", case / "validation.csv"
+    good = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.1 mm")
+    assert (good.code, good.err) == (0, "")
+    text = " ".join(good.out.split())
+    assert "is within the limit, 0.1 mm." in text
+    assert "The stated uncertainty explains the errors" in text
+    assert text.endswith("Passed.")
+    bad = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.01 mm")
+    assert (bad.code, bad.out.splitlines()[-1]) == (3, "Failed.")
+    assert run("verify", out, table, "--limit", "0.01 mm", "-q") == (3, "", "")
+    contents = json.loads(run("verify", out, table, "--json").out)
+    assert (contents["passed"], contents["within_limit"], contents["limit"]) == (True, None, None)
+    assert contents["as_calibrated"]["test"]["degrees_of_freedom"] == 90
+    wrong = run("verify", out, table, "--limit", "1 deg")
+    assert (wrong.code, wrong.out) == (1, "")
+
+
+def shifted(folder: Path, by: float) -> Path:
+    path = folder / f"shifted_{by}.csv"
+    lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    x = [name.split("[")[0].strip() for name in lines[header].split(",")].index("x")
+    for k in range(header + 1, len(lines)):
+        cells = lines[k].split(",")
+        cells[x] = repr(float(cells[x]) + by)
+        lines[k] = ",".join(cells)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_verify_says_that_the_base_has_moved(case: Path) -> None:
+    said = run("verify", case / "out", shifted(case, 0.5))
+    text = " ".join(said.out.split())
+    assert said.code == 3
+    assert "does not explain the errors" in text
+    assert "the arm is as calibrated, and stands elsewhere." in text
+    assert run("verify", case / "out", shifted(case, 0.5), "--refit-base", "-q").code == 0
+
+
+def test_compare_of_a_folder_with_itself(case: Path) -> None:
+    said = run("compare", case / "out", case / "out")
+    assert (said.code, said.err) == (0, "")
+    assert " ".join(said.out.split()).endswith("Nothing has moved by more than the joint uncertainty.")
+    contents = json.loads(run("compare", case / "out", case / "out", "--json").out)
+    assert (contents["moved"], contents["tip"]["max"]) == (False, pytest.approx(0.0, abs=1e-9))
+
+
+def test_a_folder_without_doubts_cannot_be_verified(case: Path, tmp_path: Path) -> None:
+    for name in ("model.json", "nominal.urdf"):
+        (tmp_path / name).write_bytes((case / "out" / name).read_bytes())
+    said = run("verify", tmp_path, case / "validation.csv")
+    assert (said.code, said.out) == (1, "")
+    assert said.err == f"Error: {tmp_path}: holds no uncertainty.json; calibrate again with this version.\n"
+
+
+def test_uncertainty_over_the_workspace(case: Path, tmp_path: Path) -> None:
+    said = run("uncertainty", case / "out", "--samples", "50", "-o", tmp_path / "map.csv")
+    assert (said.code, said.err) == (0, "")
+    assert "100 %" in said.out
+    lines = (tmp_path / "map.csv").read_text().splitlines()
+    assert len(lines) == 51
+    sigma = np.array([float(line.split(",")[9]) for line in lines[1:]])
+    contents = json.loads(run("uncertainty", case / "out", "--samples", "50", "--json").out)
+    assert contents["sigmas"]["100"][0] == pytest.approx(sigma.max() / 1e3, abs=1e-8)
+    assert contents["seen"] == {"position": 1.0, "orientation": 0.0}
+
+
+def test_compensate_warns_outside_the_identified_range(case: Path, tmp_path: Path) -> None:
+    joints = [f"joint_{k}" for k in range(1, 7)]
+    header = ",".join(f"{name} [deg]" for name in joints)
+    (tmp_path / "inside.csv").write_text(f"{header}\n10,10,10,10,10,10\n")
+    (tmp_path / "outside.csv").write_text(f"{header}\n10,10,10,10,10,10\n10,10,10,10,10,175\n")
+    inside = run("compensate", case / "out", tmp_path / "inside.csv", "-o", tmp_path / "a.csv")
+    assert (inside.code, "Warning" in inside.out) == (0, False)
+    outside = run("compensate", case / "out", tmp_path / "outside.csv", "-o", tmp_path / "b.csv")
+    assert outside.code == 0
+    assert outside.out.startswith("Warning: joint_6 is outside the range it was identified in, ")
+    assert "in 1 of 2 rows" in outside.out.replace("\n", " ")

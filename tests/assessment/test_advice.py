@@ -1,0 +1,164 @@
+"""Remedies that are named do help, what is not named does not, weak and correlated parameters are told."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.advice import advice, blind_advice
+from calib.identification.observability import indices, observability
+from calib.robot.robot import Robot
+from tests.identification import machines
+from tests.identification.machines import Machine, anywhere, pose
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+POINTS = {"a": (0.05, 0.02, 0.15), "b": (-0.1, 0.0, 0.1), "c": (0.0, 0.1, 0.05), "axis": (0.0, 0.0, 0.15)}
+
+
+def measured(
+    observes: str = "position", points: Sequence[str] = "a", rows: int = 90, sigma: float = 2e-5
+) -> tuple[Robot, calib.Measurements]:
+    rng = np.random.default_rng(2)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm, anywhere(rng), {name: pose(POINTS[name], (0.1, 0.2, 0.3)) for name in points})
+    return robot, true.measure(
+        robot,
+        arm.draw(rng, rows),
+        observes,
+        points=(list(points) * rows)[:rows],
+        rng=rng,
+        sigma=sigma,
+        sigma_angle=2 * sigma,
+    )
+
+
+def blind_count(robot: Robot, data: calib.Measurements, **options: object) -> int:
+    chosen = {"offsets": "all", "placements": "all"} | options
+    seen = observability(calib.error_model(robot, **chosen), [data])
+    return len(seen.parameters) - seen.rank
+
+
+@pytest.fixture(scope="module")
+def fit() -> calib.Fit:
+    robot, data = measured()
+    return calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
+
+
+def test_every_blind_direction_has_a_sentence(fit: calib.Fit) -> None:
+    said = [a for a in advice(fit) if a.kind == "blind"]
+    assert [a.parameters[0] for a in said] == [d.parameter for d in fit.blind_directions]
+    for a, direction in zip(said, fit.blind_directions, strict=True):
+        assert a.sentence.startswith(f"{direction} ")
+        assert ("To tell them apart" in a.sentence) == bool(a.remedies)
+
+
+@pytest.mark.parametrize(("point", "shown"), [("a", 0), ("axis", 2)])
+def test_what_a_measurement_was_said_to_show_is_what_it_then_shows(point: str, shown: int) -> None:
+    """The blind directions that remain, counted by the rank of what would then be measured."""
+    robot, data = measured(points=[point], sigma=0.0)  # noise would lift a point off the axis
+    model = calib.error_model(robot, offsets="all", placements="all")
+    said = blind_advice(model, [data], observability(model, [data]).blind_directions)
+    assert blind_count(*measured("pose", [point]), tool="pose") == len(said) - shown
+    assert blind_count(*measured(points=[point, "b", "c"])) == len(said) - shown
+    assert sum("orientation" in a.remedies for a in said) == sum("points" in a.remedies for a in said) == shown
+
+
+def test_the_last_offset_asks_for_the_tool_and_the_first_for_the_base(fit: calib.Fit) -> None:
+    by_name = {a.parameters[0]: a for a in advice(fit) if a.kind == "blind"}
+    last, first = by_name["wrist_3_joint.offset"], by_name["shoulder_pan_joint.offset"]
+    assert "tool" in last.remedies
+    assert last.sentence.endswith("measure where the tool is and fix it.")
+    assert "base" in first.remedies
+    # A tool that is fixed shows it indeed.
+    robot, data = measured()
+    pairs = {"offsets": ["wrist_3_joint"], "placements": "none"}
+    assert blind_count(robot, data, **pairs) == 1
+    fixed = calib.error_model(robot, **pairs, tool="fixed", tool_poses={"a": pose(POINTS["a"])})
+    assert observability(fixed, [data]).rank == 7
+
+
+def test_what_only_moves_alike_is_to_be_left_out() -> None:
+    """Parallel axes: sliding the second joint's frame along its axis is sliding the third's."""
+    robot, data = measured("pose")
+    model = calib.error_model(robot, placements=["elbow_joint.tz", "wrist_1_joint.tz"], tool="pose")
+    seen = observability(model, [data])
+    (said,) = blind_advice(model, [data], seen.blind_directions)
+    assert said.remedies == ()
+    assert said.sentence.endswith(
+        "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
+    )
+
+
+def test_weak_and_correlated_parameters_are_told_with_numbers() -> None:
+    robot, data = measured(rows=8)
+    near = data.readings[:1] + 0.03 * np.random.default_rng(0).standard_normal(data.readings.shape)
+    arm = machines.arm(*UR10)
+    true = Machine(arm, pose(), {"a": pose(POINTS["a"])})
+    close = true.measure(robot, near, points=["a"] * 8, rng=np.random.default_rng(1), sigma=1e-4)
+    model = calib.error_model(robot, offsets=["elbow_joint"], base="fixed", tool="position")
+    fit = calib.identify(model, close, model_sigmas=[0.0])
+    found = advice(fit)
+    weak = [a for a in found if a.kind == "weak"]
+    assert (
+        {a.parameters[0] for a in weak} == {p.name for p, w in zip(fit.parameters, fit.weak, strict=True) if w} != set()
+    )
+    sigma = {p.name: s for p, s in zip(fit.parameters, fit.sigmas, strict=True)}
+    for a in weak:
+        (name,) = a.parameters
+        unit = "mrad" if name.endswith("offset") else "mm"
+        assert f"its sigma is {1e3 * sigma[name]:.3g} {unit}, where an ordinary deviation is 1 {unit}" in a.sentence
+    pairs = {a.parameters for a in found if a.kind == "correlated"}
+    C = fit.covariance / np.sqrt(np.outer(np.diag(fit.covariance), np.diag(fit.covariance)))
+    names = [p.name for p in fit.parameters]
+    expected = {
+        (names[i], names[j])
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if abs(C[i, j]) > 0.95 and not fit.blind[[i, j]].any()
+    }
+    assert pairs == expected != set()
+
+
+def test_priors_judge_by_themselves(fit: calib.Fit) -> None:
+    parameters = tuple(replace(p, prior=1e-6) if p.of_robot else p for p in fit.parameters)
+    said = [a.sentence for a in advice(replace(fit, parameters=parameters, blind=np.zeros_like(fit.blind)))]
+    assert any("where its prior is 0.001 m" in sentence for sentence in said)
+
+
+# ---- ranks of a 6R arm, base and tool free
+
+
+@pytest.mark.parametrize(
+    ("observes", "points", "tool", "rank"),
+    [("pose", "a", "pose", 30), ("position", "a", "position", 27), ("position", "abc", "position", 33)],
+)
+def test_ranks_of_a_6r_arm(observes: str, points: str, tool: str, rank: int) -> None:
+    robot, data = measured(observes, points)
+    seen = observability(calib.error_model(robot, offsets="all", placements="all", tool=tool), [data])
+    assert seen.rank == rank
+
+
+def test_a_point_on_the_last_axis_sees_two_fewer() -> None:
+    rng = np.random.default_rng(2)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    data = Machine(arm, pose(), {"tool": pose((0, 0, 0.15))}).measure(robot, arm.draw(rng, 90))
+    assert observability(calib.error_model(robot, offsets="all", placements="all"), [data]).rank == 25
+
+
+def test_observability_indices_of_three_singular_values() -> None:
+    found = indices(np.array([8.0, 2.0, 0.5]), 4)
+    assert found == pytest.approx({"O1": 1.0, "O2": 1 / 16, "O3": 0.5, "O4": 1 / 32, "O5": 1 / (1 / 8 + 1 / 2 + 2)})
+    assert indices(np.zeros(0), 4) == {}
+
+
+def test_priors_change_no_remedy(fit: calib.Fit) -> None:
+    """Scales follow priors; what a measurement would show does not."""
+    robot, data = measured()
+    wide = calib.error_model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
+    (plain, scaled) = (
+        {a.parameters[0]: a.remedies for a in blind_advice(m, [data], observability(m, [data]).blind_directions)}
+        for m in (fit.model, wide)
+    )
+    assert plain == scaled

@@ -1,0 +1,72 @@
+"""Resampled fits agree with the covariance where the model is right, and keep the rows of a pose together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
+from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from tests.identification import machines
+from tests.identification.machines import Machine, anywhere, pose
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+REPETITIONS = 40
+
+
+def fit_of(rows: int, observes: str = "position") -> tuple[calib.Fit, machines.Arm]:
+    rng = np.random.default_rng(11)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    offsets = dict.fromkeys(("elbow_joint", "wrist_1_joint"), 0.002)
+    true = Machine(
+        arm.with_errors(np.zeros((len(arm.joints), 6)), offsets), anywhere(rng), {"tool": pose((0.05, 0, 0.1))}
+    )
+    data = true.measure(robot, arm.draw(rng, rows), observes, rng=rng, sigma=1e-4, sigma_angle=2e-4)
+    tool = "pose" if observes == "pose" else "position"
+    return calib.identify(calib.error_model(robot, offsets=list(offsets), tool=tool), data), arm
+
+
+@pytest.mark.parametrize(
+    ("kind", "observes"), [("residuals", "position"), ("residuals", "pose"), ("poses", "position")]
+)
+def test_agrees_with_the_covariance(kind: Kind, observes: str) -> None:
+    fit, arm = fit_of(60, observes)
+    readings = arm.draw(np.random.default_rng(0), 8)
+    steps: list[tuple[int, int]] = []
+    found = bootstrap(fit, readings, REPETITIONS, kind=kind, progress=lambda done, of: steps.append((done, of)))
+    assert (found.failed, len(found.values), steps[-1]) == (0, REPETITIONS, (REPETITIONS, REPETITIONS))
+    expected = tool_uncertainty(uncertainty_of(fit), readings).position
+    # A standard deviation from 40 repetitions is itself known to a ninth.
+    assert 0.8 < np.mean(found.sigma / expected) < 1.25
+    assert 0.75 < np.mean(np.sqrt(np.diag(found.covariance)) / fit.sigmas) < 1.3
+
+
+def test_a_seed_is_an_answer_and_another_one_another() -> None:
+    fit, arm = fit_of(20)
+    readings = arm.draw(np.random.default_rng(0), 2)
+    a, b, c = (bootstrap(fit, readings, 3, seed=seed).positions for seed in (0, 0, 1))
+    np.testing.assert_array_equal(a, b)
+    assert np.abs(a - c).max() > 1e-6
+
+
+def test_rows_of_one_pose_stay_together() -> None:
+    fit, _ = fit_of(6)
+    data = fit.measurements[0].subset([0, 1, 2, 0, 4, 1])
+    assert sorted(rows.tolist() for rows in pose_groups(data)) == [[0, 3], [1, 5], [2], [4]]
+    named = replace(data, group=("a", "b", "b", "a", "a", "c"))
+    # Row 5 is the pose of row 1 again, whatever it is called.
+    assert sorted(rows.tolist() for rows in pose_groups(named)) == [[0, 3, 4], [1, 2, 5]]
+
+
+def test_wrong_wishes_are_refused() -> None:
+    fit, arm = fit_of(20)
+    readings = arm.draw(np.random.default_rng(0), 2)
+    with pytest.raises(JobError, match="1 repetitions of kind 'poses'"):
+        bootstrap(fit, readings, 1)
+    with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated tools are 'tool'\."):
+        bootstrap(fit, readings, 2, tool="ball")
+    (data,) = fit.measurements
+    with pytest.raises(IdentificationError, match="too few to be drawn from"):
+        bootstrap(replace(fit, measurements=(data.subset([0]),)), readings, 4)

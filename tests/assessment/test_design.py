@@ -1,0 +1,186 @@
+"""Optimal designs: criteria against plain formulas, exchanges against exhaustive search, and what must not change."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.candidates import Setup, rows, working_rows
+from calib.assessment.design import Criterion, Rows, Space, choose, parts_of, random_values, sequence, space, value_of
+from calib.foundations import rigid
+from calib.foundations.errors import JobError
+from calib.identification.machine import Frames
+from tests.identification import machines
+
+CRITERIA: tuple[Criterion, ...] = ("D", "A", "I")
+Array = np.ndarray
+
+
+def small(seed: int = 0, n: int = 9, misfit: int = 2) -> tuple[Rows, Rows]:
+    rng = np.random.default_rng(seed)
+    candidates = Rows(100.0 * rng.standard_normal((n, 2, 4)), 10.0 * rng.standard_normal((n, 2, misfit)))
+    return candidates, Rows(rng.standard_normal((6, 3, 4)), rng.standard_normal((6, 3, misfit)))
+
+
+def by_formula(criterion: Criterion, candidates: Rows, working: Rows, chosen: tuple[int, ...]) -> float:
+    """The value by its definition: the covariance of least squares, and the fit of every effect by lstsq."""
+    A = candidates.of_parameters[list(chosen)].reshape(-1, 4)
+    M = A.T @ A
+    if criterion == "D":
+        return float(np.log(np.linalg.det(M)))
+    if criterion == "A":
+        return float(np.trace(np.linalg.inv(M)))
+    X = np.linalg.lstsq(A, candidates.of_misfit[list(chosen)].reshape(len(A), -1), rcond=None)[0]
+    total = 0.0
+    for B, H in zip(working.of_parameters, working.of_misfit, strict=True):
+        total += np.trace(B @ np.linalg.inv(M) @ B.T) + np.sum((B @ X - H) ** 2)
+    return float(total / len(working.of_parameters))
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_values_are_those_of_the_definitions(criterion: Criterion) -> None:
+    candidates, working = small()
+    s = space(candidates, criterion, working)
+    for chosen in ((0, 1, 2), (3, 5, 7, 8)):
+        assert value_of(s, chosen) == pytest.approx(by_formula(criterion, candidates, working, chosen), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_exchanges_find_the_best_of_all_subsets(criterion: Criterion, seed: int) -> None:
+    candidates, working = small(seed)
+    s = space(candidates, criterion, working)
+    every = [value_of(s, c) for c in itertools.combinations(range(9), 4)]
+    found = choose(s, 4, starts=6)
+    assert found.converged
+    assert found.value == pytest.approx(max(every) if criterion == "D" else min(every), rel=1e-9)
+    assert found.value == pytest.approx(value_of(s, found.chosen), rel=1e-12)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_a_sequence_takes_what_brings_most(criterion: Criterion) -> None:
+    candidates, working = small(1)
+    s = space(candidates, criterion, working)
+    order = sequence(s, 6)
+    assert len(set(order)) == 6
+    sign = 1.0 if criterion == "D" else -1.0
+    for k in range(3, 6):
+        others = [sign * value_of(s, (*order[:k], c)) for c in range(9) if c not in order[:k]]
+        assert sign * value_of(s, order[: k + 1]) == pytest.approx(max(others), rel=1e-9)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_what_is_measured_already_counts(criterion: Criterion) -> None:
+    candidates, working = small(2)
+    given = Rows(candidates.of_parameters[:3], candidates.of_misfit[:3])
+    s, alone = space(candidates, criterion, working, given), space(candidates, criterion, working)
+    assert value_of(s, (5, 6)) == pytest.approx(value_of(alone, (0, 1, 2, 5, 6)), rel=1e-6)
+
+
+def test_priors_stand_in_for_poses() -> None:
+    candidates, working = small(3, misfit=0)
+    prior = np.array([0.01, 0.02, np.inf, 0.05])
+    s = space(candidates, "A", working, prior=prior)
+    A = candidates.of_parameters[0]
+    assert value_of(s, (0,)) == pytest.approx(np.trace(np.linalg.inv(A.T @ A + np.diag(prior**-2.0))), rel=1e-4)
+    # What priors alone know is judged too, but nothing that poses see.
+    blind = Rows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
+    known = space(blind, "A", working, prior=prior)
+    assert (known.seen, known.V.shape[1]) == (3, 4)
+
+
+def test_the_order_of_candidates_and_unseen_parameters_change_nothing() -> None:
+    candidates, working = small(4)
+    s = space(candidates, "I", working)
+    order = np.random.default_rng(0).permutation(9)
+    shuffled = space(Rows(candidates.of_parameters[order], candidates.of_misfit[order]), "I", working)
+    assert {int(order[c]) for c in choose(shuffled, 4, starts=5).chosen} == set(choose(s, 4, starts=5).chosen)
+    # A parameter that is the sum of two others adds nothing that can be seen.
+    wider = (
+        Rows(np.concatenate([r.of_parameters, r.of_parameters[:, :, :1]], axis=2), r.of_misfit)
+        for r in (candidates, working)
+    )
+    doubled = space(next(wider), "I", next(wider))
+    assert doubled.seen == s.seen == 4
+    assert value_of(doubled, (0, 1, 2, 3)) == pytest.approx(value_of(s, (0, 1, 2, 3)), rel=1e-6)
+
+
+def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
+    candidates, working = small()
+    with pytest.raises(JobError, match="10 poses cannot be chosen from 9 candidates"):
+        choose(space(candidates, "D"), 10)
+    with pytest.raises(JobError, match="criterion: 'E' is not one of D, A, I"):
+        space(candidates, "E", working)  # type: ignore[arg-type]
+    with pytest.raises(JobError, match="see no parameter"):
+        space(Rows.without_misfit(np.zeros((3, 2, 4))), "D")
+
+
+# ---- a UR10
+
+
+def ur10(n: int, misfit: float = 0.0, observes: str = "position") -> tuple[calib.ErrorModel, Setup, Array]:
+    name = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    robot, rng = machines.load(*name), np.random.default_rng(0)
+    frames = Frames(machines.anywhere(rng), rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
+    setup = Setup(frames, observes, 0.05e-3, 0.1e-3, misfit)  # type: ignore[arg-type]
+    return model, setup, machines.arm(*name).draw(rng, n)
+
+
+def spaced(criterion: Criterion, n: int, misfit: float = 0.0) -> Space:
+    model, setup, q = ur10(n, misfit)
+    return space(rows(model, setup, q), criterion, working_rows(model, setup, q))
+
+
+@pytest.mark.parametrize("misfit", [0.0, 0.3e-3])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_thirty_of_three_hundred_beat_random_designs(criterion: Criterion, misfit: float) -> None:
+    """Against 500 here; scripts/pose_choice.py takes 10 000."""
+    s = spaced(criterion, 300, misfit)
+    assert s.seen == 27
+    found, random = choose(s, 30), random_values(s, 30, 500)
+    assert found.value > random.max() if criterion == "D" else found.value < random.min()
+
+
+def test_the_forecast_of_an_i_design_is_the_variance_a_fit_then_states() -> None:
+    """The mean variance at the working poses, by the covariance of a fit to the chosen poses."""
+    model, setup, q = ur10(60)
+    s = space(rows(model, setup, q), "I", working_rows(model, setup, q))
+    chosen = choose(s, 40).chosen
+    tip = setup.frames.base @ model.robot.tips(q[list(chosen)]) @ setup.frames.tools[0]
+    columns = {f"{r.name} [rad]": q[list(chosen), k] for k, r in enumerate(model.robot.readings)}
+    columns |= {f"{axis} [m]": tip[:, k, 3] for k, axis in enumerate("xyz")}
+    data = calib.read_measurements(columns, model.robot, sigma=setup.sigma)
+    fit = calib.identify(model, data, model_sigmas=[0.0])
+    stated = calib.tool_uncertainty(calib.uncertainty_of(fit), q).position
+    assert np.sqrt(np.mean(stated**2)) == pytest.approx(np.sqrt(value_of(s, chosen)), rel=1e-6)
+    assert parts_of(s, chosen)[1] == 0.0
+
+
+def test_effects_left_out_are_harmonics_of_the_readings_of_the_stated_size() -> None:
+    model, setup, q = ur10(50, misfit=0.3e-3)
+    H = working_rows(model, setup, q).of_misfit
+    assert H.shape == (50, 3, 12)
+    assert np.sqrt(np.mean(np.sum(H**2, axis=(1, 2)))) == pytest.approx(0.3e-3)
+    # The first column: the tool's motion when the first reading moves by a cosine of itself.
+    h = np.zeros(6)
+    h[0] = 1e-6
+    ends = [(setup.frames.base @ model.robot.tips(q + k * h) @ setup.frames.tools[0])[:, :3, 3] for k in (1, -1)]
+    moved = (ends[0] - ends[1]) / 2e-6 * np.cos(q[:, :1])
+    np.testing.assert_allclose(H[:, :, 0] / np.linalg.norm(H[:, :, 0]), moved / np.linalg.norm(moved), atol=1e-8)
+
+
+def test_poses_bring_six_numbers() -> None:
+    model, setup, q = ur10(40, 0.3e-3, "pose")
+    found = rows(model, setup, q)
+    assert found.of_parameters.shape == (40, 6, 48)
+    assert found.of_misfit.shape == (40, 6, 12)
+    assert space(found, "D").seen == 30
+
+
+@pytest.mark.parametrize("field", ["sigma", "misfit"])
+def test_numbers_of_a_setup_are_checked(field: str) -> None:
+    frames = Frames(np.eye(4), np.eye(4)[None])
+    with pytest.raises(JobError, match=f"{field}: -1.0 is not a number from"):
+        Setup(frames, **{field: -1.0})

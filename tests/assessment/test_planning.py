@@ -1,0 +1,182 @@
+"""Candidates that can be measured, plans with their forecasts, and ``calib plan``."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.candidates import Setup, Sight, possible, random_candidates
+from calib.assessment.planning import Plan, plan
+from calib.foundations import rigid
+from calib.foundations.errors import JobError
+from calib.identification.machine import Frames
+from calib.robot.sampling import joint_limits
+from tests.identification import machines
+from tests.identification.machines import anywhere, pose
+from tests.job.cases import CASE, copy_case, run
+from tests.robot.test_collision import ARM, BALLS, ball, with_shapes
+
+NAME = (machines.INLINE["negative"], "tip")
+FRAMES = Frames(anywhere(np.random.default_rng(3)), pose((0.05, 0.0, 0.1))[None])
+
+
+def test_sight_is_an_angle_and_a_distance() -> None:
+    sight = Sight((1.0, 0.0, 0.0), (0.0, 0.0, 2.0), np.deg2rad(30.0), 0.5, 1.5)
+    turned = [pose(rotvec=(0.0, np.deg2rad(angle), 0.0)) for angle in (90, 61, 59, 119, 121, -90)]
+    facing, within = sight.sees(np.stack(turned), np.zeros((6, 3)))
+    assert facing.tolist() == [True, True, False, True, False, False]
+    assert within.all()
+    points = np.array([[0.6, 0, 0], [0.4, 0, 0], [-0.4, 0, 0], [-0.6, 0, 0]])
+    assert sight.sees(np.stack(turned[:1] * 4), points)[1].tolist() == [False, True, True, False]
+    assert Sight().sees(np.stack(turned), np.zeros((6, 3)))[0].all()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"facing": (0.0, 0.0, 0.0)}, "has no direction"),
+        ({"acceptance": 4.0}, "is not between 0 and 180 deg"),
+        ({"nearest": 2.0, "farthest": 1.0}, "holds no distance"),
+    ],
+)
+def test_what_no_reflector_can_do_is_refused(options: dict[str, object], why: str) -> None:
+    with pytest.raises(JobError, match=why):
+        Sight(**options)  # type: ignore[arg-type]
+
+
+def test_random_candidates_can_be_measured() -> None:
+    robot = machines.load(*NAME)
+    sight = Sight((1.0, 2.0, 0.5), (0.0, 0.0, 1.0), np.deg2rad(50.0), 0.5, 5.0)
+    found = random_candidates(robot, FRAMES, 60, sight)
+    assert found.readings.shape == (60, 6)
+    assert found.tried > 60
+    assert set(found.rejected) <= {"reflector turned away", "out of the tracker's range"}
+    limits = joint_limits(robot)
+    assert np.all((found.readings >= limits[:, 0]) & (found.readings <= limits[:, 1]))
+    T = FRAMES.base @ machines.arm(*NAME).tips(found.readings)
+    point = (T @ FRAMES.tools[0])[:, :3, 3]
+    to_tracker = np.array([1.0, 2.0, 0.5]) - point
+    distance = np.linalg.norm(to_tracker, axis=1)
+    assert np.all((distance > 0.5) & (distance < 5.0))
+    assert np.all(np.sum(T[:, :3, 2] * to_tracker, axis=1) / distance > np.cos(np.deg2rad(50.0)))
+    np.testing.assert_array_equal(found.readings, random_candidates(robot, FRAMES, 60, sight).readings)
+
+
+def test_what_is_in_the_way_of_candidates_is_said() -> None:
+    robot = machines.load(*NAME)
+    with pytest.raises(JobError, match=r"only 0 of 200 random poses can be measured, and 20 are asked for: 200 out of"):
+        random_candidates(robot, FRAMES, 20, Sight(nearest=500.0), most_tries=10)
+    beyond = np.array([[0.0] * 6, [9.0] + [0.0] * 5])
+    found = possible(robot, FRAMES, beyond)
+    assert (len(found.readings), found.rejected) == (1, {"outside the joints' limits": 1})
+
+
+def planned(count: int = 12, **options: object) -> Plan:
+    robot = machines.load(*NAME)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    setup = Setup(FRAMES, misfit=0.2e-3)
+    candidates = random_candidates(robot, FRAMES, 150).readings
+    return plan(model, setup, candidates, count, **options)  # type: ignore[arg-type]
+
+
+def test_a_plan_is_of_candidates_and_forecasts_less_error_for_more_poses() -> None:
+    found = planned(20, target=0.3e-3)
+    candidates = random_candidates(machines.load(*NAME), FRAMES, 150).readings
+    np.testing.assert_array_equal(found.readings, candidates[list(found.chosen)])
+    assert len(set(found.chosen)) == 20
+    assert [f.poses for f in found.forecasts] == [10, 15, 20, 30, 40]
+    chosen, random = (np.array([getattr(f, who) for f in found.forecasts]) for who in ("chosen", "random"))
+    assert np.all(np.diff(chosen) < 0.0)
+    assert np.all(chosen < random)
+    assert set(found.indices) == set(found.random_indices) == {"O1", "O2", "O3", "O4", "O5"}
+    assert found.enough is not None
+    assert planned(20, target=1e-9).enough is None
+
+
+def test_enough_poses_are_enough_and_one_fewer_is_not() -> None:
+    target = 0.25e-3
+    found = planned(20, target=target)
+    assert found.enough is not None
+    assert 9 <= found.enough < 40
+    # The best design of as many poses is no worse than the best sequence.
+    assert planned(found.enough).forecasts[-3].chosen <= target * 1.001
+
+
+def test_measured_poses_are_completed() -> None:
+    first = planned(20, target=0.25e-3)
+    more = planned(20, target=0.25e-3, measured=first.readings)
+    assert more.enough is not None
+    assert first.enough is not None
+    assert more.enough < first.enough
+    at_20 = {f.poses: f.chosen for f in first.forecasts}
+    assert {f.poses: f.chosen for f in more.forecasts}[20] < at_20[20]
+
+
+def test_too_few_candidates() -> None:
+    with pytest.raises(JobError, match="151 poses cannot be chosen from 150 candidates"):
+        planned(151)
+
+
+# ---- the command
+
+
+def test_plan_of_a_urdf_with_sight_and_collisions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(with_shapes(ARM, {link: ball(at) for link, at in BALLS.items()}), encoding="utf-8")
+    said = run(
+        *("plan", "arm.urdf", "-n", "15", "-o", "poses.csv", "--candidates", "100", "--target", "1 mm"),
+        *("--tracker", "2000 0 500 mm", "--facing", "1 0 0", "--acceptance", "80 deg"),
+    )
+    assert (said.code, said.err) == (0, "")
+    text = said.out.replace("\n", " ")
+    assert "turned away" in text
+    assert "touching itself" in text
+    assert "of the best poses keep the error below 1 mm." in text
+    assert text.endswith("15 poses are in poses.csv. ")
+    robot = calib.load_robot("arm.urdf")
+    lines = Path("poses.csv").read_text().splitlines()
+    assert lines[0] == "a [deg],b [deg],c [deg],d [deg]"
+    q = np.deg2rad(np.array([line.split(",") for line in lines[1:]], dtype=float))
+    T = robot.tips(q)
+    to_tracker = np.array([2.0, 0.0, 0.5]) - (T @ rigid.translation(np.array([0.05, 0, 0.05])))[:, :3, 3]
+    cosine = np.sum(T[:, :3, 0] * to_tracker, axis=1) / np.linalg.norm(to_tracker, axis=1)
+    assert np.all(cosine > np.cos(np.deg2rad(80.01)))
+    again = run("plan", "arm.urdf", "-n", "15", "-o", "poses.csv")
+    assert (again.code, again.err) == (1, "Error: poses.csv: is there already; choose another name.\n")
+
+
+def test_plan_of_a_job_completes_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy_case(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    common = ("plan", "calibration.toml", "-n", "10", "--candidates", "100", "--json")
+    alone = json.loads(run(*common, "-o", "a.csv").out)
+    more = json.loads(run(*common, "-o", "b.csv", "--measured", "identification.csv").out)
+    assert (alone["rank"], alone["parameters"]) == (27, 45)
+    assert [f["poses"] for f in alone["forecasts"]] == [10, 15, 20]
+    assert more["forecasts"][-1]["chosen"] < alone["forecasts"][-1]["chosen"]
+    assert run(*common[:4], "-o", "c.csv", "--candidates", "b.csv", "-q") == (0, "", "")
+    assert sorted(Path("c.csv").read_text().splitlines()) == sorted(Path("b.csv").read_text().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (("--facing", "0 0 1"), "facing, farthest: say with --tracker where the tracker is."),
+        (("--tool", "1 2 mm"), "tool: '1 2 mm' is not three numbers, like '50 0 50 mm'."),
+        (("--misfit", "3 deg"), "misfit: unit 'deg' is not a unit of length; allowed are m, cm, mm, um, inch."),
+        (("--candidates", "none.csv"), "none.csv: there is no such file."),
+        (("--sigma", "0 mm"), "sigma: 0.0 is not a number from 1e-09."),
+        (("--tip", "nobody"), "arm_cmm.urdf: tip 'nobody' is not a link of the URDF; its links are "),
+    ],
+)
+def test_wrong_wishes_are_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], why: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm_cmm.urdf").write_bytes((CASE / "arm_cmm.urdf").read_bytes())
+    said = run("plan", "arm_cmm.urdf", "-o", "poses.csv", *options)
+    assert (said.code, said.out) == (1, "")
+    assert said.err.startswith(f"Error: {why}")
+    assert not Path("poses.csv").exists()

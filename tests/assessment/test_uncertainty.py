@@ -1,0 +1,235 @@
+"""Doubts of a fit at the tool: exact derivatives, what is unseen, the file, and the identified range."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.assessment.uncertainty import (
+    common_errors,
+    outside_identified,
+    squared_bound,
+    tool_uncertainty,
+    uncertainty_map,
+    uncertainty_of,
+)
+from calib.compensation.model_file import model_json
+from calib.compensation.uncertainty_file import uncertainty_json
+from calib.foundations.errors import MeasurementError, OutputError
+from calib.identification.parameters import scales
+from calib.identification.system import Problem
+from calib.robot.sampling import joint_limits
+from tests.identification import machines
+from tests.identification.machines import Array, Machine, anywhere, pose
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+
+
+def fitted(
+    name: tuple[str, str] = UR10, observes: str = "position", seed: int = 0, **options: object
+) -> tuple[calib.Fit, Machine, machines.Arm]:
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(*name), machines.arm(*name)
+    true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
+    data = true.measure(robot, arm.draw(rng, 80), observes, rng=rng, sigma=5e-5, sigma_angle=1e-4)
+    chosen = {"offsets": "all", "placements": "all", "tool": "pose" if observes == "pose" else "position"} | options
+    return calib.identify(calib.error_model(robot, **chosen), data), true, arm
+
+
+def predicted(fit: calib.Fit, x: Array, readings: Array) -> Array:
+    problem = Problem(fit.model, fit.parameters, fit.nominal.frames, fit.measurements)
+    machine = problem.machine(x)
+    return machine.frames.base @ fit.model.robot.tips(readings, machine.deviations) @ machine.frames.tools[0]
+
+
+def by_differences(fit: calib.Fit, readings: Array, step: float = 1e-6) -> Array:
+    """Motion (N, 6, p) of the tool, in ordinary deviations of the parameters, by differences of calib's own machine."""
+    columns = []
+    at = predicted(fit, fit.values, readings)
+    for k, scale in enumerate(scales(fit.parameters)):
+        h = np.zeros(len(fit.values))
+        h[k] = step * scale / 1e-3
+        ahead, behind = predicted(fit, fit.values + h, readings), predicted(fit, fit.values - h, readings)
+        turns = Rotation.from_matrix(np.swapaxes(at[:, :3, :3], 1, 2) @ ahead[:, :3, :3]).as_rotvec()
+        turns = turns - Rotation.from_matrix(np.swapaxes(at[:, :3, :3], 1, 2) @ behind[:, :3, :3]).as_rotvec()
+        moved = np.concatenate([ahead[:, :3, 3] - behind[:, :3, 3], turns], axis=1)
+        columns.append(moved / (2 * h[k]) * scale)
+    return np.stack(columns, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        (UR10, {}),
+        (UR10, {"observes": "pose"}),
+        (UR10, {"offsets": "none", "placements": "none", "dh": "all"}),
+        ((machines.INLINE["skew"], "tip"), {}),
+        ((machines.INLINE["mimic"], "tip"), {"observes": "pose"}),
+        (UR10, {"prior_length": 1e-3, "prior_angle": 3e-3}),
+        (UR10, {"harmonics": "all", "gain": "all"}),
+    ],
+    ids=["positions", "poses", "dh", "skew", "mimic", "priors", "joint terms"],
+)
+def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
+    name: tuple[str, str], options: dict[str, object]
+) -> None:
+    fit, _, arm = fitted(name, **options)
+    readings = arm.draw(np.random.default_rng(5), 6)
+    found = tool_uncertainty(uncertainty_of(fit), readings)
+    J, s = by_differences(fit, readings), scales(fit.parameters)
+    expected = J @ (fit.covariance / (s[:, None] * s)) @ np.swapaxes(J, 1, 2)
+    np.testing.assert_allclose(found.covariance, expected, rtol=2e-4, atol=1e-6 * np.abs(expected).max())
+    unseen = J @ fit.unseen
+    np.testing.assert_allclose(found.unseen[:, 0], np.linalg.norm(unseen[:, :3], axis=(1, 2)), rtol=1e-2, atol=1e-8)
+    np.testing.assert_allclose(found.unseen[:, 1], np.linalg.norm(unseen[:, 3:], axis=(1, 2)), rtol=1e-2, atol=1e-8)
+
+
+def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
+    readings = machines.arm(*UR10).draw(np.random.default_rng(1), 20)
+    by_position, by_pose = (
+        tool_uncertainty(uncertainty_of(fitted(observes=o)[0]), readings) for o in ("position", "pose")
+    )
+    assert by_position.seen[:, 0].all()
+    assert not by_position.seen[:, 1].any()
+    assert by_pose.seen.all()
+
+
+def test_base_and_tool_can_be_left_out() -> None:
+    fit, *_ = fitted(offsets=["elbow_joint"], placements="none")
+    u, readings = uncertainty_of(fit), np.full((1, 6), 0.3)
+    whole, arm, alone = (
+        tool_uncertainty(u, readings, **options)
+        for options in ({}, {"base": False}, {"base": False, "tool_pose": False})
+    )
+    assert whole.position[0] > arm.position[0] > alone.position[0] > 0.0
+    # Alone it is one angle times its lever: the distance of the tool point from the elbow's axis.
+    robot, machine = fit.robot, fit.machine
+    k = [p.name for p in fit.parameters].index("elbow_joint.offset")
+    h = np.zeros(6)
+    h[2] = 1e-6
+    ends = [
+        (robot.tips(readings + sign * h, machine.deviations) @ machine.frames.tools[0])[0, :3, 3] for sign in (1, -1)
+    ]
+    lever = np.linalg.norm(ends[0] - ends[1]) / 2e-6
+    assert alone.position[0] == pytest.approx(lever * fit.sigmas[k], rel=1e-6)
+
+
+def test_moving_the_world_and_the_rows_changes_nothing() -> None:
+    fit, _, arm = fitted()
+    readings = arm.draw(np.random.default_rng(3), 5)
+    (data,) = fit.measurements
+    T = anywhere(np.random.default_rng(8))
+    moved = replace(data, position=data.position @ T[:3, :3].T + T[:3, 3]).subset(
+        np.random.default_rng(9).permutation(80)
+    )
+    other = calib.identify(fit.model, moved)
+    here, there = (tool_uncertainty(uncertainty_of(f), readings) for f in (fit, other))
+    np.testing.assert_allclose(there.position, here.position, rtol=1e-5)
+    turned = T[:3, :3] @ here.covariance[:, :3, :3] @ T[:3, :3].T
+    np.testing.assert_allclose(there.covariance[:, :3, :3], turned, rtol=1e-3, atol=1e-4 * np.abs(turned).max())
+
+
+def test_errors_common_to_rows_are_those_of_single_rows() -> None:
+    fit, *_ = fitted()
+    u, (data,) = uncertainty_of(fit), fit.measurements
+    F = common_errors(u, data)
+    assert F.shape == (80, 3, u.factor.shape[1])
+    one = tool_uncertainty(u, data.readings[:3]).covariance[:, :3, :3]
+    np.testing.assert_allclose(F[:3] @ np.swapaxes(F[:3], 1, 2), one, rtol=1e-9)
+
+
+def test_bounds_of_regions() -> None:
+    assert squared_bound(0.95, 1, float("inf")) == pytest.approx(1.959964**2, rel=1e-6)
+    assert squared_bound(0.95, 3, 10.0) == pytest.approx(3 * 3.708265, rel=1e-6)  # F(0.95; 3, 10) of the tables
+
+
+def test_map_over_the_workspace_tells_how_far_it_is() -> None:
+    fit, _, _ = fitted()
+    u = uncertainty_of(fit)
+    steps: list[tuple[int, int]] = []
+    found = uncertainty_map(u, 1100, progress=lambda done, of: steps.append((done, of)))
+    assert steps[-1] == (1100, 1100)
+    assert len(steps) > 1
+    low, high = joint_limits(fit.robot).T
+    assert np.all((found.readings >= low) & (found.readings <= high))
+    np.testing.assert_allclose(found.sigmas[:3, 0], tool_uncertainty(u, found.readings[:3]).position, rtol=1e-12)
+    tip = fit.robot.tips(found.readings[:3], fit.deviations) @ fit.machine.frames.tools[0]
+    np.testing.assert_allclose(found.positions[:3], tip[:, :3, 3])
+
+
+def test_unknown_tools_and_wrong_readings_are_refused() -> None:
+    u = uncertainty_of(fitted(offsets=["elbow_joint"], placements="none")[0])
+    with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated tools are 'tool'\."):
+        tool_uncertainty(u, np.zeros((1, 6)), "ball")
+    with pytest.raises(MeasurementError, match=r"readings of shape \(1, 5\): needs finite numbers \(N, 6\)\."):
+        tool_uncertainty(u, np.zeros((1, 5)))
+
+
+# ---- the identified range
+
+
+def test_outside_the_identified_range_is_one_sentence_a_joint() -> None:
+    u = uncertainty_of(fitted(offsets=["elbow_joint"], placements="none")[0])
+    u = replace(u, identified=np.array([[-1.0, 1.0]] * 6))
+    inside = np.array([[1.05, -1.05, 0.0, 2 * np.pi, 0.5 - 2 * np.pi, -0.2]])
+    assert outside_identified(u, inside) == ()
+    outside = np.repeat(inside, 2, axis=0)
+    outside[1, 2] = 1.5
+    assert outside_identified(u, outside) == (
+        "elbow_joint is outside the range it was identified in, -57.3 to 57.3 deg, in 1 of 2 rows; the farthest is "
+        "85.94 deg.",
+    )
+
+
+# ---- the file
+
+
+def written(fit: calib.Fit, folder: Path) -> Path:
+    (folder / "nominal.urdf").write_bytes(fit.robot.urdf.source)
+    (folder / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (folder / "uncertainty.json").write_text(uncertainty_json(uncertainty_of(fit)), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("options", [{}, {"offsets": "none", "placements": "none", "dh": "all"}], ids=["urdf", "dh"])
+def test_the_file_gives_back_what_the_fit_knows(tmp_path: Path, options: dict[str, object]) -> None:
+    fit, _, arm = fitted(**options)
+    model = calib.load_model(written(fit, tmp_path))
+    assert model.uncertainty is not None
+    readings = arm.draw(np.random.default_rng(2), 10)
+    here, there = (tool_uncertainty(u, readings) for u in (uncertainty_of(fit), model.uncertainty))
+    np.testing.assert_allclose(there.covariance, here.covariance, rtol=1e-9, atol=1e-9 * np.abs(here.covariance).max())
+    np.testing.assert_allclose(there.unseen, here.unseen, rtol=1e-6, atol=1e-12)
+    assert model.uncertainty.position == uncertainty_of(fit).position
+    assert model.uncertainty.orientation is None
+    np.testing.assert_array_equal(model.uncertainty.identified, uncertainty_of(fit).identified)
+
+
+def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> None:
+    folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
+    (folder / "uncertainty.json").unlink()
+    assert calib.load_model(folder).uncertainty is None
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda c: c.pop("factor"), "is not a file of this toolkit, or is damaged, at factor"),
+        (lambda c: c["factor"].pop(), "is not of the machine in model.json"),
+        (lambda c: c["unseen"][0].append(1.0), "is not of the machine in model.json"),
+        (lambda c: c["identified"].pop("elbow_joint"), "is not of the machine in model.json"),
+    ],
+    ids=["missing", "rows", "ragged", "joint"],
+)
+def test_a_file_of_something_else_is_refused(tmp_path: Path, change: object, why: str) -> None:
+    folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
+    contents = json.loads((folder / "uncertainty.json").read_text())
+    change(contents)  # type: ignore[operator]
+    (folder / "uncertainty.json").write_text(json.dumps(contents))
+    with pytest.raises(OutputError) as caught:
+        calib.load_model(folder)
+    assert str(caught.value) == f"{folder / 'uncertainty.json'}: {why}."

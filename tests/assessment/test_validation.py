@@ -1,0 +1,121 @@
+"""Cross-validation: rows that belong together stay together, figures are what they are called, and folds never move."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.validation import HeldOut, cross_validate, folds, groups, held_out, one_standard_error
+from calib.foundations.errors import JobError, MeasurementError
+from tests.identification import machines
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+
+
+def measured(n: int, seed: int = 0, sigma: float = 5e-5) -> tuple[calib.ErrorModel, calib.Measurements]:
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, n), rng=rng, sigma=sigma)
+    return calib.error_model(robot, offsets="all", placements="all"), data
+
+
+def visited_again(data: calib.Measurements, rows: int, by: float = 2e-4) -> calib.Measurements:
+    """The measurements, and their first rows once more at nearly the same readings."""
+    again = data.subset([*range(len(data)), *range(rows)])
+    shift = np.zeros_like(again.readings)
+    shift[len(data) :] = np.random.default_rng(0).uniform(-by, by, (rows, shift.shape[1]))
+    return replace(again, readings=again.readings + shift)
+
+
+def test_poses_that_were_visited_twice_are_one_group() -> None:
+    _, data = measured(40)
+    group = groups([visited_again(data, 15)])
+    assert group.max() + 1 == 40
+    np.testing.assert_array_equal(group[40:], group[:15])
+
+
+def test_words_keep_rows_together() -> None:
+    _, data = measured(20)
+    named = replace(data, group=tuple("abcd"[n % 4] for n in range(20)))
+    group = groups([named])
+    assert group.max() + 1 == 4
+    np.testing.assert_array_equal(group, np.tile(group[:4], 5))
+
+
+def test_a_word_and_a_second_visit_join_what_they_touch() -> None:
+    _, data = measured(6)
+    first = replace(data, group=("a", "a", "b", "c", "d", "e"))
+    again = data.subset([1, 2])  # without words: rows of poses 1 and 2
+    group = groups([first, again])
+    assert group.max() + 1 == 5
+    assert group[0] == group[1] == group[6]
+    assert group[2] == group[7]
+
+
+def test_neither_the_order_of_rows_nor_of_sets_moves_a_fold() -> None:
+    _, data = measured(60)
+    whole = visited_again(data, 20)
+    order = np.random.default_rng(1).permutation(len(whole))
+    fold = folds(groups([whole]), 5)
+    np.testing.assert_array_equal(folds(groups([whole.subset(order)]), 5), fold[order])
+    parts = whole.subset(range(30, 80)), whole.subset(range(30))
+    np.testing.assert_array_equal(folds(groups(parts), 5), np.concatenate([fold[30:], fold[:30]]))
+
+
+def test_folds_are_of_nearly_the_same_number_of_groups() -> None:
+    _, data = measured(53)
+    group = groups([visited_again(data, 20)])
+    fold = folds(group, 10)
+    sizes = [len(np.unique(group[fold == k])) for k in range(10)]
+    assert sorted(set(sizes)) == [5, 6]
+    assert all(len(np.unique(fold[group == g])) == 1 for g in range(53))
+    assert len(np.unique(folds(groups([data.subset([0, 1, 2])]), 10))) == 3
+
+
+def test_what_cannot_be_split_is_refused() -> None:
+    _, data = measured(5)
+    with pytest.raises(MeasurementError, match="one pose or one group"):
+        folds(groups([data.subset([0, 0, 0])]))
+    with pytest.raises(JobError, match="folds: 1 is not a number from 2"):
+        folds(groups([data]), 1)
+
+
+def test_the_standard_error_is_that_of_repetitions() -> None:
+    """Pairs of rows share their error: the standard error knows; one that takes them for single is too small."""
+    rng = np.random.default_rng(2)
+    group = np.repeat(np.arange(200), 2)
+    found = [held_out(np.repeat(rng.standard_normal(200) ** 2, 2), group) for _ in range(300)]
+    scatter = np.std([figure.rms for figure in found])
+    assert np.mean([figure.rms for figure in found]) == pytest.approx(1.0, abs=0.01)
+    assert np.mean([figure.standard_error for figure in found]) == pytest.approx(scatter, rel=0.1)
+    single = held_out(np.repeat(rng.standard_normal(200) ** 2, 2), np.arange(400))
+    assert single.standard_error < 0.8 * scatter
+
+
+def test_the_rule_takes_the_smallest_within_one_standard_error() -> None:
+    rms = [1.0, 0.8, 0.74, 0.7, 0.72]
+    assert one_standard_error([HeldOut(value, 0.05) for value in rms]) == 2
+    assert one_standard_error([HeldOut(value, 0.0) for value in rms]) == 3
+    assert one_standard_error([HeldOut(value, 0.5) for value in rms]) == 0
+
+
+def test_held_out_errors_are_those_of_poses_never_seen() -> None:
+    """Noise and what the parameters lose by it: rms^2 = 3 sigma^2 (1 + 27 / (3 0.9 n)), to a scatter of 3 n numbers."""
+    n, sigma = 240, 5e-5
+    model, data = measured(n, sigma=sigma)
+    found = cross_validate(model, data)
+    expected = np.sqrt(3.0) * sigma * np.sqrt(1.0 + 27.0 / (3 * 0.9 * n))
+    assert abs(found.figure().rms - expected) < 3.0 * found.figure().standard_error < 0.15 * expected
+    fit = calib.identify(model, data)
+    own = np.sqrt(np.mean(np.sum(fit.residuals[0] ** 2, axis=1)))
+    assert own < found.figure().rms
+
+
+def test_the_order_of_rows_does_not_matter_to_the_figure() -> None:
+    model, data = measured(80)
+    order = np.random.default_rng(1).permutation(80)
+    one, other = cross_validate(model, data, count=4), cross_validate(model, [data.subset(order)], count=4)
+    np.testing.assert_allclose(other.residuals[0], one.residuals[0][order], rtol=0, atol=1e-11)
+    assert other.figure().rms == pytest.approx(one.figure().rms, rel=1e-9)

@@ -1,0 +1,253 @@
+"""Backlash and temperature: terms of rows that say more than readings, found again and carried through."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
+from calib.compensation import targets
+from calib.compensation.commands import for_joint_targets
+from calib.compensation.model_file import model_json
+from calib.foundations.errors import JobError, MeasurementError, RobotError
+from calib.identification import system
+from calib.identification.machine import Frames
+from calib.identification.system import Problem
+from calib.measurement.table import table_from_arrays
+from calib.robot.conditions import Conditions, in_order, joined, ordinary
+from tests.identification import machines
+from tests.identification.test_joint_terms import UR10, geared
+
+Array = np.ndarray
+SIGMA = 5e-5
+
+
+class Lab:
+    """A UR10 with gaps in its gears, of which the zeros wander as it warms up; anywhere in the room."""
+
+    def __init__(self, seed: int, n: int = 300) -> None:
+        self.rng = rng = np.random.default_rng([seed, 5])
+        self.robot, self.plain = machines.load(*UR10), machines.arm(*UR10)
+        self.badly_made = self.plain.moved(rng)
+        self.base = machines.anywhere(rng)
+        self.gaps = rng.uniform(0.5e-4, 3e-4, 6)
+        self.drifts = rng.normal(scale=2e-5, size=6)
+        self.readings = self.plain.draw(rng, n)
+        self.sides = rng.choice([-1.0, 1.0], (n, 6))
+        self.degrees = rng.uniform(15.0, 40.0, n)
+        self.joints = [reading.name for reading in self.robot.readings]
+
+    def points(self, readings: Array, sides: Array, degrees: Array) -> Array:
+        """True tool points (N, 3)."""
+        extra: Callable[[Array], Array] = lambda _: sides * self.gaps + (degrees - 20.0)[:, None] * self.drifts  # noqa: E731
+        tools = {"tool": machines.pose((0.05, 0.02, 0.15))}
+        return machines.Machine(geared(self.badly_made, extra), self.base, tools).see(readings)[:, :3, 3]
+
+    def columns(self, sigma: float = SIGMA) -> dict[str, object]:
+        x = self.points(self.readings, self.sides, self.degrees)
+        x = x + sigma * self.rng.standard_normal(x.shape)
+        found: dict[str, object] = {f"{joint} [rad]": self.readings[:, k] for k, joint in enumerate(self.joints)}
+        found |= {f"{axis} [m]": x[:, k] for k, axis in enumerate("xyz")}
+        found |= {f"direction_{joint}": words(self.sides[:, k]) for k, joint in enumerate(self.joints)}
+        return found | {"temperature [degC]": self.degrees}
+
+    def model(self, **options: object) -> calib.ErrorModel:
+        return calib.error_model(
+            self.robot, **({"offsets": "all", "placements": "all", "backlash": "all", "thermal": "all"} | options)
+        )
+
+
+def words(sides: Array) -> list[str]:
+    return ["+" if side > 0.0 else "-" if side < 0.0 else "0" for side in sides]
+
+
+def test_both_are_found_within_their_intervals() -> None:
+    inside, total = 0, 0
+    for seed in range(6):
+        lab = Lab(seed)
+        fit = calib.identify(lab.model(), calib.read_measurements(lab.columns(), lab.robot, sigma=SIGMA))
+        sigmas = dict(zip([p.name for p in fit.parameters], fit.sigmas, strict=True))
+        for k, joint in enumerate(lab.joints[1:5], start=1):
+            for kind, truth in (("backlash", lab.gaps[k]), ("thermal", lab.drifts[k])):
+                inside += abs(fit.value(f"{joint}.{kind}") - truth) < 1.96 * sigmas[f"{joint}.{kind}"]
+                total += 1
+        units = {p.name: p.unit for p in fit.parameters}
+        assert (units[f"{lab.joints[0]}.backlash"], units[f"{lab.joints[0]}.thermal"]) == ("rad", "rad/K")
+    assert total == 48
+    assert 43 <= inside <= 48
+
+
+def test_without_noise_unseen_tips_are_exact_whatever_the_conditions() -> None:
+    lab = Lab(11)
+    fit = calib.identify(lab.model(), calib.read_measurements(lab.columns(0.0), lab.robot))
+    unseen, sides = lab.plain.draw(lab.rng, 100), lab.rng.choice([-1.0, 0.0, 1.0], (100, 6))
+    degrees = lab.rng.uniform(0.0, 60.0, 100)
+    frames = fit.machine.frames
+    tips = fit.robot.tips(unseen, fit.deviations, Conditions(sides, degrees))
+    found = (frames.base @ tips @ frames.tools[0])[:, :3, 3]
+    assert np.abs(found - lab.points(unseen, sides, degrees)).max() < 1e-11
+
+
+def test_columns_match_central_differences() -> None:
+    lab = Lab(12, 6)
+    model = lab.model(gain="all", harmonics="all")
+    parameters = model.parameters()
+    x = lab.rng.uniform(-0.05, 0.05, len(parameters))
+    data = calib.read_measurements(lab.columns(), lab.robot)
+    problem = Problem(model, parameters, Frames(np.eye(4), np.eye(4)[None]), (data,))
+
+    def residuals(v: Array) -> Array:
+        return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()
+
+    (J,) = system.jacobian(problem, x)
+    J = J.reshape(-1, len(x))
+    for k, parameter in enumerate(parameters):
+        step = 1e-5 * (np.arange(len(x)) == k)
+        numeric = (residuals(x + step) - residuals(x - step)) / 2e-5
+        assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
+
+
+def test_measured_torques_wind_drives_up() -> None:
+    """Torques that no gravity explains, in the table; what slides has none."""
+    inside = 0
+    for seed in range(5):
+        lab = Lab(30 + seed)
+        compliances = lab.rng.uniform(0.5e-5, 3e-5, 6)
+        torques = lab.rng.uniform(-30.0, 30.0, lab.readings.shape)
+        lab.sides = -torques * compliances / lab.gaps
+        columns = lab.columns() | {f"tau_{joint} [Nm]": torques[:, k] for k, joint in enumerate(lab.joints)}
+        told = {name: values for name, values in columns.items() if not name.startswith("direction")}
+        fit = calib.identify(
+            lab.model(backlash="none", torque="all"), calib.read_measurements(told, lab.robot, sigma=SIGMA)
+        )
+        sigmas = dict(zip([p.name for p in fit.parameters], fit.sigmas, strict=True))
+        for joint, truth in zip(lab.joints[1:5], compliances[1:5], strict=True):
+            inside += abs(fit.value(f"{joint}.torque") - truth) < 1.96 * sigmas[f"{joint}.torque"] < truth
+    assert inside >= 17
+    with pytest.raises(JobError, match="torque: 'bridge' slides, and torques are of joints that turn"):
+        calib.error_model(machines.load(machines.INLINE["gantry"], "tip"), torque="all")
+
+
+def test_the_order_of_rows_tells_the_sides() -> None:
+    readings = np.array([[0.0, 1.0], [0.5, 1.0], [0.5, 0.5], [0.2, 0.5], [0.3, 0.9]])
+    expected = [[0, 0], [1, 0], [1, -1], [-1, -1], [1, 1]]
+    np.testing.assert_array_equal(in_order(readings), expected)
+    lab = Lab(13, 5)
+    columns = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
+    data = calib.read_measurements(columns, lab.robot, in_order=True)
+    np.testing.assert_array_equal(data.conditions.approach, in_order(data.readings))
+    np.testing.assert_array_equal(data.subset([3, 1]).conditions.approach, in_order(data.readings)[[3, 1]])
+
+
+def test_one_column_may_speak_for_all_joints() -> None:
+    lab = Lab(14, 4)
+    columns = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
+    data = calib.read_measurements(columns | {"direction": ["+", "-", "0", "+"]}, lab.robot)
+    np.testing.assert_array_equal(data.conditions.approach, np.outer([1, -1, 0, 1], np.ones(6)))
+    np.testing.assert_array_equal(data.conditions.temperature, lab.degrees)
+
+
+def test_conditions_of_several_sets_are_joined_where_all_have_them() -> None:
+    whole = Conditions(np.ones((2, 3)), np.array([20.0, 21.0]))
+    both = joined([whole, whole])
+    assert both.approach is not None
+    assert both.approach.shape == (4, 3)
+    assert joined([whole, Conditions(temperature=np.zeros(1))]).approach is None
+    assert joined([]).temperature is None
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "sentence"),
+    [
+        ({"temperature [degC]": None}, {}, "there is no column 'temperature', which shoulder_pan_joint.thermal needs"),
+        (
+            {"tau_elbow_joint [Nm]": [1.0] * 20},
+            {},
+            "no column 'tau_shoulder_pan_joint', which shoulder_pan_joint.torque",
+        ),
+        (
+            {"direction_elbow_joint": None},
+            {},
+            "there is no column 'direction_elbow_joint', which elbow_joint.backlash needs",
+        ),
+        (
+            {"direction_elbow_joint": ["+", "up"] * 10},
+            {},
+            "arrays:1: column 'direction_elbow_joint': 'up' is not a side of approach; allowed are +, -, 0, 1, -1",
+        ),
+        ({"direction": ["+"] * 20}, {}, "said twice, by direction and by direction_shoulder_pan_joint; keep one"),
+        ({}, {"in_order": True}, "said twice, by the order of the rows and by direction_shoulder_pan_joint; keep one"),
+        ({"direction_elbow": ["+"] * 20}, {}, "column 'direction_elbow' is neither a joint nor a known column"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_told(change: dict[str, object], options: dict[str, bool], sentence: str) -> None:
+    lab = Lab(15, 20)
+    columns = {name: values for name, values in (lab.columns() | change).items() if values is not None}
+    with pytest.raises(MeasurementError) as caught:
+        torque = "all" if any(name.startswith("tau") for name in columns) else "none"
+        calib.identify(lab.model(torque=torque), calib.read_measurements(columns, lab.robot, **options))
+    assert sentence in str(caught.value)
+
+
+def test_they_are_chosen_where_they_are_and_offered_where_they_can_be_seen() -> None:
+    lab = Lab(16)
+    data = calib.read_measurements(lab.columns(), lab.robot, sigma=SIGMA)
+    chosen = choose_terms(calib.error_model(lab.robot, offsets="all", placements="all"), data).terms
+    assert {term.kind for term in chosen} >= {"backlash", "thermal"}
+    still = replace(data, conditions=Conditions(np.ones((len(data), 6)), np.full(len(data), 20.0)))
+    offered = {term.kind for c in candidates(lab.robot, [still]) for term in c.terms}
+    assert not offered & {"backlash", "thermal"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> tuple[Path, calib.Fit]:
+    lab = Lab(17)
+    fit = calib.identify(lab.model(), calib.read_measurements(lab.columns(), lab.robot, sigma=SIGMA))
+    (tmp_path / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
+    return tmp_path, fit
+
+
+def test_the_model_read_back_and_its_commands_know_them(folder: tuple[Path, calib.Fit]) -> None:
+    path, fit = folder
+    model, rng = calib.load_model(path), np.random.default_rng(0)
+    u = rng.uniform(-0.5, 0.5, (30, 6)) + np.array([0.0, 0.0, 1.2, 0.0, 1.5, 0.0])
+    told = Conditions(rng.choice([-1.0, 1.0], (30, 6)), rng.uniform(10.0, 40.0, 30))
+    np.testing.assert_allclose(model.tips(u, told), fit.robot.tips(u, fit.deviations, told), rtol=0, atol=1e-13)
+    assert {term["kind"] for term in json.loads((path / "model.json").read_text())["terms"]} == {"backlash", "thermal"}
+    found = for_joint_targets(model, u, conditions=told)
+    assert found.reached.all(), found.reasons
+    np.testing.assert_allclose(model.tips(found.readings, told), model.robot.tips(u), rtol=0, atol=2e-6)
+    with pytest.raises(RobotError, match=r"shoulder_pan_joint\.backlash needs to be told"):
+        model.tips(u)
+    with pytest.raises(JobError, match="of every target"):
+        for_joint_targets(model, u)
+
+
+def test_what_nobody_says_adds_nothing(folder: tuple[Path, calib.Fit]) -> None:
+    """A scene or a map of the workspace has no rows: reached from neither side, at 20 degC."""
+    _, fit = folder
+    u = np.random.default_rng(2).uniform(-1.0, 1.0, (5, 6))
+    plain = fit.robot.tips(u, replace(fit.deviations, terms=np.zeros_like(fit.deviations.terms)))
+    np.testing.assert_allclose(fit.robot.tips(u, fit.deviations, ordinary(u)), plain, rtol=0, atol=1e-15)
+    found = tool_uncertainty(uncertainty_of(fit), u)
+    assert np.isfinite(found.position).all()
+
+
+def test_targets_of_a_table_say_them(folder: tuple[Path, calib.Fit]) -> None:
+    path, fit = folder
+    model = calib.load_model(path)
+    u = np.random.default_rng(1).uniform(-0.5, 0.5, (4, 6)) + np.array([0.0, 0.0, 1.0, 0.0, 1.5, 0.0])
+    columns: dict[str, object] = {f"{r.name} [rad]": u[:, k] for k, r in enumerate(fit.robot.readings)}
+    said = columns | {"direction": ["+", "-", "-", "+"], "temperature [degC]": [20.0, 25.0, 30.0, 35.0]}
+    wanted = targets.targets(table_from_arrays(said), model)
+    found = targets.corrections(model, wanted)
+    assert found.reached.all(), found.reasons
+    np.testing.assert_allclose(model.tips(found.readings, wanted.conditions), model.robot.tips(u), rtol=0, atol=2e-6)
+    with pytest.raises(MeasurementError, match=r"which shoulder_pan_joint\.backlash of the machine needs"):
+        targets.targets(table_from_arrays(columns), model)

@@ -1,0 +1,156 @@
+"""Self-collision against geometry that can be worked out: balls on the links of arms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.robot.collision import self_collision
+from calib.robot.urdf import parse_urdf
+from tests.identification import machines
+
+RADIUS = 0.12
+# One ball a link: where it is in the link. The base is a link too.
+BALLS = {"base": (0, 0, 0), "link_a": (0, 0, 0.1), "link_b": (0.2, 0, 0), "link_c": (0.15, 0, 0), "tip": (0.1, 0, 0)}
+ARM = machines.urdf(
+    ("a", "revolute", "0 0 0.3", "0 0 0", "0 0 1"),
+    ("b", "revolute", "0 0 0.2", "0 0 0", "0 1 0"),
+    ("c", "revolute", "0.4 0 0", "0.3 0 0", "0 1 0"),
+    ("d", "revolute", "0.35 0 0", "0 0.2 0", "0 0 1"),
+)
+
+
+def with_shapes(urdf: str, shapes: dict[str, str]) -> str:
+    for link, shape in shapes.items():
+        urdf = urdf.replace(f'<link name="{link}"/>', f'<link name="{link}">{shape}</link>')
+    return urdf
+
+
+def ball(xyz: tuple[float, ...], radius: float = RADIUS, *, origin_first: bool = True) -> str:
+    parts = [f'<origin xyz="{" ".join(map(str, xyz))}"/>', f'<geometry><sphere radius="{radius}"/></geometry>']
+    return f"<collision>{''.join(parts if origin_first else parts[::-1])}</collision>"
+
+
+def robot_of(urdf: str, tip: str = "tip") -> calib.Robot:
+    return calib.load_robot(parse_urdf(urdf.encode(), "inline.urdf"), tip)
+
+
+@pytest.mark.parametrize("origin_first", [True, False])
+def test_balls_touch_when_their_centres_are_near(origin_first: bool) -> None:
+    robot = robot_of(with_shapes(ARM, {link: ball(at, origin_first=origin_first) for link, at in BALLS.items()}))
+    readings = machines.arm(ARM, "tip").draw(np.random.default_rng(0), 400)
+    # machines.py walks the arm by itself; every link but the tip is the tip of a shorter arm.
+    centres = []
+    for link, at in BALLS.items():
+        if link == "base":
+            centres.append(np.zeros((400, 3)))
+            continue
+        part = machines.arm(ARM, link)
+        T = part.tips(readings[:, : len(part.joints)])
+        centres.append(T[:, :3, :3] @ np.array(at, dtype=float) + T[:, :3, 3])
+    expected = np.zeros(400, dtype=bool)
+    for i in range(5):
+        for j in range(i + 2, 5):  # neighbours touch at their joint
+            expected |= np.linalg.norm(centres[i] - centres[j], axis=1) < 2 * RADIUS
+    found = self_collision(robot)
+    assert found is not None
+    assert found.notes == ()
+    assert 20 < expected.sum() < 380
+    np.testing.assert_array_equal(found.colliding(readings), expected)
+
+
+def test_bodies_that_always_touch_are_left_out_and_said() -> None:
+    shapes = {link: ball(at) for link, at in BALLS.items()} | {"base": ball((0, 0, 0.45), 0.3)}
+    robot = robot_of(with_shapes(ARM, shapes))
+    found = self_collision(robot)
+    assert found is not None
+    assert found.notes == ("base and link_b touch in every sampled pose, and are not judged.",)
+    alone = self_collision(robot_of(with_shapes(ARM, {k: v for k, v in shapes.items() if k != "link_b"})))
+    assert alone is not None
+    readings = machines.arm(ARM, "tip").draw(np.random.default_rng(1), 100)
+    assert np.all(found.colliding(readings) >= alone.colliding(readings))
+
+
+def test_fixed_links_belong_to_the_body_that_carries_them() -> None:
+    """A flange behind the last joint is no neighbour's neighbour: it touches the link before the joint lawfully."""
+    arm = ARM.replace(
+        "</robot>",
+        '<link name="flange"/><joint name="f" type="fixed"><parent link="tip"/><child link="flange"/></joint></robot>',
+    )
+    robot = robot_of(with_shapes(arm, {"link_c": ball((0.3, 0, 0)), "flange": ball((0.0, 0, 0))}), "flange")
+    found = self_collision(robot, readings=np.zeros((1, 4)))
+    assert found is not None
+    assert not found.colliding(np.zeros((1, 4))).any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ('<box size="0.2 0.2 0.2"/>', 0.1),
+        ('<cylinder radius="0.1" length="0.2"/>', 0.1),
+        ('<sphere radius="0.1"/>', 0.1),
+    ],
+)
+def test_boxes_cylinders_and_balls_end_where_they_say(shape: str, size: float) -> None:
+    slide = machines.urdf(
+        ("x", "prismatic", "0 0 0", "0 0 0", "1 0 0"),
+        ("y", "prismatic", "0 0 0", "0 0 0", "0 1 0"),
+    )
+    shapes = {"base": f"<collision><geometry>{shape}</geometry></collision>", "tip": ball((0, 0, 0), 0.05)}
+    robot = robot_of(with_shapes(slide, shapes))
+    found = self_collision(robot, readings=np.array([[0.5, 0.5]]))
+    assert found is not None
+    just = size + 0.05
+    readings = np.array([[just - 1e-3, 0.0], [just + 1e-3, 0.0], [0.0, just - 1e-3], [0.0, just + 1e-3]])
+    assert found.colliding(readings).tolist() == [True, False, True, False]
+
+
+FACES = "1 2 4,1 4 3,5 7 8,5 8 6,1 5 6,1 6 2,3 4 8,3 8 7,1 3 7,1 7 5,2 6 8,2 8 4"
+CUBE = "\n".join(
+    [f"v {x} {y} {z}" for x, y, z in np.ndindex(2, 2, 2)] + [f"f {corners}" for corners in FACES.split(",")]
+)
+
+
+def test_meshes_are_read_below_the_roots_only_and_scaled(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "cube.obj").write_text(CUBE)
+    slide = machines.urdf(("x", "prismatic", "0 0 0", "0 0 0", "1 0 0"), ("y", "prismatic", "0 0 0", "0 0 0", "0 1 0"))
+    mesh = (
+        '<collision><geometry><mesh filename="package://arm/in/cube.obj" scale="0.1 0.2 0.1"/></geometry></collision>'
+    )
+    robot = robot_of(with_shapes(slide, {"base": mesh, "tip": ball((0, 0, 0.05), 0.05)}))
+    found = self_collision(robot, (tmp_path,), np.array([[0.5, 0.5]]))
+    assert found is not None
+    assert (
+        found.colliding(np.array([[0.14, 0.05], [0.16, 0.05], [0.05, 0.24], [0.05, 0.26]])).tolist()
+        == [True, False] * 2
+    )
+    (tmp_path / "elsewhere").mkdir()
+    outside = self_collision(robot, (tmp_path / "elsewhere",))
+    assert outside is not None
+    assert outside.notes == (
+        "The collision shape of link 'base' is the mesh 'package://arm/in/cube.obj', which is not found or not read, "
+        "and is not judged.",
+    )
+    assert not outside.colliding(np.array([[0.0, 0.0]])).any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "why"),
+    [
+        ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed"),
+        ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed"),
+        ("<cone/>", "is a 'cone', which is not known"),
+    ],
+)
+def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
+    broken = f"<collision><geometry>{shape}</geometry></collision>"
+    found = self_collision(robot_of(with_shapes(ARM, {"base": broken, "tip": ball((0, 0, 0))})))
+    assert found is not None
+    assert found.notes == (f"The collision shape of link 'base' {why}, and is not judged.",)
+    assert self_collision(robot_of(with_shapes(ARM, {"base": broken}))) is None
+
+
+def test_an_arm_without_shapes_has_none() -> None:
+    assert self_collision(robot_of(ARM)) is None
