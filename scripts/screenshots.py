@@ -51,9 +51,9 @@ def beside(pictures: list[Image.Image]) -> Image.Image:
     return out
 
 
-def save(image: Image.Image, file: Path) -> None:
-    """Write a picture in 256 colours, a third of the bytes."""
-    image.quantize(256, dither=Image.Dither.NONE).save(file, optimize=True)
+def save(image: Image.Image, file: Path, *, exact: bool = False) -> None:
+    """Write a picture in 256 colours, a third of the bytes, or ``exact``: few colours of a scene are what it means."""
+    (image if exact else image.quantize(256, dither=Image.Dither.NONE)).save(file, optimize=True)
     print(f"{file.name}: {file.stat().st_size // 1000} kB")
 
 
@@ -67,7 +67,7 @@ def main() -> int:
         for job in jobs:
             name, out = name_of(job), Path(folder, name_of(job))
             write_results(run(load(job)), out)
-            save(picture(page, out / SCENE_FILE, WIDE), arguments.to / f"scene_{name}.png")
+            save(picture(page, out / SCENE_FILE, WIDE), arguments.to / f"scene_{name}.png", exact=True)
             save(picture(page, out / REPORT_FILE, LONG), arguments.to / f"report_{name}.png")
             phone = [
                 picture(page, out / REPORT_FILE, PHONE),
