@@ -135,7 +135,8 @@ def steps_after_loading(inputs: Inputs) -> int:
     """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
     fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
     followed = inputs.job.solver.kind == "total_differential"
-    return fits + followed + 1 + _STEPS_OF_WRITING
+    # Validating and looking for outliers come after the fits.
+    return fits + followed + 2 + _STEPS_OF_WRITING
 
 
 def robot_errors(folder: Path) -> dict[str, float]:
