@@ -1,14 +1,18 @@
 """The scene of an outcome."""
 
+from collections.abc import Iterator
+from typing import Literal
+
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
+from calib.identification.targets import shapes
 from calib.job.run import JudgedSet, Outcome
 from calib.measurement.kinds import size
 from calib.presentation.arm import Arm, arm_of
-from calib.presentation.scene import Scene, magnification
+from calib.presentation.scene import Mark, Scene, magnification
 from calib.robot.conditions import Conditions, joined
 from calib.robot.robot import Deviations
 
@@ -16,17 +20,20 @@ from calib.robot.robot import Deviations
 def scene_of(outcome: Outcome) -> Scene:
     """Return the scene of a finished calibration: every row of every table that tells a point, in the job's order.
 
-    A socket's point is where the calibrated robot says it is; tables of lengths and heights have no points to draw.
+    A socket's point is where the calibrated robot says it is. Tables of lengths, heights and pixels tell no points:
+    where there is nothing else, the calibrated tool's are drawn, without errors.
     """
     fit, robot = outcome.fit, outcome.fit.robot
     root = robot.root_in_base
-    sets = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
-    points = [_points(outcome, judged) for judged in sets]
-    readings = np.concatenate([judged.data.readings for judged in sets or outcome.sets])
-    conditions = joined([judged.data.conditions for judged in sets or outcome.sets])
-    measured = np.concatenate([np.zeros((0, 3)), *points])
-    before = measured - np.concatenate([measured[:0], *(judged.before[:, :3] for judged in sets)])
-    after = measured - np.concatenate([measured[:0], *(judged.after[:, :3] for judged in sets)])
+    with_points = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
+    sets = with_points or list(outcome.sets)
+    readings = np.concatenate([judged.data.readings for judged in sets])
+    conditions = joined([judged.data.conditions for judged in sets])
+    measured = np.concatenate([_points(outcome, judged) for judged in sets])
+    before = after = measured
+    if with_points:
+        before = measured - np.concatenate([judged.before[:, :3] for judged in sets])
+        after = measured - np.concatenate([judged.after[:, :3] for judged in sets])
     calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
@@ -47,7 +54,19 @@ def scene_of(outcome: Outcome) -> Scene:
         before=before,
         after=after,
         scales=scales,
+        marks=tuple(_targets(outcome, extent)),
+        judged=bool(with_points),
     )
+
+
+def _targets(outcome: Outcome, extent: float) -> Iterator[Mark]:
+    """Yield the sockets, anchors, balls, planes, boards and cameras where the calibration has found them."""
+    fit = outcome.fit
+    found = shapes(fit.measurements)
+    for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
+        if shape := found.get(name):
+            kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
+            yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
 
 
 def _points(outcome: Outcome, judged: JudgedSet) -> Array:
@@ -58,7 +77,8 @@ def _points(outcome: Outcome, judged: JudgedSet) -> Array:
     placed = fit.machine.frames.base @ fit.robot.tips(data.readings, fit.deviations, data.conditions)
     names = fit.measurements[0].tools
     own = np.array([names.index(tool) for tool in data.tools])[data.tool]
-    return np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3] + judged.after[:, :3])
+    points = np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3])
+    return points + judged.after if data.kind == "socket" else points
 
 
 def _nominal(outcome: Outcome, readings: Array, conditions: Conditions, root: Array, apart: float) -> tuple[Arm, float]:

@@ -52,6 +52,7 @@ def cell_scene(found: CalibratedCell, title: str, mesh_roots: Sequence[Path] = (
         after=points,
         scales=(1.0, 1.0),
         marks=tuple(axes),
+        judged=False,
     )
 
 

@@ -81,6 +81,7 @@ class Scene:
     none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
+    ``judged``: False where the points are the tool's own, and there are no errors to tell.
     """
 
     title: str
@@ -97,6 +98,7 @@ class Scene:
     after: Array
     scales: tuple[float, float]
     marks: tuple[Mark, ...] = ()
+    judged: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +159,9 @@ def render_scene(scene: Scene) -> str:
     # A tracker that stands metres away would shrink the robot to a dot; it is there for those who zoom out.
     near = float(np.linalg.norm(T_base_world[:3, 3] - box.mean(axis=0))) < 0.7 * extent
     box = np.concatenate([box, T_base_world[None, :3, 3]]) if near else box
+    # So it is with what stands about: what is near is in the picture.
+    marked = np.array([(T_base_world @ mark.T)[:3, 3] for mark in scene.marks]).reshape(-1, 3)
+    box = np.concatenate([box, marked[np.linalg.norm(marked - box.mean(axis=0), axis=1) < 1.5 * extent]])
     low, high = box.min(axis=0), box.max(axis=0)
 
     errors = [1e3 * np.linalg.norm(x - scene.measured, axis=1) for x in (scene.before, scene.after)]
@@ -170,6 +175,7 @@ def render_scene(scene: Scene) -> str:
         "commands": _commands(drawings, _grid(low, high, cell)),
         "outline": _outline(box).tolist(),
         "labels": _labels(scene),
+        "judged": scene.judged,
         "joints": [
             {"parent": _node(j.parent), "child": _node(j.child), "axis": j.axis.tolist(), "kind": _kind(j.type)}
             for j in scene.urdf.joints
@@ -407,10 +413,11 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
         for name, e in zip(("before", "after"), errors, strict=True)
-        if n and any(map(np.any, errors))
+        if n and scene.judged
     ]
     return {
         "n": n,
+        "judged": scene.judged,
         "figures": figures,
         "scales": [f"{scale:g}" for scale in scene.scales],
         "apart": None if scene.nominal is None else f"{scene.apart:g}",

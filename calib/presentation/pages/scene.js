@@ -116,8 +116,8 @@ function show(moment) {
   viewer.set_property(["current"], "position", measured[near]);
   viewer.set_property(["current"], "visible", wanted("measured"));
   pose.value = near;
-  row.textContent = "Pose " + (near + 1) + " of " + (last + 1) + ", " + page.rows[near] + ": before " +
-    lengthBefore.toFixed(3) + " mm, after " + lengthAfter.toFixed(3) + " mm";
+  row.textContent = `Pose ${near + 1} of ${last + 1}, ${page.rows[near]}` +
+    (page.judged ? `: before ${lengthBefore.toFixed(3)} mm, after ${lengthAfter.toFixed(3)} mm` : "");
   viewer.set_dirty();
 }
 
