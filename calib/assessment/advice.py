@@ -15,7 +15,8 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import Frames, values_at
-from calib.identification.start import start_frames, with_common_names
+from calib.identification.posing import with_common_names
+from calib.identification.start import start_frames
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
 

@@ -27,7 +27,7 @@ from calib.identification.joint_terms import harmonic
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.start import posed
+from calib.identification.posing import posed
 from calib.identification.system import blocks, evaluate
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES

@@ -17,8 +17,8 @@ from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
+from calib.identification.posing import posed, with_common_names, with_new_targets
 from calib.identification.solver import Solution, solve
-from calib.identification.start import posed, with_common_names, with_new_targets
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations

@@ -11,7 +11,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter
-from calib.identification.start import posed
+from calib.identification.posing import posed
 from calib.identification.system import Evaluation, Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
@@ -74,7 +74,7 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
 def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what no number of such measurements would see, and which others would.
 
-    Raises MeasurementError and JobError as :func:`calib.identification.start.posed` does.
+    Raises MeasurementError and JobError as :func:`calib.identification.posing.posed` does.
     """
     problem = posed(model, measurements)
     found = []

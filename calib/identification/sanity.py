@@ -23,7 +23,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.start import start_frames, with_common_names
+from calib.identification.posing import with_common_names
+from calib.identification.start import start_frames
 from calib.identification.system import Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements

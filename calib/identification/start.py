@@ -1,158 +1,22 @@
-"""From a model and measurements to a problem: common names, start values of all frames, and what is unknown.
+"""Start values of all frames, in closed form, for the nominal robot.
 
-Every start is in closed form for the nominal robot. Base and tools come from positions and poses, where there are any
-(:mod:`calib.identification.alignment`), and from images (:mod:`calib.identification.sightings`); other tool points from
-turning in a socket or about a ball's centre; targets from where the nominal robot puts the tool.
+Base and tools come from positions and poses, where there are any (:mod:`calib.identification.alignment`), and from
+images (:mod:`calib.identification.sightings`); other tool points from turning in a socket or about a ball's centre;
+targets from where the nominal robot puts the tool (:mod:`calib.identification.placing`).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.foundations.errors import JobError, MeasurementError
-from calib.identification import sightings, targets
+from calib.foundations.arrays import Array, BoolArray
+from calib.identification import sightings
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.error_model import ErrorModel
-from calib.identification.machine import Frames, Layout, Machine, values_at
-from calib.identification.parameters import Parameter
-from calib.identification.solver import solve
-from calib.identification.system import Problem
-from calib.measurement.kinds import IN_INSTRUMENT_FRAME
+from calib.identification.machine import Frames
+from calib.identification.placing import NEGLIGIBLE, with_targets
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import ordinary
-from calib.robot.transmission import lacking
-
-# Directions of a linear fit below this share of the best one are left at their start.
-_NEGLIGIBLE = 1e-8
-# A part of the arm is clearly off a plane, in m.
-_OFF = 0.01
-
-
-def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
-    """Return the problem of finding all that is free, with base, tools and targets where the nominal robot has them.
-
-    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame is taken
-    for it: a camera or a board on the floor is then found in the base. Of a tool that nothing shows but as a point,
-    beside others that boards and cameras show, the orientation is no unknown.
-
-    Raises MeasurementError when the measurements are not of this robot, or a target is two things; JobError when a name
-    means two things, a known or related target is in no measurement, or a tool needs its orientation free.
-    """
-    sets = with_common_names(model, measurements)
-    _refuse_unturned_tools(model, sets)
-    _refuse_unknown_targets(model, sets)
-    if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
-        target.height_is_known for target in model.targets.values()
-    ):
-        model = replace(model, base="fixed")
-    reference = start_frames(model, sets)
-    layout = Layout.of(model.robot, reference)
-    of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
-    parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
-    names = [parameter.name for parameter in parameters]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")
-    return Problem(model, parameters, reference, sets, relations=model.relations)
-
-
-def _refuse_unturned_tools(model: ErrorModel, sets: Sequence[Measurements]) -> None:
-    """Refuse boards and cameras on the tip whose orientation is neither known nor free."""
-    for data in sets:
-        if data.camera is not None and model.tool == "position" and _turned_by(data):
-            what = "camera" if data.camera.camera_on == "tip" else "board"
-            raise JobError(
-                f'tool: is "position", and the orientation of the {what} on the tip in {data.where} is not known; '
-                'write "pose".'
-            )
-
-
-def _turned_by(data: Measurements) -> bool:
-    """Return whether the rows show how tools are turned."""
-    return data.kind == "pose" or (data.camera is not None and (data.of_boards or data.camera.camera_on == "tip"))
-
-
-def _turned(sets: Sequence[Measurements], kinds: Sequence[str] = ("pose", "pixels")) -> BoolArray:
-    """Return the tools (k,) whose orientation shows in sets of some kinds with common names."""
-    found = np.zeros(len(sets[0].tools), dtype=np.bool_)
-    for data in sets:
-        if data.kind in kinds and _turned_by(data):
-            found[data.tool] = True
-    return found
-
-
-def _without_turns_of_points(
-    parameters: tuple[Parameter, ...], sets: Sequence[Measurements], layout: Layout
-) -> tuple[Parameter, ...]:
-    """Return the parameters without the orientations of tools that are seen as points, where cameras see others."""
-    if not any(data.camera is not None for data in sets):
-        return parameters
-    turned = _turned(sets)
-
-    def of_point(parameter: Parameter) -> bool:
-        tool, component = divmod(parameter.direction[0][0] - layout.tools, 6)
-        return parameter.kind == "tool" and component > 2 and not turned[tool]
-
-    return tuple(parameter for parameter in parameters if not of_point(parameter))
-
-
-def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:
-    """Refuse what is known of targets that nobody measured, and relations of the wrong things."""
-    found = targets.shapes(sets)
-    for name in model.targets:
-        if name not in found:
-            raise JobError(f"targets: {name!r} is in no measurement; they have {', '.join(found) or 'no targets'}.")
-        if found[name] == "frame" and not model.targets[name].height_is_known:
-            raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
-    for relation in model.relations:
-        shape = "point" if relation.kind == "distance" else "plane"
-        for name in relation.targets:
-            if found.get(name) != shape:
-                raise JobError(
-                    f"relations: a known {relation.kind} is between two {shape}s, and {name!r} is "
-                    f"{'a ' + found[name] if name in found else 'in no measurement'}."
-                )
-
-
-def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with common lists of tools, targets and lengths.
-
-    Raises MeasurementError when they are not of this robot, or lack what a joint term needs.
-    """
-    names = tuple(reading.name for reading in model.robot.readings)
-    for data in sets:
-        if data.reading_names != names:
-            raise MeasurementError(
-                f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
-            )
-        for conditions in (data.conditions, *(() if data.other is None else (data.other.conditions,))):
-            if missing := lacking(model.robot.terms, names, conditions):
-                raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
-    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
-    every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
-    offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
-
-    def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
-        # -1 stays what it is: none.
-        return np.array([*(new.index(name) for name in old), -1], dtype=np.intp)[numbers]
-
-    return tuple(
-        replace(
-            data,
-            tools=tools,
-            tool=numbered(data.tools, tools, data.tool),
-            targets=every,
-            target=numbered(data.targets, every, data.target),
-            other=None
-            if data.other is None
-            else replace(data.other, tool=numbered(data.tools, tools, data.other.tool)),
-            offsets=offsets,
-            offset=offsets.index(data.offsets[data.offset]) if data.offset >= 0 else -1,
-        )
-        for data in sets
-    )
 
 
 def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
@@ -179,41 +43,25 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
         base, tools = align(rows, known, given.tools)
         placed[rows.tool] = True
     if any(data.camera is not None for data in sets):
-        base, tools, by_cameras = sightings.place_tools(model, sets, tips, base, tools, _turned(sets, ("pose",)))
+        base, tools, by_cameras = sightings.place_tools(model, sets, tips, base, tools, turned(sets, ("pose",)))
         placed |= by_cameras
     if model.tool != "fixed" and not placed.all():
         tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
-    return _with_targets(model, sets, tips, Frames(base, tools))
+    return with_targets(model, sets, tips, Frames(base, tools))
 
 
-def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
-    """Return a machine with the targets and lengths of sets with common names that it does not know yet.
+def turned_by(data: Measurements) -> bool:
+    """Return whether the rows show how tools are turned."""
+    return data.kind == "pose" or (data.camera is not None and (data.of_boards or data.camera.camera_on == "tip"))
 
-    The sets' names are the machine's, then new ones. Raises IdentificationError when the measurements are too few.
-    """
-    frames = machine.frames
-    known_targets, known_lengths = len(frames.targets), len(frames.lengths)
-    if (known_targets, known_lengths) == (len(sets[0].targets), len(sets[0].offsets)):
-        return machine
-    tips = [model.robot.tips(data.readings, machine.deviations, data.conditions) for data in sets]
-    placed = _with_targets(model, sets, tips, frames)
-    placed = replace(
-        placed,
-        targets=np.concatenate([frames.targets, placed.targets[known_targets:]]),
-        lengths=np.concatenate([frames.lengths, placed.lengths[known_lengths:]]),
-    )
-    layout = Layout.of(model.robot, placed)
-    targets_end, lengths_end = layout.targets + 6 * known_targets, layout.lengths + known_lengths
-    new = tuple(
-        parameter
-        for parameter in targets.unknowns(sets, model.targets, layout)
-        if targets_end <= parameter.direction[0][0] < layout.lengths or parameter.direction[0][0] >= lengths_end
-    )
-    problem = Problem(model, new, placed, tuple(sets), machine.deviations)
-    start = values_at(model.robot, new, placed, machine.deviations)
-    # The mean of a socket's rows is the answer already; other targets are near it.
-    others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
-    return problem.machine(solve(problem, start).x if others and new else start)
+
+def turned(sets: Sequence[Measurements], kinds: Sequence[str] = ("pose", "pixels")) -> BoolArray:
+    """Return the tools (k,) whose orientation shows in sets of some kinds with common names."""
+    found = np.zeros(len(sets[0].tools), dtype=np.bool_)
+    for data in sets:
+        if data.kind in kinds and turned_by(data):
+            found[data.tool] = True
+    return found
 
 
 def _orientation(data: Measurements) -> Array:
@@ -252,89 +100,6 @@ def _turned_in_sockets(
     # What turning does not show, such as the height on an axis that alone turns, stays as guessed.
     guess = np.concatenate([tools[:, :3, 3].ravel(), np.zeros(3 * m)])
     A, b = np.concatenate(rows), np.concatenate(right)
-    change = np.linalg.lstsq(A, b - A @ guess, rcond=_NEGLIGIBLE)[0]
+    change = np.linalg.lstsq(A, b - A @ guess, rcond=NEGLIGIBLE)[0]
     points = (guess + change)[: 3 * k].reshape(-1, 3)
     return np.asarray(rigid.placement(tools[:, :3, :3], np.where(placed[:, None], tools[:, :3, 3], points)))
-
-
-def _with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], frames: Frames) -> Frames:
-    """Return the frames with the targets where the nominal robot puts them."""
-    names, found = sets[0].targets, targets.shapes(sets)
-    poses, lengths = np.tile(np.eye(4), (len(names), 1, 1)), np.zeros(len(sets[0].offsets))
-    points = [(frames.base @ T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, tips, strict=True)]
-    for t, name in enumerate(names):
-        own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
-        own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
-        sights = sightings.sights(sets, tips, t)
-        if name in model.targets:
-            poses[t] = _known_pose(model.targets[name], own)
-        elif found.get(name) == "plane":
-            touched = [(data.readings[data.target == t], x) for data, x, _ in own]
-            poses[t] = _plane(np.concatenate([x for _, x in touched]), _arm_beside(model, frames.base, touched))
-        elif own:
-            sockets = [x for data, x, _ in own if data.kind == "socket"]
-            if sights and not sockets:
-                poses[t] = sightings.target_pose(name, sights, frames.base, frames.tools)
-            else:
-                poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
-        sightings.refuse_behind(sights, frames.base, frames.tools, poses[t])
-    for k in range(len(lengths)):
-        missing = [
-            value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)
-            for data, x, value in zip(sets, points, (data.value for data in sets), strict=True)
-            if data.offset == k and data.kind != "pair_distance"
-        ]
-        lengths[k] = np.concatenate(missing).mean() if missing else 0.0
-    return Frames(frames.base, frames.tools, poses, lengths)
-
-
-def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
-    """Return the pose of a target that is known, its height found where that is not."""
-    if target.height_is_known or not own:
-        return target.pose
-    normal = target.pose[:3, 2]
-    height = np.concatenate([x @ normal - value[:, 0] for _, x, value in own]).mean()
-    return rigid.placement(target.pose[:3, :3], height * normal)
-
-
-def _arm_beside(model: ErrorModel, base: Array, touched: Sequence[tuple[Array, Array]]) -> Array:
-    """Return where tip link and joints were, from the tip back to the base, on average beside touched points (k, 3).
-
-    ``touched``: readings (n, nr) and points (n, 3).
-    """
-    beside = []
-    for readings, x in touched:
-        motion = model.robot.motion(readings, conditions=ordinary(readings))
-        # A joint's column holds the adjoint of its placement in the tip link, and that its origin.
-        blocks = motion.regressor.reshape(len(x), 6, -1, 6).transpose(0, 2, 1, 3)[:, ::-1]
-        crossed = blocks[:, :, :3, 3:] @ np.swapaxes(blocks[:, :, :3, :3], -1, -2)
-        origins = np.stack([crossed[..., 2, 1], crossed[..., 0, 2], crossed[..., 1, 0]], axis=-1)
-        origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
-        tip = base @ motion.placement
-        beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
-    return np.asarray(np.concatenate(beside).mean(axis=0))
-
-
-def _plane(x: Array, beside: Array) -> Array:
-    """Return a frame whose x and y are in the plane nearest to points (n, 3), z on the side from which it is touched.
-
-    That is the side of the first of the arm's parts ``beside`` it (k, 3) that is clearly off the plane. The base would
-    not do: a cube's upper and far faces are touched from other sides than the base's.
-    """
-    middle = x.mean(axis=0)
-    axes = np.linalg.svd(x - middle, full_matrices=True)[2]
-    heights = beside @ axes[2]
-    normal = axes[2] if heights[np.argmax(np.abs(heights) > _OFF)] >= 0.0 else -axes[2]
-    return rigid.placement(np.column_stack([axes[0], np.cross(normal, axes[0]), normal]), middle)
-
-
-def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
-    """Return the point at measured distances from points: |x|^2 - l^2 = 2 x c - 2 l o + o^2 - |c|^2, linear."""
-    x = np.concatenate([points for _, points, _ in own])
-    length = np.concatenate([value[:, 0] for _, _, value in own])
-    middle = x.mean(axis=0)
-    y = x - middle
-    offset = [length] if any(data.offset >= 0 for data, _, _ in own) and np.ptp(length) > 0.0 else []
-    A = np.column_stack([2.0 * y, np.ones(len(y)), *offset])
-    z = np.linalg.lstsq(A, (y * y).sum(axis=1) - length**2, rcond=_NEGLIGIBLE)[0]
-    return np.asarray(middle + z[:3])

@@ -24,7 +24,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
-from calib.identification.start import posed
+from calib.identification.posing import posed
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
 

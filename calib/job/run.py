@@ -18,7 +18,7 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
-from calib.identification.start import posed
+from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress
 from calib.measurement.measurements import Measurements

@@ -14,7 +14,7 @@ from calib.identification import system, targets
 from calib.identification.identify import residuals_of
 from calib.identification.machine import Layout, values_at
 from calib.identification.observability import observability
-from calib.identification.start import posed
+from calib.identification.posing import posed
 from calib.identification.system import Problem
 from calib.identification.targets import Target
 from tests.identification import cameras, machines

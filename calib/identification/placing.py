@@ -1,0 +1,101 @@
+"""Where targets are: start values of sockets, anchors, balls, planes, boards and cameras, in closed form."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.identification import sightings, targets
+from calib.identification.error_model import ErrorModel
+from calib.identification.machine import Frames
+from calib.measurement.measurements import Measurements
+from calib.robot.conditions import ordinary
+
+# Directions of a linear fit below this share of the best one are left at their start.
+NEGLIGIBLE = 1e-8
+# A part of the arm is clearly off a plane, in m.
+_OFF = 0.01
+
+
+def with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], frames: Frames) -> Frames:
+    """Return the frames with the targets where the nominal robot puts them."""
+    names, found = sets[0].targets, targets.shapes(sets)
+    poses, lengths = np.tile(np.eye(4), (len(names), 1, 1)), np.zeros(len(sets[0].offsets))
+    points = [(frames.base @ T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, tips, strict=True)]
+    for t, name in enumerate(names):
+        own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
+        own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
+        sights = sightings.sights(sets, tips, t)
+        if name in model.targets:
+            poses[t] = _known_pose(model.targets[name], own)
+        elif found.get(name) == "plane":
+            touched = [(data.readings[data.target == t], x) for data, x, _ in own]
+            poses[t] = _plane(np.concatenate([x for _, x in touched]), _arm_beside(model, frames.base, touched))
+        elif own:
+            sockets = [x for data, x, _ in own if data.kind == "socket"]
+            if sights and not sockets:
+                poses[t] = sightings.target_pose(name, sights, frames.base, frames.tools)
+            else:
+                poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
+        sightings.refuse_behind(sights, frames.base, frames.tools, poses[t])
+    for k in range(len(lengths)):
+        missing = [
+            value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)
+            for data, x, value in zip(sets, points, (data.value for data in sets), strict=True)
+            if data.offset == k and data.kind != "pair_distance"
+        ]
+        lengths[k] = np.concatenate(missing).mean() if missing else 0.0
+    return Frames(frames.base, frames.tools, poses, lengths)
+
+
+def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
+    """Return the pose of a target that is known, its height found where that is not."""
+    if target.height_is_known or not own:
+        return target.pose
+    normal = target.pose[:3, 2]
+    height = np.concatenate([x @ normal - value[:, 0] for _, x, value in own]).mean()
+    return rigid.placement(target.pose[:3, :3], height * normal)
+
+
+def _arm_beside(model: ErrorModel, base: Array, touched: Sequence[tuple[Array, Array]]) -> Array:
+    """Return where tip link and joints were, from the tip back to the base, on average beside touched points (k, 3).
+
+    ``touched``: readings (n, nr) and points (n, 3).
+    """
+    beside = []
+    for readings, x in touched:
+        motion = model.robot.motion(readings, conditions=ordinary(readings))
+        # A joint's column holds the adjoint of its placement in the tip link, and that its origin.
+        blocks = motion.regressor.reshape(len(x), 6, -1, 6).transpose(0, 2, 1, 3)[:, ::-1]
+        crossed = blocks[:, :, :3, 3:] @ np.swapaxes(blocks[:, :, :3, :3], -1, -2)
+        origins = np.stack([crossed[..., 2, 1], crossed[..., 0, 2], crossed[..., 1, 0]], axis=-1)
+        origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
+        tip = base @ motion.placement
+        beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
+    return np.asarray(np.concatenate(beside).mean(axis=0))
+
+
+def _plane(x: Array, beside: Array) -> Array:
+    """Return a frame whose x and y are in the plane nearest to points (n, 3), z on the side from which it is touched.
+
+    That is the side of the first of the arm's parts ``beside`` it (k, 3) that is clearly off the plane. The base would
+    not do: a cube's upper and far faces are touched from other sides than the base's.
+    """
+    middle = x.mean(axis=0)
+    axes = np.linalg.svd(x - middle, full_matrices=True)[2]
+    heights = beside @ axes[2]
+    normal = axes[2] if heights[np.argmax(np.abs(heights) > _OFF)] >= 0.0 else -axes[2]
+    return rigid.placement(np.column_stack([axes[0], np.cross(normal, axes[0]), normal]), middle)
+
+
+def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
+    """Return the point at measured distances from points: |x|^2 - l^2 = 2 x c - 2 l o + o^2 - |c|^2, linear."""
+    x = np.concatenate([points for _, points, _ in own])
+    length = np.concatenate([value[:, 0] for _, _, value in own])
+    middle = x.mean(axis=0)
+    y = x - middle
+    offset = [length] if any(data.offset >= 0 for data, _, _ in own) and np.ptp(length) > 0.0 else []
+    A = np.column_stack([2.0 * y, np.ones(len(y)), *offset])
+    z = np.linalg.lstsq(A, (y * y).sum(axis=1) - length**2, rcond=NEGLIGIBLE)[0]
+    return np.asarray(middle + z[:3])
