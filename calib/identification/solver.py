@@ -20,6 +20,8 @@ from calib.identification.parameters import scales
 from calib.identification.system import Evaluation, Problem, evaluate
 
 _MOST_STEPS = 40
+# Weights of rows that lie off settle more slowly than the parameters.
+_MOST_ROBUST_STEPS = 160
 # The rank is decided at the second step, where the noise is known; to decide it at every step would make them jump.
 _STEP_OF_DECISION = 1
 # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it, so 1e-6
@@ -74,7 +76,7 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     z = _levenberg_marquardt(problem, evaluator, sigmas, z0, nominal, G)
 
     step, settled, rank = np.inf, False, None
-    for k in range(_MOST_STEPS):
+    for k in range(_MOST_ROBUST_STEPS if problem.robust else _MOST_STEPS):
         evaluation = evaluator(z, sigmas)
         state = _State.of(problem, evaluation, z, sigmas, v, fixed, rank)
         rank = state.rank if k >= _STEP_OF_DECISION else None
