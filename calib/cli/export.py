@@ -24,6 +24,10 @@ _EXPORTS: Mapping[Target, Callable[[CalibratedModel], Export]] = {
     "offsets": export_offsets,
     "ros": export_ros,
 }
+_WORSE = (
+    "The file alone is worse than no correction: what it leaves out was fitted together with what it holds. For this "
+    "controller, calibrate without those parts."
+)
 _MACHINES: Mapping[Target, str] = {"ros": "the nominal URDF with this file alone"}
 
 
@@ -65,6 +69,7 @@ def export_command(
                 f"At the tip the nominal machine is {_said(found.before)} from the calibrated one, {machine} "
                 f"{_said(found.lost)}, over random poses {where}."
             ),
+            *([warning(_WORSE)] if found.lost > found.before else []),
             sentence(f"Read back and compared; the file is {out}."),
         )
 

@@ -7,8 +7,8 @@ Each origin is that of the joint, at reading zero, in the link before: all turn 
 ur_description). Older URDFs have other frames along the same axes. Theirs are turned about and slid along their axes to
 the driver's, which the motion of the joints commutes with: as the nominal arm has its axes cross.
 
-Joint offsets are in the origins. The driver compares the hash with that of the calibration which the connected robot has
-of its maker, and says that they differ; so they do.
+Joint offsets are in the origins. The driver compares the hash with that of the maker's calibration of the connected
+robot, and says that they differ; so they do.
 """
 
 from collections.abc import Mapping

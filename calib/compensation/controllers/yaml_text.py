@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Node: TypeAlias = "str | int | float | Mapping[str, Node] | Sequence[Node]"
-_PLAIN = re.compile(r"[a-z][a-z0-9]*_[a-z0-9_]*")
+_KEY = re.compile(r"[a-z0-9_]+:")
 
 
 def yaml_text(contents: Mapping[str, Node]) -> str:
@@ -60,9 +60,7 @@ def _number(value: float) -> str:
 
 
 def _word(text: str) -> str:
-    # With an underscore a word is neither a number nor one of the truths of YAML 1.1 (yes, off, n).
-    if _PLAIN.fullmatch(text):
-        return text
+    # Bare, some words are numbers or truths in YAML 1.1 (yes, off, 1e3).
     kept = (c if c.isascii() and c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
     return f'"{"".join(kept)}"'
 
@@ -78,14 +76,10 @@ def _read(lines: Sequence[str], indent: int) -> Any:
     parts = [lines[a:b] for a, b in zip(starts, [*starts[1:], len(lines)], strict=True)]
     if lines[0][indent:].startswith("- "):
         return [_read([part[0].replace("- ", "  ", 1), *part[1:]], indent + 2) for part in parts]
-    if len(lines) == 1 and re.match(r"[a-z_]+:", lines[0][indent:]) is None:
-        return _scalar(lines[0][indent:])
+    if len(lines) == 1 and _KEY.match(lines[0], indent) is None:
+        return ast.literal_eval(lines[0][indent:])
     contents: dict[str, Any] = {}
     for part in parts:
         key, _, rest = part[0][indent:].partition(":")
-        contents[key] = _scalar(rest[1:]) if rest else _read(part[1:], indent + 2)
+        contents[key] = ast.literal_eval(rest[1:]) if rest else _read(part[1:], indent + 2)
     return contents
-
-
-def _scalar(text: str) -> Any:
-    return text if _PLAIN.fullmatch(text) else ast.literal_eval(text)
