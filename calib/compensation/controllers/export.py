@@ -1,6 +1,6 @@
 """What all exports share: where they are judged, what they leave out and what that costs at the tip."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,7 +13,14 @@ from calib.foundations.errors import OutputError
 from calib.robot.conditions import ordinary
 from calib.robot.sampling import random_readings
 
-Part = Literal["placements", "placements of fixed joints", "joint terms", "closed loops and couplings", "residual grid"]
+Part = Literal[
+    "placements",
+    "placements of fixed joints",
+    "offsets of joints that follow others",
+    "joint terms",
+    "closed loops and couplings",
+    "residual grid",
+]
 
 _POSES = 500
 # Largest difference at the tip, in m and in entries of the rotation, between the file read back and what it should say.
@@ -73,11 +80,17 @@ def rms(a: Array, b: Array) -> float:
 
 
 def exported(
-    model: CalibratedModel, text: str, read_back: Callable[[Array], Array], expected: Array, holds: frozenset[Part]
+    model: CalibratedModel,
+    text: str,
+    read_back: Callable[[Array], Array],
+    expected: Array,
+    holds: frozenset[Part],
+    more: Sequence[LeftOut] = (),
 ) -> Export:
     """Return the export of a text that reads back as a machine with tips ``read_back(readings)`` (N, 4, 4).
 
-    ``expected`` (N, 4, 4): what these are to be at :func:`poses`; ``holds``: parts that the format has a place for.
+    ``expected`` (N, 4, 4): what these are to be at :func:`poses`; ``holds``: parts that the format has a place for,
+    ``more``: what is left out beside whole parts.
     Raises OutputError when the machine read back is another one.
     """
     readings = poses(model)
@@ -88,7 +101,7 @@ def exported(
     whole = whole_positions(model, readings)
     nominal = model.robot.tips(readings, model.robot.no_deviations())[:, :3, 3]
     left = tuple(part for part in _parts(model, readings) if part.part not in holds)
-    return Export(text, rms(nominal, whole), rms(tips[:, :3, 3], whole), left)
+    return Export(text, rms(nominal, whole), rms(tips[:, :3, 3], whole), (*more, *left))
 
 
 def _parts(model: CalibratedModel, readings: Array) -> list[LeftOut]:

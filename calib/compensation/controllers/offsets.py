@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, exported, poses, rms, whole_positions
+from calib.compensation.controllers.export import Export, LeftOut, exported, poses, rms, whole_positions
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.units import UNITS
@@ -38,9 +38,10 @@ def export_offsets(model: CalibratedModel) -> Export:
         writer.writerow([reading.name, *((value, "") if turns else ("", value))])
     read = {reading.name for reading in robot.readings}
     kept = np.array([value if name in read else 0.0 for name, value in own.items()])
-    readings, zeros = poses(model), _offsets_alone(model, kept)
+    readings = poses(model)
+    expected = robot.tips(readings, _offsets_alone(model, kept))
     before = rms(robot.tips(readings, robot.no_deviations())[:, :3, 3], whole_positions(model, readings))
-    after = rms(robot.tips(readings, zeros)[:, :3, 3], whole_positions(model, readings))
+    after = rms(expected[:, :3, 3], whole_positions(model, readings))
     comments = (
         "# Joint position = reading + offset, in the sense of the joint of the URDF.\n"
         f"# rms at the tip to the whole calibration: without any correction {before * 1e3:.4f} mm, "
@@ -52,7 +53,9 @@ def export_offsets(model: CalibratedModel) -> Export:
         offsets = read_offsets(table)
         return robot.tips(readings, _offsets_alone(model, np.array([offsets.get(name, 0.0) for name in own])))
 
-    return exported(model, table, read_back, robot.tips(readings, zeros), frozenset({"closed loops and couplings"}))
+    followers = rms(robot.tips(readings, _offsets_alone(model, d.offsets))[:, :3, 3], expected[:, :3, 3])
+    more = [LeftOut("offsets of joints that follow others", followers)] if np.any(kept != d.offsets) else []
+    return exported(model, table, read_back, expected, frozenset({"closed loops and couplings"}), more)
 
 
 def read_offsets(table: str) -> Mapping[str, float]:

@@ -79,11 +79,9 @@ def export_ur(model: CalibratedModel) -> Export:
         return np.asarray(before @ _tips(read_ur(text), readings[:, order]) @ after)
 
     expected = before @ calibrated.tips(readings[:, order]) @ to_driver @ after
-    found = exported(model, text, read_back, expected, frozenset({"placements"}))
     cost = rms(expected[:, :3, 3], plain_tips(model, readings)[:, :3, 3])
-    if cost < _SAME_TOOL:
-        return found
-    return Export(text, found.before, found.lost, (LeftOut("placements of fixed joints", cost), *found.left_out))
+    more = [LeftOut("placements of fixed joints", cost)] if cost > _SAME_TOOL else []
+    return exported(model, text, read_back, expected, frozenset({"placements"}), more)
 
 
 def read_ur(text: str) -> Array:
