@@ -10,6 +10,8 @@ published by Franzese et al., MUKCa, github.com/platonics-delft/kinematics_calib
 The places named by --identify are those to calibrate at; all others validate. Of these only the scatter about each
 socket's mean is judged by calib calibrate, as nobody knows where they are.
 
+With --wind-up joints give way under gravity, by masses of the URDF, as much as the data and a prior say.
+
 The robot: example-robot-data's Panda with tip panda_hand_tcp, or an iiwa 14 that this script writes.
 """
 
@@ -29,6 +31,8 @@ HOLES = ("hole_0", "hole_1")
 DISTANCE, SIGMA_OF_DISTANCE = "50 mm", "0.1 mm"
 # A printed ball has play in a printed socket, and the arm gives way under the hand that guides it.
 SIGMA = "0.5 mm"
+# Wind-up of joints 2 to 6: 30 Nm turn a joint by 3 mrad at one standard deviation, either way.
+ELASTIC_JOINTS, PRIOR_ELASTIC = (1, 2, 3, 4, 5), "0.1 mrad/Nm"
 
 # KUKA LBR iiwa 14 R820. Heights of the axes above the base in m: KUKA's data sheet (360, 420 and 400 mm apart, flange
 # 126 mm beyond the last). Masses in kg and centres in m in the base frame, all joints at zero: documentation of
@@ -104,7 +108,9 @@ def table(arm: Arm, place: str, holes: dict[str, Array]) -> str:
     return "\n".join([*lines, ""])
 
 
-def job(arm: Arm, places: list[str], identify: list[str]) -> str:
+def job(arm: Arm, places: list[str], identify: list[str], wind_up: bool = False) -> str:
+    elastic = f"elastic = {json.dumps([arm.joints[k] for k in ELASTIC_JOINTS])}\n" if wind_up else ""
+    softness = f', elastic = "{PRIOR_ELASTIC}"' if wind_up else ""
     sections = [
         f"""\
 # Joint angles with a ball in printed sockets: scripts/sockets_job.py. Nothing else was measured. The distance of the
@@ -120,7 +126,7 @@ offsets = "all"
 placements = "all"
 base = "fixed"
 tool = "position"
-prior = {{ length = "1 mm", angle = "5 mrad" }}
+{elastic}prior = {{ length = "1 mm", angle = "5 mrad"{softness} }}
 """
     ]
     for place in places:
@@ -160,14 +166,14 @@ def iiwa14() -> str:
     return "\n".join(lines)
 
 
-def folder(recordings: Path, robot: str, identify: list[str]) -> dict[str, str]:
+def folder(recordings: Path, robot: str, identify: list[str], wind_up: bool = False) -> dict[str, str]:
     """The files of a job folder, by name."""
     places, arm = read(recordings), ARMS[robot]
     for place in identify:
         if place not in places:
             raise NotRecordingsError(f"--identify: there is no place {place!r}; there are {', '.join(places)}.")
     texts = {f"{place}.csv": table(arm, place, holes) for place, holes in places.items()}
-    texts["calibration.toml"] = job(arm, list(places), identify)
+    texts["calibration.toml"] = job(arm, list(places), identify, wind_up)
     return texts | ({"iiwa14.urdf": iiwa14()} if robot == "iiwa14" else {})
 
 
@@ -177,9 +183,10 @@ def main() -> int:
     parser.add_argument("output", type=Path, help="job folder to write")
     parser.add_argument("--robot", choices=tuple(ARMS), required=True)
     parser.add_argument("--identify", nargs="+", required=True, metavar="PLACE", help="places to calibrate at")
+    parser.add_argument("--wind-up", action="store_true", help="joints 2 to 6 may give way under gravity")
     arguments = parser.parse_args()
     try:
-        texts = folder(arguments.recordings, arguments.robot, arguments.identify)
+        texts = folder(arguments.recordings, arguments.robot, arguments.identify, arguments.wind_up)
     except NotRecordingsError as problem:
         print(problem, file=sys.stderr)
         return 1

@@ -15,18 +15,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from sockets_job import ARMS, HOLES, NotRecordingsError, iiwa14, read, table
+from sockets_job import ARMS, ELASTIC_JOINTS, HOLES, NotRecordingsError, iiwa14, read, table
 
 import calib
-from calib.identification.error_model import with_terms
 from calib.identification.relations import Relation
-from calib.robot.transmission import JointTerm
 
 # As sockets_job.py writes them.
 SIGMA, PRIOR_LENGTH, PRIOR_ANGLE = 0.5e-3, 1e-3, 5e-3
 DISTANCE, SIGMA_OF_DISTANCE = 0.05, 1e-4
-# Wind-up of joints 2 to 6: 30 Nm turn a joint by 3 mrad at one standard deviation, either way.
-ELASTIC_JOINTS, PRIOR_ELASTIC = (1, 2, 3, 4, 5), 1e-4
+PRIOR_ELASTIC = 1e-4
 
 
 @dataclass(frozen=True)
@@ -58,22 +55,20 @@ def load(recordings: Path, name: str) -> tuple[calib.Robot, dict[str, calib.Meas
 
 
 def error_model(robot: calib.Robot, places: Iterable[str], *, elastic: bool) -> calib.ErrorModel:
-    model = calib.error_model(
+    return calib.error_model(
         robot,
         offsets="all",
         placements="all",
         base="fixed",
         prior_length=PRIOR_LENGTH,
         prior_angle=PRIOR_ANGLE,
+        elastic=[robot.readings[k].name for k in ELASTIC_JOINTS] if elastic else "none",
+        prior_elastic=PRIOR_ELASTIC,
         relations=[
             Relation("distance", (f"{place}/{HOLES[0]}", f"{place}/{HOLES[1]}"), DISTANCE, SIGMA_OF_DISTANCE)
             for place in places
         ],
     )
-    if not elastic:
-        return model
-    terms = [JointTerm(robot.readings[k].name, "elastic") for k in ELASTIC_JOINTS]
-    return with_terms(model, terms, {term.name: PRIOR_ELASTIC for term in terms})
 
 
 def fit(

@@ -19,7 +19,7 @@ from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out,
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
-from calib.identification.error_model import ErrorModel, with_terms
+from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.identify import identify
@@ -71,19 +71,18 @@ class Step:
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
-    ``geometric``: the fit without terms from which they start. ``prior``: standard deviation in rad that amounts of
-    harmonics are expected to have, or None.
+    ``geometric``: the fit without terms from which they start. ``priors``: what amounts are expected to be.
     """
 
     steps: tuple[Step, ...]
     taken: int
     geometric: Fit
-    prior: float | None = None
+    priors: TermPriors = NO_PRIORS
 
     @property
     def model(self) -> ErrorModel:
         """The error model with the chosen terms."""
-        return _with_prior(self.geometric.model, self.terms, self.prior)
+        return _with_priors(self.geometric.model, self.terms, self.priors)
 
     @property
     def terms(self) -> tuple[JointTerm, ...]:
@@ -145,15 +144,15 @@ def choose_terms(
     *,
     offered: Sequence[Candidate] | None = None,
     count: int = FOLDS,
-    prior: float | None = None,
+    priors: TermPriors = NO_PRIORS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
-    ``offered``: those to choose from, by default :func:`candidates` of the robot. ``prior``: standard deviation in rad
-    of the amounts of harmonics, where it is known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
+    ``offered``: those to choose from, by default :func:`candidates` of the robot. ``priors`` of
+    amounts, where they are known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
     errors this raises, and MeasurementError when all rows are of one group.
     """
     with one_thread():
@@ -162,7 +161,7 @@ def choose_terms(
         group = groups(geometric.measurements)
         fold = folds(group, count)
         chosen_from = candidates(model.urdf_robot, geometric.measurements) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, prior, losses)
+        system = _System(geometric, chosen_from, priors, losses)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)
         total = np.sum(grams, axis=0)
@@ -178,11 +177,11 @@ def choose_terms(
         Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
         for k, figure in enumerate(figures)
     )
-    return Choice(steps, one_standard_error(figures), geometric, prior)
+    return Choice(steps, one_standard_error(figures), geometric, priors)
 
 
-def _with_prior(model: ErrorModel, terms: Sequence[JointTerm], prior: float | None) -> ErrorModel:
-    return with_terms(model, terms, {} if prior is None else {term.name: prior for term in terms if term.order})
+def _with_priors(model: ErrorModel, terms: Sequence[JointTerm], priors: TermPriors) -> ErrorModel:
+    return with_terms(model, terms, priors.by_name(model.robot, terms))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,10 +196,10 @@ class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
     def __init__(
-        self, geometric: Fit, offered: Sequence[Candidate], prior: float | None, losses: Sequence[Loss] | None
+        self, geometric: Fit, offered: Sequence[Candidate], priors: TermPriors, losses: Sequence[Loss] | None
     ) -> None:
         terms = [term for candidate in offered for term in candidate.terms]
-        full = _with_prior(geometric.model, terms, prior)
+        full = _with_priors(geometric.model, terms, priors)
         sets = geometric.measurements
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))

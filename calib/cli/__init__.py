@@ -14,6 +14,7 @@ from calib.presentation.console import show_error
 from calib.cli import commands as commands  # isort: skip
 from calib.cli import plan as plan  # isort: skip
 from calib.cli import acceptance as acceptance  # isort: skip
+from calib.cli import export as export  # isort: skip
 
 
 @app.callback(invoke_without_command=True)

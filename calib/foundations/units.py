@@ -11,7 +11,19 @@ import numpy as np
 
 from calib.foundations.errors import CalibError, JobError
 
-Dimension = Literal["length", "angle", "torque", "mass", "acceleration", "time", "temperature", "pixel", "number"]
+Dimension = Literal[
+    "length",
+    "angle",
+    "torque",
+    "mass",
+    "acceleration",
+    "time",
+    "temperature",
+    "pixel",
+    "turning compliance",
+    "sliding compliance",
+    "number",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +54,12 @@ UNITS: dict[str, Unit] = {
         Unit("ms", "time", 1e-3),
         Unit("degC", "temperature", 1.0),
         Unit("px", "pixel", 1.0),
+        Unit("rad/Nm", "turning compliance", 1.0),
+        Unit("mrad/Nm", "turning compliance", 1e-3),
+        Unit("urad/Nm", "turning compliance", 1e-6),
+        Unit("m/N", "sliding compliance", 1.0),
+        Unit("mm/N", "sliding compliance", 1e-3),
+        Unit("um/N", "sliding compliance", 1e-6),
         Unit("1", "number", 1.0),
     )
 }

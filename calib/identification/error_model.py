@@ -29,6 +29,33 @@ BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
 
+@dataclass(frozen=True, slots=True)
+class TermPriors:
+    """Standard deviations that amounts of joint terms are expected to have, about zero; None where nobody knows.
+
+    ``harmonics`` in rad; ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and
+    ``elastic_sliding`` of those that slide, in m/N.
+    """
+
+    harmonics: float | None = None
+    elastic: float | None = None
+    elastic_sliding: float | None = None
+
+    def by_name(self, robot: Robot, terms: Sequence[JointTerm]) -> dict[str, float]:
+        """Return the priors of these terms of a robot by their names; terms without one are left out."""
+        dimensions = {reading.name: reading.dimension for reading in robot.readings}
+
+        def prior(term: JointTerm) -> float | None:
+            if term.kind == "elastic":
+                return self.elastic if dimensions[term.reading] == "angle" else self.elastic_sliding
+            return self.harmonics if term.order else None
+
+        return {term.name: width for term in terms if (width := prior(term)) is not None}
+
+
+NO_PRIORS = TermPriors()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
     """What is unknown about a robot and its set-up. Made by :func:`error_model`.
@@ -132,6 +159,8 @@ def error_model(
     prior_length: float | None = None,
     prior_angle: float | None = None,
     prior_harmonics: float | None = None,
+    prior_elastic: float | None = None,
+    prior_elastic_sliding: float | None = None,
     base_pose: npt.ArrayLike | None = None,
     tool_poses: Mapping[str, npt.ArrayLike] | None = None,
     targets: Mapping[str, Target] | None = None,
@@ -151,7 +180,8 @@ def error_model(
     globs of readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity or
     under measured torques, whose half gap by the side of approach, whose zero by temperature is unknown. Masses are
     those of the URDF, and RobotError says what is wrong with them; torques, sides and temperatures are columns of the
-    measurements. Without a prior of their own (``prior_harmonics``, rad) amounts of terms have none.
+    measurements. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the reading turns,
+    rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
     nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
@@ -188,9 +218,18 @@ def error_model(
         ("prior length", prior_length),
         ("prior angle", prior_angle),
         ("prior harmonics", prior_harmonics),
+        ("prior elastic", prior_elastic),
+        ("prior elastic sliding", prior_elastic_sliding),
     ):
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
+    dimensions = {reading.dimension for reading in robot.readings}
+    for value, unit, needed, does in (
+        (prior_elastic, "rad/Nm", "angle", "turns"),
+        (prior_elastic_sliding, "m/N", "length", "slides"),
+    ):
+        if value is not None and needed not in dimensions:
+            raise JobError(f"prior.elastic: {unit} is of a joint that {does}, and the arm has none that is read.")
     for name, value_, allowed in (
         ("base", base, ("pose", "fixed")),
         ("tool", tool, ("pose", "position", "fixed")),
@@ -234,9 +273,8 @@ def error_model(
         dict(targets or {}),
         tuple(relations),
     )
-    if prior_harmonics is None:
-        return with_terms(model, terms)
-    return with_terms(model, terms, {term.name: prior_harmonics for term in terms if term.order})
+    priors = TermPriors(prior_harmonics, prior_elastic, prior_elastic_sliding)
+    return with_terms(model, terms, priors.by_name(robot, terms))
 
 
 def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, float] | None = None) -> ErrorModel:

@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, PoseError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.units import Dimension, parse_quantity
-from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.error_model import ErrorModel, TermPriors, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import unseen
 from calib.identification.relations import Relation
@@ -25,6 +25,7 @@ from calib.job.schema import (
     Job,
     MeasurementsSection,
     PayloadSection,
+    PriorSection,
     RelationSection,
     TargetSection,
     read_job,
@@ -287,6 +288,7 @@ def _is_folder(path: Path) -> bool:
 
 def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
     section = job.error_model
+    priors = term_priors(section.prior)
     try:
         model = error_model(
             robot,
@@ -306,7 +308,9 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             tool=section.tool,
             prior_length=_si(section.prior.length, "length"),
             prior_angle=_si(section.prior.angle, "angle"),
-            prior_harmonics=_si(section.prior.harmonics, "angle"),
+            prior_harmonics=priors.harmonics,
+            prior_elastic=priors.elastic,
+            prior_elastic_sliding=priors.elastic_sliding,
             base_pose=None if job.base is None else _placement(job.base),
             tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
             targets={name: _target(target) for name, target in job.targets.items()},
@@ -406,6 +410,16 @@ def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
     position = _si(section.model_sigma, "pixel" if section.observes == "pixels" else "length")
     return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
+
+
+def term_priors(section: PriorSection) -> TermPriors:
+    """Return the priors of joint terms in SI units."""
+    elastic, sliding = section.elastic, None
+    if elastic is not None and elastic.rstrip().endswith("/N"):
+        elastic, sliding = None, elastic
+    return TermPriors(
+        _si(section.harmonics, "angle"), _si(elastic, "turning compliance"), _si(sliding, "sliding compliance")
+    )
 
 
 def _si(text: str | None, dimension: Dimension) -> float | None:

@@ -20,7 +20,7 @@ from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
-from calib.job.inputs import Inputs, Progress
+from calib.job.inputs import Inputs, Progress, term_priors
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
 
@@ -131,12 +131,11 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
     section = inputs.job.error_model
     if section.terms != "auto":
         return None
-    prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
     try:
         return choose_terms(
             inputs.model,
             inputs.identify,
-            prior=prior,
+            priors=term_priors(section.prior),
             model_sigmas=_flat(inputs.model_sigmas),
             losses=inputs.losses,
             progress=progress,

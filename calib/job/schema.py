@@ -35,7 +35,12 @@ def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any
 
     def checked(text: object) -> object:
         if not isinstance(text, str):
-            example = {"length": "0.02 mm", "mass": "5 kg", "acceleration": "9.81 m/s2"}.get(dimension, "0.01 deg")
+            example = {
+                "length": "0.02 mm",
+                "mass": "5 kg",
+                "acceleration": "9.81 m/s2",
+                "turning compliance": "10 urad/Nm",
+            }.get(dimension, "0.01 deg")
             raise ValueError(f"{_shown(text)} is not a text with a number and a unit, like {example!r}.")
         try:
             value = parse_quantity(text, dimension, "")
@@ -109,6 +114,12 @@ def _length_or_pixels(text: object) -> object:
     return _quantity("pixel" if isinstance(text, str) and _in_pixels(text) else "length", "zero")(text)
 
 
+def _compliance(text: object) -> object:
+    """Accept what the unit decides: a compliance of what slides, or of what turns."""
+    slides = isinstance(text, str) and text.rstrip().endswith("/N")
+    return _quantity("sliding compliance" if slides else "turning compliance", "more")(text)
+
+
 def _in_pixels(text: str) -> bool:
     return text.rstrip().endswith("px")
 
@@ -120,6 +131,7 @@ LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
 Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
 PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
 Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
+PositiveCompliance = Annotated[str, BeforeValidator(_compliance)]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
@@ -189,11 +201,12 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of harmonics."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of joint terms."""
 
     length: PositiveLength | None = None
     angle: PositiveAngle | None = None
     harmonics: PositiveAngle | None = None
+    elastic: PositiveCompliance | None = None
 
 
 class ErrorModelSection(_Section):

@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.assessment.choice import ORDERS, Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
-from calib.identification.error_model import with_terms
+from calib.identification.error_model import TermPriors, with_terms
 from calib.identification.joint_terms import harmonic
 from tests.identification import machines
 from tests.identification.test_joint_terms import UR10, geared
@@ -97,7 +97,7 @@ def test_neither_the_order_of_rows_nor_the_frame_moves_the_choice() -> None:
 
 def test_the_records_tell_every_step() -> None:
     model, data, _ = measured(6, 80, {(1, 3): 3e-4})
-    choice = choose_terms(model, data, prior=1e-4)
+    choice = choose_terms(model, data, priors=TermPriors(harmonics=1e-4))
     records = choice.records()
     assert len(records) == 1 + len(candidates(model.robot)) == 1 + 6 * (2 + len(ORDERS))
     assert [record["taken"] for record in records] == [k <= choice.taken for k in range(len(records))]

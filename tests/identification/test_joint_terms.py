@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.foundations.errors import JobError
 from calib.identification import system
-from calib.identification.error_model import with_terms
+from calib.identification.error_model import TermPriors, with_terms
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.identification.total_differential import total_differential
@@ -195,11 +195,31 @@ def test_a_prior_holds_them_back() -> None:
         ({"harmonics": "all", "harmonic_orders": (1, 0)}, "harmonic_orders: 0 is not a whole number from 1 to 1000."),
         ({"harmonics": "all", "harmonic_orders": (1.5,)}, "harmonic_orders: 1.5 is not"),
         ({"prior_harmonics": 0.0}, "prior harmonics: 0.0 is not a positive number"),
+        ({"prior_elastic": float("inf")}, "prior elastic: inf is not a positive number"),
+        ({"prior_elastic_sliding": -1.0}, "prior elastic sliding: -1.0 is not a positive number"),
+        ({"prior_elastic_sliding": 1e-7}, "prior.elastic: m/N is of a joint that slides, and the arm has none"),
     ],
 )
 def test_wrong_choices_are_refused(options: dict[str, object], sentence: str) -> None:
     with pytest.raises(JobError, match=sentence.replace("(", r"\(")):
         calib.error_model(machines.load(*UR10), **options)
+
+
+def test_a_prior_of_compliance_has_the_unit_of_its_joint() -> None:
+    robot = machines.load(machines.INLINE["gantry"], "tip")
+    terms = [
+        JointTerm("bridge", "elastic"),
+        JointTerm("a", "elastic"),
+        JointTerm("a", "cos", 2),
+        JointTerm("a", "gain"),
+    ]
+    priors = TermPriors(harmonics=1e-4, elastic=2e-5, elastic_sliding=3e-7)
+    assert priors.by_name(robot, terms) == {"bridge.elastic": 3e-7, "a.elastic": 2e-5, "a.cos_2": 1e-4}
+    assert TermPriors().by_name(robot, terms) == {}
+    panda = calib.load_robot("example:panda_description/urdf/panda.urdf", "panda_hand_tcp")
+    model = calib.error_model(panda, elastic="all", gain="all", prior_elastic=1e-5)
+    found = {(p.name.partition(".")[2], p.prior) for p in model.parameters() if p.kind == "term"}
+    assert found == {("elastic", 1e-5), ("gain", None)}
 
 
 def test_what_slides_has_no_harmonics() -> None:

@@ -79,6 +79,20 @@ def test_the_result_tells_the_choice(given: tuple[Outcome, Path], chosen: tuple[
     assert max(map(len, told.splitlines())) <= 80
 
 
+def test_priors_of_a_job_are_those_of_its_model(tmp_path: Path) -> None:
+    for name in ("irb2400.urdf", "harmonics.csv", "test.csv"):
+        shutil.copy(CASE / name, tmp_path)
+    text = (CASE / JOB).read_text(encoding="utf-8").replace(GIVEN, GIVEN + 'elastic = ["joint_2", "joint_3"]\n')
+    prior = 'harmonics = "0.1 mrad"'
+    assert prior in text
+    (tmp_path / JOB).write_text(text.replace(prior, prior + ', elastic = "2 urad/Nm"'), encoding="utf-8")
+    found = load(tmp_path / JOB).model.term_priors
+    assert {name: width for name, width in found.items() if name.endswith("elastic")} == pytest.approx(
+        {"joint_2.elastic": 2e-6, "joint_3.elastic": 2e-6}
+    )
+    assert sum(width == pytest.approx(1e-4) for width in found.values()) == 48
+
+
 def test_what_a_urdf_without_them_loses_is_told(given: tuple[Outcome, Path]) -> None:
     outcome, out = given
     assert outcome.lost_in_urdf > 0.1e-3

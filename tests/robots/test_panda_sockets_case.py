@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import calib
 from calib.identification.relations import Relation
+from calib.job.inputs import load
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +62,13 @@ def test_the_script_makes_these_bytes(tmp_path: Path) -> None:
     assert made == sorted(path.relative_to(CASE) for path in CASE.rglob("*.*") if path.name != "README.md")
     for path in made:
         assert (tmp_path / path).read_bytes() == (CASE / path).read_bytes()
+
+
+def test_joints_may_give_way(tmp_path: Path) -> None:
+    arguments = [sys.executable, ROOT / "scripts" / "sockets_job.py", CASE / "recordings", tmp_path, "--robot", "panda"]
+    subprocess.run([*arguments, "--identify", "front", "left", "--wind-up"], check=True, capture_output=True)
+    joints = [f"panda_joint{k}.elastic" for k in range(2, 7)]
+    assert load(tmp_path / "calibration.toml").model.term_priors == pytest.approx(dict.fromkeys(joints, 1e-4))
 
 
 def test_the_truth_is_found(fit: calib.Fit, truth: dict[str, object]) -> None:

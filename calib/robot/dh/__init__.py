@@ -10,7 +10,7 @@ J. Denavit, R. S. Hartenberg, *A kinematic notation for lower-pair mechanisms ba
 parameter estimation*, CDC 1983 (the turn beta where neighbouring axes are parallel).
 """
 
-from calib.robot.dh.files import read_dh, write_dh
+from calib.robot.dh.files import parse_dh, read_dh, write_dh
 from calib.robot.dh.frames import PARALLEL, DhFrames, dh_frames, dh_of
 from calib.robot.dh.table import Convention, DhRow, DhTable
 from calib.robot.dh.to_urdf import dh_to_urdf
@@ -24,6 +24,7 @@ __all__ = [
     "dh_frames",
     "dh_of",
     "dh_to_urdf",
+    "parse_dh",
     "read_dh",
     "write_dh",
 ]

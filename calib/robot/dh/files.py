@@ -50,8 +50,12 @@ def read_dh(path: str | Path, convention: Convention | None = None) -> DhTable:
 
     Raises RobotError with the file, the line, the column, the value and what is allowed.
     """
-    where = str(path)
-    before, header, body = _parts(_lines(read_bytes(Path(path), RobotError, _LARGEST_FILE), where), where)
+    return parse_dh(read_bytes(Path(path), RobotError, _LARGEST_FILE), str(path), convention)
+
+
+def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> DhTable:
+    """Return the table of a file's contents; as :func:`read_dh`. ``where`` names it in sentences."""
+    before, header, body = _parts(_lines(data, where), where)
     units = _units(header)
     rows = tuple(_row(line, units, number) for number, line in enumerate(body, start=1))
     stated = _convention(before.get("convention"))

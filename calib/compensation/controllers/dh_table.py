@@ -1,0 +1,37 @@
+"""The corrected DH table, for controllers and programs that are told an arm in these numbers."""
+
+import numpy as np
+
+from calib.compensation.controllers.export import Export, exported, plain_tips, poses
+from calib.compensation.model_file import CalibratedModel
+from calib.compensation.urdf import calibrated_urdf
+from calib.foundations.arrays import Array
+from calib.foundations.errors import OutputError
+from calib.robot import dh
+from calib.robot.dh.table import DhTable
+from calib.robot.load import load_robot
+from calib.robot.urdf import parse_urdf
+
+
+def export_dh(model: CalibratedModel, table: DhTable | None = None) -> Export:
+    """Return a DH table (CSV) of the calibrated machine, offsets included in theta and d.
+
+    ``table``: the corrected one where DH parameters were free; by default that of the calibrated URDF. Raises
+    RobotError for an arm that has none, as joints follow others; OutputError when the table is of another machine.
+    """
+    robot = model.robot
+    names = [reading.name for reading in robot.readings]
+    if table is None:
+        document = parse_urdf(calibrated_urdf(robot, model.deviations), "the calibrated URDF")
+        table = dh.dh_of(load_robot(document, robot.tip, robot.base))
+    unread = [row.joint for row in table.rows if row.type != "fixed" and row.joint not in names]
+    if unread:
+        raise OutputError(f"joint {unread[0]!r} moves and is not read; a DH table knows no joints that follow others.")
+    text = dh.write_dh(table)
+
+    def read_back(readings: Array) -> Array:
+        again = dh.parse_dh(text.encode(), "the DH table")
+        arm = load_robot(parse_urdf(dh.dh_to_urdf(again), "the DH table"), "tip")
+        return arm.tips(readings[:, [names.index(reading.name) for reading in arm.readings]])
+
+    return exported(model, text, read_back, np.asarray(plain_tips(model, poses(model))), frozenset({"placements"}))

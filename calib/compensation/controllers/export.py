@@ -1,0 +1,122 @@
+"""What all exports share: where they are judged, what they leave out and what that costs at the tip."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calib.compensation.model_file import CalibratedModel
+from calib.compensation.urdf import lost_in_urdf
+from calib.foundations.arrays import Array
+from calib.foundations.errors import OutputError
+from calib.robot.conditions import ordinary
+from calib.robot.sampling import random_readings
+
+Part = Literal[
+    "placements",
+    "placements of fixed joints",
+    "offsets of joints that follow others",
+    "joint terms",
+    "closed loops and couplings",
+    "residual grid",
+]
+
+_POSES = 500
+# Largest difference at the tip, in m and in entries of the rotation, between the file read back and what it should say.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A part of the calibration that a format has no place for; ``cost``: rms in m at the tip that the part makes.
+
+    nan where nothing can be said, as the machine does not even take the same readings without it.
+    """
+
+    part: Part
+    cost: float
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """A file for a controller. ``text``: its contents. All figures are rms distances in m at the tip, base kept.
+
+    ``before``: the nominal machine, and ``lost``: the machine of the file, both from the calibrated one whole. Over
+    random poses of the identified range of readings, or of the joints' limits where the results do not tell it.
+    """
+
+    text: str
+    before: float
+    lost: float
+    left_out: tuple[LeftOut, ...]
+
+
+def poses(model: CalibratedModel) -> Array:
+    """Return random readings (500, nr) of the identified range, always the same, at which exports are judged."""
+    limits = None if model.uncertainty is None else model.uncertainty.identified
+    plain = replace(model.deviations, terms=np.zeros_like(model.deviations.terms))
+    return random_readings(model.robot, _POSES, limits, (None, plain))
+
+
+def whole_positions(model: CalibratedModel, readings: Array) -> Array:
+    """Return the positions (N, 3) in m of the tip in the base link: joint terms and residual grid included.
+
+    Reached from neither side, at 20 degC, with no torques measured.
+    """
+    tips = model.tips(readings, ordinary(readings))
+    shifts = 0.0 if model.grid is None else model.grid.shifts(np.eye(4), tips, readings)
+    return np.asarray(tips[:, :3, 3] + shifts)
+
+
+def plain_tips(model: CalibratedModel, readings: Array) -> Array:
+    """Return the tips (N, 4, 4) in the base link of placements and offsets alone, at readings (N, nr)."""
+    return model.robot.tips(readings, replace(model.deviations, terms=np.zeros_like(model.deviations.terms)))
+
+
+def rms(a: Array, b: Array) -> float:
+    """Return the rms distance of positions (N, 3)."""
+    return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+
+
+def exported(
+    model: CalibratedModel,
+    text: str,
+    read_back: Callable[[Array], Array],
+    expected: Array,
+    holds: frozenset[Part],
+    more: Sequence[LeftOut] = (),
+) -> Export:
+    """Return the export of a text that reads back as a machine with tips ``read_back(readings)`` (N, 4, 4).
+
+    ``expected`` (N, 4, 4): what these are to be at :func:`poses`; ``holds``: parts that the format has a place for,
+    ``more``: what is left out beside whole parts.
+    Raises OutputError when the machine read back is another one.
+    """
+    readings = poses(model)
+    tips = read_back(readings)
+    difference = float(np.max(np.abs(tips - expected)))
+    if not difference < _ROUNDING:
+        raise OutputError(f"the file read back differs from the calibrated machine by {difference:.3g}.")
+    whole = whole_positions(model, readings)
+    nominal = model.robot.tips(readings, model.robot.no_deviations())[:, :3, 3]
+    left = tuple(part for part in _parts(model, readings) if part.part not in holds)
+    return Export(text, rms(nominal, whole), rms(tips[:, :3, 3], whole), (*more, *left))
+
+
+def _parts(model: CalibratedModel, readings: Array) -> list[LeftOut]:
+    """Return the parts that this calibration has, each with the distance that it makes at the tip."""
+    robot, d, conditions = model.robot, model.deviations, ordinary(readings)
+    tips = model.tips(readings, conditions)
+    found: list[LeftOut] = []
+    if d.placements.any():
+        without = robot.tips(readings, replace(d, placements=np.zeros_like(d.placements)), conditions)
+        found.append(LeftOut("placements", rms(without[:, :3, 3], tips[:, :3, 3])))
+    if d.terms.any():
+        found.append(LeftOut("joint terms", rms(plain_tips(model, readings)[:, :3, 3], tips[:, :3, 3])))
+    if robot.loops or robot.couplings:
+        bare, without_terms = replace(robot, terms=(), weights=None), replace(d, terms=np.zeros(0))
+        found.append(LeftOut("closed loops and couplings", lost_in_urdf(bare, without_terms, readings)))
+    if model.grid is not None:
+        found.append(LeftOut("residual grid", rms(model.grid.shifts(np.eye(4), tips, readings), np.zeros((1, 3)))))
+    return found

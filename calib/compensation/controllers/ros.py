@@ -1,0 +1,78 @@
+"""YAML for ROS users: what the calibrated URDF has no place for, and what else nodes want to know by name."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.compensation.controllers.export import Export, exported, poses
+from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
+from calib.compensation.model_file import CalibratedModel
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.robot.conditions import ordinary
+from calib.robot.joint_terms import with_joint_terms
+from calib.robot.robot import Deviations
+from calib.robot.transmission import JointTerm
+
+_COMMENTS = """\
+# Calibrated machine, in m, rad and SI. Quaternions in the order of ROS: x, y, z, w.
+# joint position = reading + offset + sum of amount * basis over the joint's terms. calibrated.urdf has the offsets in
+# its origins already: add them to readings only where the nominal URDF is kept, never with both.
+"""
+
+
+def export_ros(model: CalibratedModel) -> Export:
+    """Return YAML: joints with offsets, joint terms (kind, order, amount, unit), base and tool frames.
+
+    ``calibration.joints``: names of the moving joints and offsets in rad or m; ``base``: the base link in the
+    instrument's frame; ``tools``: in the tip link; ``terms``: as docs/joint_terms.md has them. Placements are not in
+    it: they are in the calibrated URDF. ``lost`` is that of the nominal URDF with this file alone.
+    """
+    robot, d = model.robot, model.deviations
+    moving = [robot.chain[i] for i in robot.moving]
+    dimensions = {reading.name: reading.dimension for reading in robot.readings}
+    terms: list[Node] = [
+        {
+            "joint": term.reading,
+            "kind": term.kind,
+            "order": term.order,
+            "amount": float(amount),
+            "unit": term.unit(dimensions[term.reading]),
+        }
+        for term, amount in zip(robot.terms, d.terms, strict=True)
+    ]
+    x, y, z = map(float, robot.gravity)
+    contents: dict[str, Node] = {
+        "schema": 1,
+        "base_link": robot.base,
+        "tip_link": robot.tip,
+        "joints": [
+            {"name": joint.name, "type": joint.type, "offset": float(offset)}
+            for joint, offset in zip(moving, d.offsets, strict=True)
+        ],
+        "base": _frame(model.base),
+        "tools": [{"name": name, **_frame(tool)} for name, tool in model.tools.items()],
+        "terms": terms,
+        "gravity": [x, y, z],
+    }
+    own = replace(d, placements=np.zeros_like(d.placements))
+    text = _COMMENTS + yaml_text({"calibration": contents})
+
+    def read_back(readings: Array) -> Array:
+        read = read_yaml(text)["calibration"]
+        offsets = read_only([joint["offset"] for joint in read["joints"]])
+        amounts = read_only([term["amount"] for term in read["terms"]])
+        again = with_joint_terms(
+            replace(robot, terms=(), weights=None),
+            [JointTerm(term["joint"], term["kind"], term["order"]) for term in read["terms"]],
+        )
+        return again.tips(readings, Deviations(own.placements, offsets, amounts), ordinary(readings))
+
+    readings = poses(model)
+    expected = robot.tips(readings, own, ordinary(readings))
+    return exported(model, text, read_back, expected, frozenset({"joint terms"}))
+
+
+def _frame(T: Array) -> dict[str, Node]:
+    w, x, y, z = map(float, rigid.quaternion_of(T[:3, :3]))
+    return {"xyz": list(map(float, T[:3, 3])), "quaternion": [x, y, z, w]}
