@@ -42,11 +42,13 @@ Scheme = int | Literal["leave-one-group-out"]
 
 FRAMES, OFFSETS, DH, PLACEMENTS = "base and tool", "offsets", "DH parameters", "placements"
 TERMS, OWN = "joint terms", "as in the job"
+# Models that say the same in other parameters differ by what the solver leaves.
+_SOLVED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedModel:
-    """One model. ``parameters``, ``rank`` and ``terms`` (the joint terms chosen): of the fit to all rows.
+    """One model. ``parameters``, ``rank`` and ``terms`` (where chosen, the joint terms): of the fit to all rows.
 
     ``rms``: of every quantity at rows held out, in SI units. ``held_out``: the figure that is judged, in ``unit`` of
     the comparison; ``difference``: how much larger it is than that of the best, and the ``standard_error`` of this.
@@ -65,13 +67,14 @@ class JudgedModel:
     @property
     def no_worse(self) -> bool:
         """Whether it is within one standard error of the best."""
-        return self.difference <= self.standard_error
+        return self.difference <= max(self.standard_error, _SOLVED * self.held_out.rms)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelComparison:
-    """Made by :func:`compare_models`. ``models``: by rank. ``refused``: why a model could not be identified, by name.
+    """Made by :func:`compare_models`. ``models``: by rank, then by number of parameters.
 
+    ``refused``: why a model could not be identified, by name.
     ``unit``: of the judged figures, SI; "1" where there are several quantities: the root of their mean square, each in
     units of the least error that any model makes of it. ``groups`` of rows were held out together, in ``folds`` folds.
     """
@@ -191,7 +194,12 @@ def compare_models(
             refused[name] = str(e)
     if not crossed:
         raise IdentificationError(f"no model can be identified; {next(iter(refused))}: {next(iter(refused.values()))}")
-    return _compared({name: fits[name] for name in crossed}, crossed, refused, group, number)
+    terms = {name: _terms(fits[name]) if name in choose else () for name in crossed}
+    return _compared(fits, crossed, terms, refused, group, number)
+
+
+def _terms(fit: Fit) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in fit.parameters if parameter.kind == "term")
 
 
 def _folds(group: IntArray, scheme: Scheme) -> IntArray:
@@ -231,6 +239,7 @@ def _finder(
 def _compared(
     fits: Mapping[str, Fit],
     crossed: Mapping[str, CrossValidation],
+    terms: Mapping[str, tuple[str, ...]],
     refused: Mapping[str, str],
     group: IntArray,
     number: int,
@@ -246,17 +255,16 @@ def _compared(
     figures = {name: held_out(found, group) for name, found in squares.items()}
     best = min(figures, key=lambda name: figures[name].rms)
     judged = []
-    for name in sorted(fits, key=lambda name: fits[name].rank):
+    for name in sorted(crossed, key=lambda name: (fits[name].rank, len(fits[name].parameters))):
         difference, standard_error = paired(squares[name], squares[best], group)
         fit = fits[name]
-        terms = tuple(p.name for p in fit.parameters if p.kind == "term")
         judged.append(
             JudgedModel(
                 name,
                 fit.model,
                 len(fit.parameters),
                 fit.rank,
-                terms,
+                terms[name],
                 rms[name],
                 figures[name],
                 difference,

@@ -8,7 +8,7 @@ import typer
 from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
 from calib.assessment.validation import FOLDS
 from calib.cli.options import JobFile, Json, Quiet, app
-from calib.foundations.errors import CalibError, JobError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import parse_quantity
 from calib.job.inputs import load
 from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
@@ -46,10 +46,10 @@ def models(
 
         inputs = load(job, say)
         section = inputs.job.error_model
-        nested = nested_models(inputs.model, inputs.identify)
         choose = {TERMS, OWN} if section.terms == "auto" else {TERMS}
         prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
         try:
+            nested = nested_models(inputs.model, inputs.identify)
             found = compare_models(
                 nested,
                 inputs.identify,
@@ -60,7 +60,7 @@ def models(
                 losses=inputs.losses,
                 progress=told,
             )
-        except CalibError as e:
+        except (IdentificationError, JobError, MeasurementError) as e:
             raise type(e)(f"{job}: {e}") from e
     if as_json:
         contents = {

@@ -4,6 +4,9 @@ from calib.assessment.comparison import ModelComparison
 from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import SHOWN, count
 
+# More would hide the recommendation; the JSON document has all.
+_SHOWN_TERMS = 8
+
 
 def comparison_sheet(found: ModelComparison) -> Sheet:
     """Return the models by rank, their errors at rows held out and how much worse than the best they are."""
@@ -13,13 +16,13 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
         figures = (m.held_out.rms, m.held_out.standard_error, m.difference, m.standard_error)
         shown = (f"{value * factor:.4f}" for value in figures)
         rows.append(Row((m.name, str(m.parameters), str(m.rank), *shown), strong=m is found.recommended))
-    columns = ("model", "free", "seen", "held out", "+-", "worse by", "+-  ")
+    columns = ("model", "free", "seen", "held out", "std. error", "worse by", "std. error")
     return Sheet(
         f"Errors at rows held out, rms [{unit}]",
         columns,
         frozenset(columns[1:]),
         tuple(rows),
-        f"{found.rows} rows in {found.groups} groups, {found.folds} folds; +-: standard error",
+        f"{found.rows} rows in {found.groups} groups, {found.folds} folds; worse by: than the best, at the same rows",
     )
 
 
@@ -31,7 +34,11 @@ def comparison_sentences(found: ModelComparison) -> tuple[str, ...]:
             "Relative: each quantity in units of its least error, root mean square over "
             f"{', '.join(found.recommended.rms).replace('_', ' ')}."
         )
-    said += [f"Chosen for {m.name}: {', '.join(m.terms)}." for m in found.models if m is found.recommended and m.terms]
+    terms = found.recommended.terms
+    if terms:
+        more = f" and {len(terms) - _SHOWN_TERMS} more" if len(terms) > _SHOWN_TERMS else ""
+        chosen = count(len(terms), "joint term is", "joint terms are")
+        said.append(f"{chosen} chosen by all rows: {', '.join(terms[:_SHOWN_TERMS])}{more}.")
     if found.recommended is found.best:
         reason = "the least error, and no simpler one is within one standard error of it"
     else:
