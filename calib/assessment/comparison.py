@@ -1,11 +1,10 @@
 """Which model does a machine need? Nested models, judged by rows that they never saw, on the same folds.
 
 A model with more parameters always fits its own rows better. At rows held out it does only where what it adds is there;
-the simplest that is not significantly worse than the best is recommended. Two models err at the same rows with the same
-noise: so not their figures are compared but the paired difference, whose standard error is far smaller. The rule takes
-the model of lowest rank whose difference to the best is within one standard error (Breiman, Friedman, Olshen, Stone,
-*Classification and regression trees*, 1984, 3.4.3; paired as by T. Hastie, R. Tibshirani, J. Friedman, *The elements of
-statistical learning*, 2009, 7.10).
+the simplest that is not significantly worse than the best is recommended: that of lowest rank whose error is larger by
+no more than one standard error (Breiman, Friedman, Olshen, Stone, *Classification and regression trees*, 1984, 3.4.3).
+Two models err at the same rows with the same noise. So the standard error is that of their paired difference, which is
+far smaller than those of the two figures.
 
 Joint terms are chosen anew in every fold, without the rows it is judged by.
 """
