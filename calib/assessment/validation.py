@@ -8,17 +8,18 @@ The rule (Breiman, Friedman, Olshen, Stone, *Classification and regression trees
 size take the smallest whose held-out error is within one standard error of the least.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from calib.foundations.arrays import Array, IntArray, read_only_view
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
+from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
@@ -38,18 +39,23 @@ class HeldOut:
     standard_error: float
 
 
-def groups(measurements: Sequence[Measurements]) -> IntArray:
+def groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    Numbered by the poses in them, so that neither the order of the rows nor that of the sets matters.
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Numbered by the poses
+    in them, so that neither the order of the rows nor that of the sets matters.
     """
     readings = np.concatenate([_both_ends(data) for data in measurements])
     cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
-    words = [word for data in measurements for word in (data.group or [None] * len(data))]
-    first: dict[str, int] = {}
-    said = [(first.setdefault(word, int(c)), int(c)) for word, c in zip(words, cell, strict=True) if word is not None]
+    first: dict[tuple[str, str], int] = {}
+    said = [
+        (first.setdefault((what, word), int(c)), int(c))
+        for what, words in (("group", _words(measurements)), ("place", _places(measurements) if places else ()))
+        for word, c in zip(words, cell, strict=bool(words))
+        if word is not None
+    ]
     pairs = np.concatenate([near, np.array(said, dtype=np.intp).reshape(-1, 2)])
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     _, component = connected_components(links, directed=False)
@@ -58,6 +64,15 @@ def groups(measurements: Sequence[Measurements]) -> IntArray:
     rank = np.empty(len(order), dtype=np.intp)
     rank[np.argsort(order)] = np.arange(len(order))
     return np.asarray(rank[component][cell], dtype=np.intp)
+
+
+def _words(measurements: Sequence[Measurements]) -> list[str | None]:
+    return [word for data in measurements for word in (data.group or [None] * len(data))]
+
+
+def _places(measurements: Sequence[Measurements]) -> list[str | None]:
+    """Return the socket of every row of all sets, None where a row is of none."""
+    return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
 
 
 def _both_ends(data: Measurements) -> Array:
@@ -136,16 +151,92 @@ def cross_validate(
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     group = groups(sets)
-    fold = folds(group, count)
-    ends = np.cumsum([len(data) for data in sets])
-    own = np.split(fold, ends[:-1])
+
+    def find(rows: Rows) -> Fit:
+        return identify(
+            rows.within(model), rows.sets, model_sigmas=rows.sigmas(model_sigmas), losses=rows.losses(losses)
+        )
+
+    return predict_held_out(find, model, sets, group, folds(group, count))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Some rows of ``every`` set: ``sets`` without those that have none, and ``which`` of all they are.
+
+    Tools and targets without rows are not among their names, so that nothing is known of them.
+    """
+
+    every: tuple[Measurements, ...]
+    sets: tuple[Measurements, ...]
+    which: tuple[int, ...]
+
+    @staticmethod
+    def of(sets: Sequence[Measurements], chosen: Sequence[BoolArray]) -> "Rows":
+        """Return the rows chosen by a mask (N,) of every set."""
+        which = tuple(i for i, mask in enumerate(chosen) if mask.any())
+        return Rows(tuple(sets), tuple(_named(sets[i].subset(chosen[i])) for i in which), which)
+
+    def within(self, model: ErrorModel) -> ErrorModel:
+        """Return the model without what is known of targets that have no rows."""
+        there = {name for data in self.sets for name in data.targets}
+        return replace(
+            model,
+            targets={name: target for name, target in model.targets.items() if name in there},
+            relations=tuple(relation for relation in model.relations if there.issuperset(relation.targets)),
+        )
+
+    def losses(self, losses: Sequence[Loss] | None) -> list[Loss] | None:
+        """Return the losses of the sets that have rows, given those of all sets."""
+        return None if losses is None else [losses[i] for i in self.which]
+
+    def sigmas(self, sigmas: Sequence[float | None] | None) -> list[float | None] | None:
+        """Return the model sigmas of the sets that have rows, given those of all components of all sets."""
+        if sigmas is None:
+            return None
+        ends = np.cumsum([0, *(len(QUANTITIES[data.kind]) for data in self.every)])
+        return [sigma for i in self.which for sigma in sigmas[ends[i] : ends[i + 1]]]
+
+
+def _named(data: Measurements) -> Measurements:
+    """Return the measurements with those names of tools and targets alone that some row has."""
+
+    def used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:
+        there = np.unique(np.concatenate(numbers))
+        there = there[there >= 0]
+        new = np.full(len(names) + 1, -1, dtype=np.intp)
+        new[there] = np.arange(len(there))
+        return tuple(names[k] for k in there), new
+
+    other = data.other
+    tools, tool = used(data.tools, data.tool, *(() if other is None else (other.tool,)))
+    targets, target = used(data.targets, data.target)
+    return replace(
+        data,
+        tools=tools,
+        tool=read_only_view(tool[data.tool]),
+        targets=targets,
+        target=read_only_view(target[data.target]),
+        other=None if other is None else replace(other, tool=read_only_view(tool[other.tool])),
+    )
+
+
+def predict_held_out(
+    find: Callable[[Rows], Fit], model: ErrorModel, sets: Sequence[Measurements], group: IntArray, fold: IntArray
+) -> CrossValidation:
+    """Predict the rows of every fold by a fit to all others, which ``find`` makes; ``group``, ``fold``: (N,) of rows.
+
+    What ``model`` knows of targets holds for rows held out; other targets that a fit does not know are found from
+    these. Raises what ``find`` raises, and MeasurementError when a tool point is in no other fold.
+    """
+    own = np.split(fold, np.cumsum([len(data) for data in sets])[:-1])
     found = tuple(np.empty_like(data.sigma) for data in sets)
     for k in range(int(fold.max()) + 1):
-        kept = [data.subset(f != k) for data, f in zip(sets, own, strict=True)]
-        fit = identify(model, kept, model_sigmas=model_sigmas, losses=losses)
-        left_out = [data.subset(f == k) for data, f in zip(sets, own, strict=True)]
-        for r, f, there in zip(residuals_of(fit, left_out, fit.machine), own, found, strict=True):
-            there[f == k] = r
+        fit = find(Rows.of(sets, [f != k for f in own]))
+        fit = replace(fit, model=replace(fit.model, targets=model.targets))
+        left_out = Rows.of(sets, [f == k for f in own])
+        for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
+            found[i][own[i] == k] = r
     return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)
 
 

@@ -1,0 +1,82 @@
+"""The command that says which error model a machine needs."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
+from calib.assessment.validation import FOLDS
+from calib.cli.options import JobFile, Json, Quiet, app
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.units import parse_quantity
+from calib.job.inputs import load
+from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
+from calib.presentation.console import progress, sentence, show, warning, write
+from calib.presentation.tables import sheet_table
+
+_STEPS_OF_LOADING = 3
+
+
+@app.command()
+def models(
+    job: JobFile,
+    folds: Annotated[
+        int | None, typer.Option("--folds", metavar="N", min=2, help=f"Parts to hold out in turn.  [default: {FOLDS}]")
+    ] = None,
+    leave_one_group_out: Annotated[
+        bool, typer.Option("--leave-one-group-out", help="Hold out every pose, socket or group by itself.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare error models of growing size by errors at rows held out.
+
+    Base and tool alone, joint offsets, placements or DH parameters, joint terms, and what the job frees: the simplest
+    that is not significantly worse than the best is recommended. Rows of one pose, one socket or one word in the
+    column group stay together. Levels and solver of the job do not matter; its validation data are not looked at.
+    """
+    if folds is not None and leave_one_group_out:
+        raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
+    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING) as say:
+
+        def told(text: str, left: int) -> None:
+            say.expect(left)
+            say(text)
+
+        inputs = load(job, say)
+        section = inputs.job.error_model
+        choose = {TERMS, OWN} if section.terms == "auto" else {TERMS}
+        prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
+        try:
+            nested = nested_models(inputs.model, inputs.identify)
+            found = compare_models(
+                nested,
+                inputs.identify,
+                scheme="leave-one-group-out" if leave_one_group_out else folds or FOLDS,
+                choose=choose & nested.keys(),
+                prior=prior,
+                model_sigmas=[sigma for sigmas in inputs.model_sigmas for sigma in sigmas],
+                losses=inputs.losses,
+                progress=told,
+            )
+        except (IdentificationError, JobError, MeasurementError) as e:
+            raise type(e)(f"{job}: {e}") from e
+    if as_json:
+        contents = {
+            "schema": 1,
+            "rows": found.rows,
+            "groups": found.groups,
+            "folds": found.folds,
+            "unit": found.unit,
+            "recommended": found.recommended.name,
+            "models": found.records(),
+            "refused": dict(found.refused),
+        }
+        write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    elif not quiet:
+        show(
+            *(warning(f"{name}: {why}") for name, why in found.refused.items()),
+            sheet_table(comparison_sheet(found)),
+            *map(sentence, comparison_sentences(found)),
+        )
