@@ -324,7 +324,12 @@ def _gaussian_of(arrays: dict[str, npt.NDArray[Any]]) -> GaussianResiduals:
     if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], ["angle", "length"]).all():
         raise NotReadableError("its joints have no names and dimensions")
     numbers = tuple(int(j) for j in joints.ravel())
-    if joints.ndim != 1 or not numbers or sorted(set(numbers)) != list(numbers) or not set(numbers) <= {*range(len(table))}:
+    if (
+        joints.ndim != 1
+        or not numbers
+        or sorted(set(numbers)) != list(numbers)
+        or not set(numbers) <= {*range(len(table))}
+    ):
         raise NotReadableError("its joints are not different ones of the robot's, in order")
     points, errors, scales = arrays["points"], arrays["errors"], arrays["scales"]
     n = len(points) if points.ndim else 0
