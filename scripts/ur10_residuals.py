@@ -40,8 +40,8 @@ to order {largest} among them ([joint_terms.md](joint_terms.md)); then the Gauss
 
 Many poses were visited twice, and a random split puts twins on both sides. The columns "new poses" count only the rows
 held out whose pose is in no row to identify from. The guard's columns are of the rows to identify from alone, by grouped
-cross-validation, twins on one side, the length scales being those of all rows; it lets the process enter where
-it is better by more than one standard error.
+cross-validation, twins on one side and length scales from rows of other folds; it lets the process enter where it is
+better by more than one standard error. It needs no row held out here.
 """
 
 
@@ -90,7 +90,10 @@ def table(stages: list[Stage]) -> list[str]:
         "with [mm] | standard error [mm] | enters |",
         "|--:|--:|--:|--:|--:|--:|--:|--:|--:|---|",
     ]
-    rows = [(s.terms, *s[:4], *(1e3 * value for value in (s.bought.without.rms, *s.bought.held_out))) for s in stages]
+    rows = []
+    for s in stages:
+        without, held = s.bought
+        rows.append((s.terms, *s[:4], 1e3 * without.rms, 1e3 * held.rms, 1e3 * held.standard_error))
     for k, s in enumerate(stages):
         lines.append(f"| {k} | {shown(rows[k])} | {'yes' if s.bought.enters else 'no'} |")
     return [*lines, f"| mean | {shown(np.mean(rows, axis=0))} | |"]

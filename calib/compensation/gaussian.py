@@ -160,10 +160,7 @@ def gaussian_from_residuals(
         )
     if not errors.any():
         raise MeasurementError(f"{where}: all errors are zero, and leave nothing to be explained.")
-    points = readings[:, numbers]
-    # Rows in an order of their own, so that the one they came in is forgotten.
-    order = np.lexsort(np.column_stack([errors, points]).T)
-    points, errors = points[order], errors[order]
+    points, errors = _in_order(readings[:, numbers], errors)
     with one_thread():
         kernel = _likeliest(points, errors)
         dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
@@ -183,6 +180,12 @@ def _numbers(names: Sequence[str], joints: Sequence[str] | None, frame: str) -> 
     return sorted(names.index(name) for name in joints)
 
 
+def _in_order(points: Array, errors: Array) -> tuple[Array, Array]:
+    """Return rows in an order of their own, so that the one they came in is forgotten."""
+    order = np.lexsort(np.column_stack([errors, points]).T)
+    return points[order], errors[order]
+
+
 def _likeliest(points: Array, errors: Array) -> Kernel:
     """Return the kernel of the largest marginal likelihood; scikit-learn's optimiser and its gradient."""
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 - slow to load, and needed here alone
@@ -191,7 +194,7 @@ def _likeliest(points: Array, errors: Array) -> Kernel:
 
     some = np.random.default_rng(0).permutation(len(points))[:_ROWS_FOR_SCALES]
     # In units of the errors' own size the same bounds fit every machine.
-    unit = float(np.sqrt(np.mean(errors[some] ** 2))) or float(np.abs(errors).max())
+    unit = float(np.sqrt(np.mean(errors[some] ** 2))) or 1.0
     found = []
     with warnings.catch_warnings():
         # A scale at its upper bound is a joint to which the errors do not answer: a result, and no failure.
@@ -240,24 +243,31 @@ def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntA
     """Return what a process brings, by grouped cross-validation of the rows that it was made of.
 
     ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.groups`. Amplitude,
-    length scales and noise stay those of all rows, which costs one factorisation instead of a search for every fold;
-    they are too few to learn rows by heart.
+    length scales and noise are not learnt anew for every fold: those with which the even folds are judged come from
+    the odd ones, and the other way round. Those of all rows would have seen what they are judged by, and praise noise.
 
     Raises MeasurementError when all rows are of one group.
     """
-    left = held_out_errors(known, readings, errors, folds(group))
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    points, fold = readings[:, list(known.joints)], folds(group)
+    left = np.empty_like(errors)
+    for half in (0, 1):
+        judged = fold % 2 == half
+        with one_thread():
+            kernel = _likeliest(*_in_order(points[~judged], errors[~judged]))
+        left[judged] = held_out_errors(kernel, points, errors, fold)[judged]
     without, held = (np.sum(np.asarray(rows) ** 2, axis=1) for rows in (errors, left))
     return Bought(held_out(without, group), held_out(held, group))
 
 
-def held_out_errors(known: GaussianResiduals, readings: Array, errors: Array, fold: IntArray) -> Array:
-    """Return what is left (N, 3) of errors in m, each less the prediction from all rows but those of its fold.
+def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray) -> Array:
+    """Return what is left (N, 3) of errors in m at points (N, k), less the prediction from rows of other folds.
 
     Of one inverse: with K of all rows, what is left in fold f is ``(K^-1)_ff^-1 (K^-1 y)_f`` (5.10 to 5.12 of Rasmussen
     and Williams, for more rows than one).
     """
     with one_thread():
-        covariance = known.kernel.of_rows(np.asarray(readings)[:, list(known.joints)])
+        covariance = kernel.of_rows(points)
         inverse = cho_solve((cholesky(covariance, lower=True), True), np.eye(len(covariance)))
         weights = inverse @ errors
         left = np.empty_like(weights)
