@@ -39,9 +39,9 @@ to order {largest} among them ([joint_terms.md](joint_terms.md)); then the Gauss
 (`residual_model = {{ kind = "gaussian_process" }}` of the last level), in the axes of the base, over all six joints.
 
 Many poses were visited twice, and a random split puts twins on both sides. The columns "new poses" count only the rows
-held out whose pose is in no row to identify from. The guard's columns are of the rows to identify from alone, by grouped
-cross-validation, twins on one side and length scales from rows of other folds; it lets the process enter where it is
-better by more than one standard error. It needs no row held out here.
+held out whose pose is in no row to identify from. The guard's columns are of the rows to identify from alone, by
+grouped cross-validation, twins on one side and length scales from rows of other folds; it lets the process enter where
+it is better by more than one standard error. It needs no row held out here.
 """
 
 
