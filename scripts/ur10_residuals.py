@@ -41,7 +41,8 @@ to order {largest} among them ([joint_terms.md](joint_terms.md)); then the Gauss
 Many poses were visited twice, and a random split puts twins on both sides. The columns "new poses" count only the rows
 held out whose pose is in no row to identify from. The guard's columns are of the rows to identify from alone, by
 grouped cross-validation, twins on one side and length scales from rows of other folds; it lets the process enter where
-it is better by more than one standard error. It needs no row held out here.
+it is better by more than one standard error, and needs none of the rows held out here. Where it says no, the tool
+leaves the process out, and the figure without it is the tool's.
 """
 
 
