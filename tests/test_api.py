@@ -13,7 +13,19 @@ import pytest
 import calib
 from tests.job.cases import CASE, TABLE
 
-HEAVY = ("yourdfpy", "meshcat", "matplotlib", "trimesh", "pandas", "IPython", "tornado", "typer", "jinja2", "PIL")
+HEAVY = (
+    "sklearn",
+    "yourdfpy",
+    "meshcat",
+    "matplotlib",
+    "trimesh",
+    "pandas",
+    "IPython",
+    "tornado",
+    "typer",
+    "jinja2",
+    "PIL",
+)
 
 
 def test_import_is_light() -> None:

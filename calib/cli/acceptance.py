@@ -66,8 +66,8 @@ def verify_command(
         )
         say("judging")
         shifts = None
-        if model.grid is not None:
-            shifts = model.grid.shifts(model.base, model.tips(data.readings), data.readings)
+        if model.residual_model is not None:
+            shifts = model.residual_model.shifts(model.base, model.tips(data.readings), data.readings)
         found = verify(
             doubts,
             data,

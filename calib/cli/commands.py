@@ -136,7 +136,13 @@ def compensate(
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool that is to reach them.")] = "tool",
     frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
     what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
-    clamp: Annotated[bool, typer.Option("--clamp", help="Outside a residual grid take its nearest edge.")] = False,
+    clamp: Annotated[
+        bool,
+        typer.Option(
+            "--clamp",
+            help="Outside a residual grid take its nearest edge; far from rows of a Gaussian process, nothing.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -153,7 +159,9 @@ def compensate(
         model = load_model(results)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
-        found = targets_of.corrections(model, wanted, what=what, frame=frame, residuals=model.grid, clamp=clamp)
+        found = targets_of.corrections(
+            model, wanted, what=what, frame=frame, residuals=model.residual_model, clamp=clamp
+        )
         write_atomically(out, targets_of.corrected_csv(model, wanted, found))
     if as_json:
         missed_rows = [

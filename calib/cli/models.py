@@ -9,8 +9,7 @@ from calib.assessment.comparison import OWN, TERMS, compare_models, nested_model
 from calib.assessment.validation import FOLDS
 from calib.cli.options import JobFile, Json, Quiet, app
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.foundations.units import parse_quantity
-from calib.job.inputs import load
+from calib.job.inputs import load, term_priors
 from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
 from calib.presentation.console import progress, sentence, show, warning, write
 from calib.presentation.tables import sheet_table
@@ -47,7 +46,6 @@ def models(
         inputs = load(job, say)
         section = inputs.job.error_model
         choose = {TERMS, OWN} if section.terms == "auto" else {TERMS}
-        prior = None if section.prior.harmonics is None else parse_quantity(section.prior.harmonics, "angle", "prior")
         try:
             nested = nested_models(inputs.model, inputs.identify)
             found = compare_models(
@@ -55,7 +53,7 @@ def models(
                 inputs.identify,
                 scheme="leave-one-group-out" if leave_one_group_out else folds or FOLDS,
                 choose=choose & nested.keys(),
-                prior=prior,
+                priors=term_priors(section.prior),
                 model_sigmas=[sigma for sigmas in inputs.model_sigmas for sigma in sigmas],
                 losses=inputs.losses,
                 progress=told,

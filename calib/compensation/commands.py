@@ -48,7 +48,7 @@ _BLOCK = 4096
 
 
 class ResidualModel(Protocol):
-    """What the calibrated model leaves unexplained: a :class:`calib.compensation.grid.SectorGrid`, or another."""
+    """What the calibrated model leaves unexplained: a sector grid, a Gaussian process, or another."""
 
     @property
     def frame(self) -> Frame:
@@ -59,6 +59,10 @@ class ResidualModel(Protocol):
 
     def outside(self, readings: Array) -> tuple[str, ...]:
         """Return for every row why the model does not know it, or an empty text."""
+
+    @property
+    def when_clamped(self) -> str:
+        """What is added in such rows where it clamps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -461,7 +465,7 @@ def _solve_block(
         for n in map(int, np.flatnonzero(reached)):
             (why[n],) = residuals.outside(q[n : n + 1])
             if why[n] and clamp:
-                why[n] += "; the nearest known errors are taken"
+                why[n] += f"; {residuals.when_clamped}"
             reached[n] = clamp or not why[n]
     change = q - start
     for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > remarkable))):

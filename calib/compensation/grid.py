@@ -6,8 +6,6 @@ at the nodes, measured minus predicted, are kept in the axes of the base or of t
 
 import io
 import itertools
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
+from calib.compensation.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
@@ -30,7 +29,6 @@ _OFF_GRID = 1e-3
 # Readings are inside up to rounding, and so is a cell whose missing corner has no more weight than this.
 _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
-_LARGEST_FILE = 1_000_000_000
 _SCHEMA = 1
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 _UNITS = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
@@ -78,6 +76,11 @@ class SectorGrid:
         """
         axes = axes_of(self.frame, base, tips)
         return np.asarray((axes @ np.nan_to_num(self.at(readings))[:, :, None])[:, :, 0])
+
+    @property
+    def when_clamped(self) -> str:
+        """What :meth:`at` returns outside, where it clamps."""
+        return "the nearest known errors are taken"
 
     def at_by_distance(self, readings: Array) -> Array:
         """Return the error vectors (N, 3) as :meth:`at`, by weights 1 / distance^2 of the corners of each cell.
@@ -348,76 +351,47 @@ def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None)
 
     Raises OutputError with one sentence when the file is not such a grid, or not one of a robot with these readings.
     """
-    data = read_bytes(Path(path), OutputError, _LARGEST_FILE)
+    data = read_bytes(Path(path), OutputError, LARGEST_FILE)
     try:
-        grid = _grid_of(_arrays(data))
-    except (zipfile.BadZipFile, zlib.error, ValueError, RuntimeError, EOFError, KeyError, OSError) as e:
-        reason = str(e) if isinstance(e, _NotAGridError) else "it is not a readable npz file"
-        raise OutputError(f"{path}: is not a residual grid of this toolkit: {reason}.") from e
+        grid = _grid_of(arrays_of(data, _KEYS))
+    except NotReadableError as e:
+        raise OutputError(f"{path}: is not a residual grid of this toolkit: {e}.") from e
     if robot_readings is not None and grid.readings != tuple((r.name, r.dimension) for r in robot_readings):
         theirs, ours = (", ".join(name for name, _ in grid.readings), ", ".join(r.name for r in robot_readings))
         raise OutputError(f"{path}: is the grid of a robot with the joints {theirs}, and this one has {ours}.")
     return grid
 
 
-class _NotAGridError(ValueError):
-    """What is wrong with the contents of a file."""
-
-
-def _arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        entries = archive.infolist()
-        if sorted(entry.filename for entry in entries) != sorted(f"{key}.npy" for key in _KEYS):
-            raise _NotAGridError(f"it must hold {', '.join(_KEYS)} and nothing else")
-        if sum(entry.file_size for entry in entries) > _LARGEST_FILE:
-            raise _NotAGridError(f"it unpacks to more than {_LARGEST_FILE} bytes")
-        return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
-
-
-def _array(data: bytes) -> npt.NDArray[Any]:
-    """Return the array of an npy file whose header promises neither objects nor more than there is."""
-    stream = io.BytesIO(data)
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise _NotAGridError("its arrays are of another version")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    size = dtype.itemsize
-    for n in shape:
-        size *= n
-    if dtype.kind not in "ifbU" or fortran or size != len(data) - stream.tell():
-        raise _NotAGridError("an array is not what its header says, or holds no numbers")
-    return np.frombuffer(data, dtype=dtype, offset=stream.tell(), count=-1).reshape(shape) if size else np.zeros(shape)
-
-
 def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
     kinds = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U", "lengths": "i", "measured": "b"}
     for key, array in arrays.items():
         if array.dtype.kind != kinds.get(key, "f"):
-            raise _NotAGridError(f"{key} has a wrong type")
+            raise NotReadableError(f"{key} has a wrong type")
     if arrays["schema"].shape != () or int(arrays["schema"]) != _SCHEMA:
-        raise _NotAGridError(f"its schema is not {_SCHEMA}")
+        raise NotReadableError(f"its schema is not {_SCHEMA}")
     if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
-        raise _NotAGridError(f"its frame is not one of {', '.join(FRAMES)}")
+        raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
     table, joints, lengths = arrays["dimensions"], arrays["joints"], arrays["lengths"]
     if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(_UNITS)).all():
-        raise _NotAGridError("its joints have no names and dimensions")
+        raise NotReadableError("its joints have no names and dimensions")
     numbers = [int(j) for j in joints.ravel()]
     n = len(table)
     if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not all(0 <= j < n for j in numbers):
-        raise _NotAGridError("its joints are not different ones of the robot's")
+        raise NotReadableError("its joints are not different ones of the robot's")
     if lengths.shape != joints.shape or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
-        raise _NotAGridError("its axes are not at least two nodes for every joint")
+        raise NotReadableError("its axes are not at least two nodes for every joint")
     axes = tuple(read_only(axis) for axis in np.split(arrays["axes"], np.cumsum(lengths)[:-1]))
     if not all(np.isfinite(axis).all() and (np.diff(axis) > 0.0).all() for axis in axes):
-        raise _NotAGridError("its nodes do not ascend")
+        raise NotReadableError("its nodes do not ascend")
     shape = tuple(int(length) for length in lengths)
     if arrays["measured"].shape != shape or arrays["errors"].shape != (*shape, 3) or not arrays["measured"].any():
-        raise _NotAGridError("its errors are not those of its nodes")
+        raise NotReadableError("its errors are not those of its nodes")
     if not np.isfinite(arrays["errors"]).all():
-        raise _NotAGridError("an error is not a finite number")
+        raise NotReadableError("an error is not a finite number")
     still = [j for j in range(n) if j not in numbers]
     reference = arrays["reference"]
     if reference.shape != (n,) or not np.isfinite(reference[still]).all() or not np.isnan(reference[numbers]).all():
-        raise _NotAGridError("its reference is not that of the joints beside the grid")
+        raise NotReadableError("its reference is not that of the joints beside the grid")
     return SectorGrid(
         tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table),
         tuple(numbers),

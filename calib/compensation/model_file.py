@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calib.assessment.uncertainty import Uncertainty
+from calib.compensation.gaussian import GaussianResiduals, load_gaussian
 from calib.compensation.grid import SectorGrid, load_grid
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
@@ -30,6 +31,9 @@ from calib.robot.urdf import parse_urdf
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
 GRID_FILE: Final = "grid.npz"
+GAUSSIAN_FILE: Final = "gaussian.npz"
+
+ResidualFile = Literal["grid.npz", "gaussian.npz"]
 
 
 # Quaternions are written to the last digit; anything farther off was edited by hand.
@@ -140,7 +144,7 @@ class ModelFile(_Strict):
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
     tools: dict[str, PoseEntry]
-    residual_model: Literal["grid.npz"] | None = None
+    residual_model: ResidualFile | None = None
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
     terms: tuple[TermEntry, ...] = ()
@@ -153,15 +157,15 @@ class CalibratedModel:
     """A calibrated machine read back from its folder. Made by :func:`load_model`.
 
     ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``grid``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of
-    it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
+    ``residual_model``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how
+    sure all of it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
     """
 
     robot: Robot
     deviations: Deviations
     base: Array
     tools: Mapping[str, Array]
-    grid: SectorGrid | None = None
+    residual_model: SectorGrid | GaussianResiduals | None = None
     uncertainty: Uncertainty | None = None
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -174,17 +178,24 @@ class CalibratedModel:
     def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
-        The grid, where there is one, shifts positions; outside of it, where it has no values, nothing is added.
+        The residual model, where there is one, shifts positions; where it knows nothing, it adds nothing.
         """
         tips = self.tips(readings, conditions)
         placed = np.asarray(self.base @ tips @ self.tools[tool])
-        if self.grid is not None:
-            placed[:, :3, 3] += self.grid.shifts(self.base, tips, readings)
+        if self.residual_model is not None:
+            placed[:, :3, 3] += self.residual_model.shifts(self.base, tips, readings)
         return placed
 
 
-def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
-    """Return the contents of ``model.json`` for a fit; ``with_grid``: a residual grid lies beside it."""
+def residual_file(known: SectorGrid | GaussianResiduals | None) -> ResidualFile | None:
+    """Return the name of the file that holds a residual model beside ``model.json``."""
+    if known is None:
+        return None
+    return GRID_FILE if isinstance(known, SectorGrid) else GAUSSIAN_FILE
+
+
+def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
+    """Return the contents of ``model.json`` for a fit; ``residuals``: the residual model that lies beside it."""
     robot, machine, deviations = fit.robot, fit.machine, fit.deviations
     offsets = iter(map(float, deviations.offsets))
     joints = tuple(
@@ -206,7 +217,7 @@ def model_file(fit: Fit, *, with_grid: bool = False) -> ModelFile:
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.frames.base),
         tools=tools,
-        residual_model=GRID_FILE if with_grid else None,
+        residual_model=residuals,
         couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
         loops=tuple(
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
@@ -288,9 +299,15 @@ def load_model(folder: str | Path) -> CalibratedModel:
         deviations,
         base,
         tools,
-        None if model.residual_model is None else load_grid(folder / GRID_FILE, robot.readings),
+        _residual_model(folder, model.residual_model, robot),
         None if frames is None else load_uncertainty(doubts, equipped, deviations, frames, tuple(tools)),
     )
+
+
+def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:
+    if name is None:
+        return None
+    return (load_grid if name == GRID_FILE else load_gaussian)(folder / name, robot.readings)
 
 
 def _parsed(source: bytes, path: Path) -> ModelFile:
@@ -315,7 +332,7 @@ def _nonzero(names: list[str], row: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, row, strict=True) if value != 0.0}
 
 
-def model_json(fit: Fit, *, with_grid: bool = False) -> str:
+def model_json(fit: Fit, residuals: ResidualFile | None = None) -> str:
     """Return ``model.json`` of a fit as text."""
-    contents: dict[str, Any] = model_file(fit, with_grid=with_grid).model_dump(by_alias=True)
+    contents: dict[str, Any] = model_file(fit, residuals).model_dump(by_alias=True)
     return json.dumps(contents, indent=2, allow_nan=False) + "\n"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.assessment.performance import read_touches
-from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model
+from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model, residual_file
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
@@ -47,7 +47,7 @@ class Arm:
     findings: tuple[Finding, ...]
 
     def placements(self, readings: Array) -> Array:
-        """Return the tip link (N, 4, 4) in the base link at readings (N, nr), with what a residual grid adds."""
+        """Return the tip link (N, 4, 4) in the base link at readings (N, nr), with what a residual model adds."""
         bare = replace(self.model, tools={"tip": np.eye(4)})
         return np.asarray(rigid.inverse(self.model.base) @ bare.predict(readings, "tip"))
 
@@ -65,7 +65,8 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> Arm:
     files: dict[str, Path] = {}
     if section.model is not None:
         model = load_model(folder / section.model)
-        parts = [MODEL_FILE, NOMINAL_FILE] + ([] if model.grid is None else [GRID_FILE])
+        beside = residual_file(model.residual_model)
+        parts = [MODEL_FILE, NOMINAL_FILE] + ([] if beside is None else [beside])
         files |= {f"{section.model}/{part}": folder / section.model / part for part in parts}
     else:
         assert section.urdf is not None, "the schema asks for one of both"

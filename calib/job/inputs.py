@@ -166,6 +166,8 @@ def _refuse_levels(job: Job, path: Path) -> None:
                 raise JobError(
                     f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}", which {known} have.'
                 )
+    if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
+        raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')
     if nodes and not any(level.residual_model for level in job.levels):
         raise JobError(f'{path}: measurements: {nodes[0]!r} has use = "nodes", and no level has a residual_model.')
     if job.levels and len(set(files)) < len(files):

@@ -16,8 +16,17 @@ from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
 from calib.assessment.uncertainty import uncertainty_of
-from calib.compensation.grid import grid_bytes
-from calib.compensation.model_file import GRID_FILE, MODEL_FILE, NOMINAL_FILE, PoseEntry, model_json
+from calib.compensation.gaussian import gaussian_bytes
+from calib.compensation.grid import SectorGrid, grid_bytes
+from calib.compensation.model_file import (
+    GAUSSIAN_FILE,
+    GRID_FILE,
+    MODEL_FILE,
+    NOMINAL_FILE,
+    PoseEntry,
+    model_json,
+    residual_file,
+)
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.errors import JobError, OutputError, RobotError
@@ -45,7 +54,7 @@ MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
 _ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
 _TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
-_RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE)
+_RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE, GAUSSIAN_FILE)
 _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
 _OF_PIXELS = ("u [px]", "v [px]")
@@ -115,7 +124,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         CALIBRATED_FILE: calibrated,
         NOMINAL_FILE: robot.urdf.source,
         JOB_FILE: resolved(outcome.inputs),
-        MODEL_FILE: model_json(fit, with_grid=outcome.grid is not None),
+        MODEL_FILE: model_json(fit, residual_file(outcome.residual_model)),
         UNCERTAINTY_FILE: uncertainty_json(uncertainty_of(fit)),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
@@ -123,7 +132,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         REPORT_FILE: render_page(report),
         MARKDOWN_FILE: render_markdown(report),
         **_dh_table(fit),
-        **({} if outcome.grid is None else {GRID_FILE: grid_bytes(outcome.grid)}),
+        **_residual_model(outcome),
     }
     progress("writing the results")
     with replace_folder(out) as folder:
@@ -131,12 +140,23 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
             (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
 
 
+def _residual_model(outcome: Outcome) -> dict[str, bytes]:
+    known = outcome.residual_model
+    if known is None:
+        return {}
+    if isinstance(known, SectorGrid):
+        return {GRID_FILE: grid_bytes(known)}
+    return {GAUSSIAN_FILE: gaussian_bytes(known)}
+
+
 def steps_after_loading(inputs: Inputs) -> int:
     """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
     fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
     followed = inputs.job.solver.kind == "total_differential"
+    residual = inputs.job.levels[-1].residual_model if inputs.job.levels else None
+    learned = residual is not None and residual.kind == "gaussian_process"
     # Validating and looking for outliers come after the fits.
-    return fits + followed + 2 + _STEPS_OF_WRITING
+    return fits + learned + followed + 2 + _STEPS_OF_WRITING
 
 
 def robot_errors(folder: Path) -> dict[str, float]:

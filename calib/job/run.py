@@ -11,7 +11,8 @@ from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.trust import doubts
-from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
+from calib.compensation.gaussian import GaussianResiduals
+from calib.compensation.grid import SectorGrid
 from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
@@ -21,6 +22,7 @@ from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress, term_priors
+from calib.job.residuals import residual_model
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
 
@@ -53,7 +55,7 @@ class Outcome:
     """A finished calibration.
 
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
-    ``sets``: residuals of every table, those after with the residual ``grid``, where it has values. ``doubts``: why it
+    ``sets``: residuals of every table, those after with the ``residual_model``, where it has values. ``doubts``: why it
     should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
     the calibrated URDF alone is off, as it holds neither closed loops nor joint terms. ``choice``: of the joint terms,
     where the job leaves it to the tool; ``inputs.model`` then has them. ``outliers``: of the data to identify from.
@@ -67,7 +69,7 @@ class Outcome:
     outliers: Outliers
     trace: Trace | None = None
     levels: tuple[LevelReport, ...] = ()
-    grid: SectorGrid | None = None
+    residual_model: SectorGrid | GaussianResiduals | None = None
     lost_in_urdf: float = 0.0
     choice: Choice | None = None
 
@@ -79,7 +81,9 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         if choice is not None:
             inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
-        grid = _grid(inputs, fit)
+        known, values, remark = residual_model(inputs, fit, progress)
+        if remark is not None:
+            inputs = replace(inputs, findings=(*inputs.findings, remark))
     except (IdentificationError, JobError) as e:
         raise type(e)(f"{inputs.path}: {e}") from e
     trace = None
@@ -89,8 +93,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         fit = with_values(fit, trace.values, trace.machine)
     progress("validating")
     judged_sets = (
-        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, grid),
-        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, grid),
+        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, known),
+        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, known),
     )
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
@@ -100,8 +104,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         for use in dict.fromkeys(judged.use for judged in judged_sets)
     }
     judged = figures["validation" if inputs.validate else "identification"]
-    if grid is not None:
-        values = int(3 * grid.measured.sum())
+    if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, judged["after"]))
     progress("looking for outliers")
     files = {data.where: file for file, data in zip(inputs.tables("identify"), inputs.identify, strict=True)}
@@ -115,7 +118,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         outliers(fit, files=files),
         trace,
         reports,
-        grid,
+        known,
         lost_in_urdf(
             fit.robot,
             fit.deviations,
@@ -194,39 +197,18 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     return fit, tuple(reports)
 
 
-def _grid(inputs: Inputs, fit: Fit) -> SectorGrid | None:
-    """Return the residual grid, where the last level asks for one."""
-    section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
-    if section is None:
-        return None
-    errors = [r[:, :3] for r in residuals_of(fit, inputs.nodes, fit.machine)]
-    base = fit.machine.frames.base
-    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in inputs.nodes]
-    axes = [axes_of(section.frame, base, T) for T in tips]
-    return grid_from_residuals(
-        np.concatenate([data.readings for data in inputs.nodes]),
-        np.concatenate([(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]),
-        fit.robot.readings,
-        section.joints,
-        section.frame,
-        partial=True,
-        where=inputs.nodes[0].where,
-        lines=inputs.nodes[0].lines if len(inputs.nodes) == 1 else None,
-    )
-
-
 def _judged(
     use: Literal["identification", "validation"],
     files: Sequence[str],
     sets: Sequence[Measurements],
     fit: Fit,
-    grid: SectorGrid | None,
+    known: SectorGrid | GaussianResiduals | None,
 ) -> Iterator[JudgedSet]:
     before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
     for file, data, b, a in zip(files, sets, before, after, strict=True):
-        if grid is not None and data.position is not None:
+        if known is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
-            a[:, :3] -= grid.shifts(
+            a[:, :3] -= known.shifts(
                 fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations, data.conditions), data.readings
             )
         yield JudgedSet(use, file, data, b, a)

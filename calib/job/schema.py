@@ -305,10 +305,14 @@ class SolverSection(_Section):
 
 
 class ResidualModelSection(_Section):
-    """``residual_model`` of a level: errors measured at nodes of a grid over some joints, kept in axes of ``frame``."""
+    """``residual_model`` of a level: errors over some joints, kept in axes of ``frame``.
 
-    kind: Literal["grid"]
-    joints: tuple[Name, ...] = Field(min_length=1)
+    Those of a grid are measured at its nodes. A Gaussian process follows all joints where none are named, and takes the
+    nodes, or, where there are none, what the job identifies from.
+    """
+
+    kind: Literal["grid", "gaussian_process"]
+    joints: tuple[Name, ...] | None = Field(default=None, min_length=1)
     frame: Literal["base", "tip"] = "base"
 
 
@@ -422,6 +426,10 @@ def _contradictions(job: Job) -> Iterator[str]:
         for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
+    for i, level in enumerate(job.levels):
+        residual = level.residual_model
+        if residual is not None and residual.kind == "grid" and residual.joints is None:
+            yield f"levels[{i}].residual_model.joints: is missing; a grid spans joints that are named."
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     for name, target in job.targets.items():

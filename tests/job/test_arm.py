@@ -98,7 +98,7 @@ def test_residual_grid_of_the_arm_counts() -> None:
     base = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
     model = CalibratedModel(robot, robot.no_deviations(), base, {}, None)
     plain = Arm(model, np.zeros(3), 1e-4, {}, ())
-    bent = replace(plain, model=replace(model, grid=grid))
+    bent = replace(plain, model=replace(model, residual_model=grid))
     assert np.abs(bent.points(readings) - plain.points(readings) - errors).max() < 1e-12
 
 

@@ -42,8 +42,8 @@ def test_the_model_read_back_predicts_with_the_grid(outcome: Outcome, out: Path)
     (judged,) = [judged for judged in outcome.sets if judged.use == "validation"]
     predicted = model.predict(judged.data.readings)[:, :3, 3]
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)
-    assert model.grid is not None
-    assert not any(model.grid.outside(judged.data.readings))
+    assert model.residual_model is not None
+    assert not any(model.residual_model.outside(judged.data.readings))
 
 
 def test_the_result_tells_the_levels(outcome: Outcome, out: Path) -> None:

@@ -19,7 +19,7 @@ Part = Literal[
     "offsets of joints that follow others",
     "joint terms",
     "closed loops and couplings",
-    "residual grid",
+    "residual model",
 ]
 
 _POSES = 500
@@ -65,7 +65,7 @@ def whole_positions(model: CalibratedModel, readings: Array) -> Array:
     Reached from neither side, at 20 degC, with no torques measured.
     """
     tips = model.tips(readings, ordinary(readings))
-    shifts = 0.0 if model.grid is None else model.grid.shifts(np.eye(4), tips, readings)
+    shifts = 0.0 if model.residual_model is None else model.residual_model.shifts(np.eye(4), tips, readings)
     return np.asarray(tips[:, :3, 3] + shifts)
 
 
@@ -117,6 +117,8 @@ def _parts(model: CalibratedModel, readings: Array) -> list[LeftOut]:
     if robot.loops or robot.couplings:
         bare, without_terms = replace(robot, terms=(), weights=None), replace(d, terms=np.zeros(0))
         found.append(LeftOut("closed loops and couplings", lost_in_urdf(bare, without_terms, readings)))
-    if model.grid is not None:
-        found.append(LeftOut("residual grid", rms(model.grid.shifts(np.eye(4), tips, readings), np.zeros((1, 3)))))
+    if model.residual_model is not None:
+        found.append(
+            LeftOut("residual model", rms(model.residual_model.shifts(np.eye(4), tips, readings), np.zeros((1, 3))))
+        )
     return found

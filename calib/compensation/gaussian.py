@@ -1,0 +1,358 @@
+"""What no model of the arm explains, as a Gaussian process over joint space: for errors measured anywhere.
+
+The error vectors, measured minus predicted, are kept in the axes of the base or of the tip link; their three components
+are independent and have one covariance, ``a^2 (1 + sqrt(3) d) exp(-sqrt(3) d)`` (Matern, nu = 3/2) of the distance d
+of two rows in length scales of the joints, and noise at every row. Far from all rows the prediction fades to zero, and
+its standard deviation grows to a. After Rasmussen and Williams, *Gaussian processes for machine learning*, 2006.
+"""
+
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+
+from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
+from calib.compensation.grid import FRAMES, Frame, axes_of
+from calib.compensation.npz import LARGEST_FILE, NotReadableError, arrays_of
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import JobError, MeasurementError, OutputError
+from calib.foundations.files import read_bytes, write_atomically
+from calib.foundations.linear import one_thread
+from calib.robot.robot import Reading
+
+Dimension = Literal["angle", "length"]
+
+# Where measured rows leave more than this share of the prior's deviation, they say nothing.
+_UNKNOWN = 0.9
+# The likelihood has bad optima: with too long scales all is noise. Starts in rad or m, and where scales may go.
+_STARTS = (0.1, 0.3, 1.0)
+_SCALES = (0.02, 100.0)
+# Scales, amplitude and noise show in so many rows as well as in all, at a fraction of the cost.
+_ROWS_FOR_SCALES = 600
+_FEWEST_ROWS = 10
+_MOST_ROWS = 5000
+_BLOCK = 2048
+_SCHEMA = 1
+_KEYS = ("schema", "frame", "joints", "dimensions", "points", "errors", "amplitude", "scales", "noise")
+
+
+class Kernel(NamedTuple):
+    """Standard deviation in m of an error component and of its noise; length scales (k) of joints, in rad or m."""
+
+    amplitude: float
+    scales: Array
+    noise: float
+
+    def between(self, a: Array, b: Array) -> Array:
+        """Return the covariances (N, M) in m^2, without noise, of an error component at points (N, k) and (M, k)."""
+        d = np.sqrt(3.0) * cdist(a / self.scales, b / self.scales)
+        return np.asarray(self.amplitude**2 * (1.0 + d) * np.exp(-d))
+
+    def of_rows(self, points: Array) -> Array:
+        """Return the covariance (N, N) in m^2 of what was measured at points (N, k)."""
+        return self.between(points, points) + self.noise**2 * np.eye(len(points))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianResiduals:
+    """A Gaussian process of error vectors over some joints. Made by :func:`gaussian_from_residuals`.
+
+    ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of the k that errors
+    follow. ``points`` (n, k): where in rad and m the ``errors`` (n, 3) were measured, in m, in the axes of ``frame``.
+    ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
+    the errors.
+    """
+
+    readings: tuple[tuple[str, Dimension], ...]
+    joints: tuple[int, ...]
+    points: Array
+    errors: Array
+    frame: Frame
+    kernel: Kernel
+    factor: Array
+    weights: Array
+
+    def at(self, readings: Array, *, clamp: bool = False) -> Array:  # noqa: ARG002 - it fades either way
+        """Return the predicted error vectors (N, 3) in m at readings (N, nr) in rad and m; zero far from all rows.
+
+        With ``clamp`` or without: nothing is extrapolated.
+        """
+        blocks = [self.kernel.between(points, self.points) @ self.weights for points in self._blocks(readings)]
+        return np.concatenate([np.zeros((0, 3)), *blocks])
+
+    def sigma(self, readings: Array) -> Array:
+        """Return the standard deviation (N) in m of each component of :meth:`at` from the true error, without noise."""
+        prior = self.kernel.amplitude**2
+        known = [
+            np.sum(solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True) ** 2, axis=0)
+            for points in self._blocks(readings)
+        ]
+        return np.sqrt(np.maximum(prior - np.concatenate([np.zeros(0), *known]), 0.0))
+
+    def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
+        """Return the error vectors (N, 3) in the axes of the instrument.
+
+        ``base`` (4, 4) is the robot's in the instrument's frame; ``tips`` (N, 4, 4): tip link in the base link.
+        """
+        return np.asarray((axes_of(self.frame, base, tips) @ self.at(readings)[:, :, None])[:, :, 0])
+
+    def outside(self, readings: Array) -> tuple[str, ...]:
+        """Return for every row of readings (N, nr) that no measured error is near, or an empty text."""
+        prior = self.kernel.amplitude
+        return tuple(
+            f"no error was measured near: the standard deviation there is {sigma * 1e3:.3g} mm, of {prior * 1e3:.3g} mm"
+            if sigma > _UNKNOWN * prior
+            else ""
+            for sigma in self.sigma(readings)
+        )
+
+    @property
+    def when_clamped(self) -> str:
+        """What :meth:`at` returns far from all rows."""
+        return "the predicted error fades to zero"
+
+    def _blocks(self, readings: Array) -> list[Array]:
+        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
+        return [points[n : n + _BLOCK] for n in range(0, len(points), _BLOCK)]
+
+
+# ---- from measured errors
+
+
+def gaussian_from_residuals(
+    readings: Array,
+    errors: Array,
+    robot_readings: Sequence[Reading],
+    joints: Sequence[str] | None = None,
+    frame: Frame = "base",
+    *,
+    where: str = "residuals",
+) -> GaussianResiduals:
+    """Return the Gaussian process of error vectors (N, 3) in m, in the axes of ``frame``, at readings (N, nr).
+
+    ``joints``: names, out of ``robot_readings``, of those that errors may follow; all when None. Amplitude, length
+    scales and noise are those of the largest marginal likelihood of up to 600 rows, the best of three starts; the
+    prediction is from all rows. The order of the rows does not matter. ``where``: of the rows, for messages.
+
+    Raises JobError when an option cannot be used; MeasurementError for rows of other shapes, rows that are not finite,
+    and too few or too many rows.
+    """
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    names = [reading.name for reading in robot_readings]
+    numbers = _numbers(names, joints, frame)
+    if readings.shape != (len(errors), len(names)) or errors.shape != (len(readings), 3):
+        raise MeasurementError(
+            f"{where}: readings {readings.shape} and errors {errors.shape} must have the shapes "
+            f"(N, {len(names)}) and (N, 3)."
+        )
+    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
+        raise MeasurementError(f"{where}: readings and errors must be finite numbers.")
+    if not _FEWEST_ROWS <= len(errors) <= _MOST_ROWS:
+        raise MeasurementError(
+            f"{where}: a Gaussian process is made of {_FEWEST_ROWS} to {_MOST_ROWS} rows, and there are {len(errors)}."
+        )
+    if not errors.any():
+        raise MeasurementError(f"{where}: all errors are zero, and leave nothing to be explained.")
+    points, errors = _in_order(readings[:, numbers], errors)
+    with one_thread():
+        kernel = _likeliest(points, errors)
+        dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
+        return _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
+
+
+def _numbers(names: Sequence[str], joints: Sequence[str] | None, frame: str) -> list[int]:
+    if frame not in FRAMES:
+        raise JobError(f"the frame of a residual model is {frame!r}; allowed are {', '.join(FRAMES)}.")
+    if joints is None:
+        return list(range(len(names)))
+    for name in joints:
+        if name not in names:
+            raise JobError(f"a residual model cannot follow {name!r}; the joints that are read are {', '.join(names)}.")
+    if not joints or len(set(joints)) < len(joints):
+        raise JobError("the joints of a residual model must be at least one, each named once.")
+    return sorted(names.index(name) for name in joints)
+
+
+def _in_order(points: Array, errors: Array) -> tuple[Array, Array]:
+    """Return rows in an order of their own, so that the one they came in is forgotten."""
+    order = np.lexsort(np.column_stack([errors, points]).T)
+    return points[order], errors[order]
+
+
+def _likeliest(points: Array, errors: Array) -> Kernel:
+    """Return the kernel of the largest marginal likelihood; scikit-learn's optimiser and its gradient."""
+    from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 - slow to load, and needed here alone
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel  # noqa: PLC0415
+
+    some = np.random.default_rng(0).permutation(len(points))[:_ROWS_FOR_SCALES]
+    # In units of the errors' own size the same bounds fit every machine.
+    unit = float(np.sqrt(np.mean(errors[some] ** 2))) or 1.0
+    found = []
+    with warnings.catch_warnings():
+        # A scale at its upper bound is a joint to which the errors do not answer: a result, and no failure.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        for scale in _STARTS:
+            scales = np.full(points.shape[1], scale)
+            kernel = ConstantKernel(0.7, (1e-4, 1e3)) * Matern(scales, _SCALES, nu=1.5) + WhiteKernel(0.3, (1e-6, 10.0))
+            fit = GaussianProcessRegressor(kernel).fit(points[some], errors[some] / unit)
+            found.append((float(fit.log_marginal_likelihood_value_), np.exp(fit.kernel_.theta)))
+    _, (variance, *scales, noise) = max(found, key=lambda one: one[0])
+    return Kernel(unit * float(np.sqrt(variance)), read_only(scales), unit * float(np.sqrt(noise)))
+
+
+def _trained(
+    readings: tuple[tuple[str, Dimension], ...],
+    joints: tuple[int, ...],
+    points: Array,
+    errors: Array,
+    frame: Frame,
+    kernel: Kernel,
+) -> GaussianResiduals:
+    """Return the process conditioned on all rows. Raises LinAlgError where rounding makes their covariance singular."""
+    factor = cholesky(kernel.of_rows(points), lower=True)
+    weights = cho_solve((factor, True), errors)
+    return GaussianResiduals(
+        readings, joints, read_only(points), read_only(errors), frame, kernel, read_only(factor), read_only(weights)
+    )
+
+
+# ---- the guard
+
+
+class Bought(NamedTuple):
+    """Errors at rows held out, in m: as they are, and less what a process made of the other rows predicts."""
+
+    without: HeldOut
+    held_out: HeldOut
+
+    @property
+    def enters(self) -> bool:
+        """Whether they are smaller by more than one standard error."""
+        return one_standard_error([self.without, self.held_out]) == 1
+
+
+def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntArray) -> Bought:
+    """Return what a process brings, by grouped cross-validation of the rows that it was made of.
+
+    ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.groups`.
+    Amplitude, length scales and noise are not learnt anew for every fold: those with which the even folds are judged
+    come from the odd ones, and the other way round. Those of all rows would have seen what they are judged by, and
+    praise noise.
+
+    Raises MeasurementError when all rows are of one group.
+    """
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    points, fold = readings[:, list(known.joints)], folds(group)
+    left = np.empty_like(errors)
+    for half in (0, 1):
+        judged = fold % 2 == half
+        with one_thread():
+            kernel = _likeliest(*_in_order(points[~judged], errors[~judged]))
+        left[judged] = held_out_errors(kernel, points, errors, fold)[judged]
+    without, held = (np.sum(np.asarray(rows) ** 2, axis=1) for rows in (errors, left))
+    return Bought(held_out(without, group), held_out(held, group))
+
+
+def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray) -> Array:
+    """Return what is left (N, 3) of errors in m at points (N, k), less the prediction from rows of other folds.
+
+    Of one inverse: with K of all rows, what is left in fold f is ``(K^-1)_ff^-1 (K^-1 y)_f`` (5.10 to 5.12 of Rasmussen
+    and Williams, for more rows than one).
+    """
+    with one_thread():
+        covariance = kernel.of_rows(points)
+        inverse = cho_solve((cholesky(covariance, lower=True), True), np.eye(len(covariance)))
+        weights = inverse @ errors
+        left = np.empty_like(weights)
+        for k in range(int(fold.max()) + 1):
+            own = np.flatnonzero(fold == k)
+            left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weights[own])
+    return left
+
+
+# ---- files
+
+
+def gaussian_bytes(known: GaussianResiduals) -> bytes:
+    """Return a process as an npz file: its rows and its kernel, the same bytes for the same process."""
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        schema=np.array(_SCHEMA),
+        frame=np.array(known.frame),
+        joints=np.array(known.joints, dtype=np.int64),
+        dimensions=np.array(known.readings),
+        points=known.points,
+        errors=known.errors,
+        amplitude=np.array(known.kernel.amplitude),
+        scales=known.kernel.scales,
+        noise=np.array(known.kernel.noise),
+    )
+    return buffer.getvalue()
+
+
+def save_gaussian(known: GaussianResiduals, path: str | Path) -> None:
+    """Write a process as an npz file. Raises OutputError when it cannot be written."""
+    write_atomically(Path(path), gaussian_bytes(known))
+
+
+def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> GaussianResiduals:
+    """Read a process that :func:`save_gaussian` wrote; nothing in the file is ever executed.
+
+    Raises OutputError with one sentence when the file is not such a process, or not one of a robot with these readings.
+    """
+    data = read_bytes(Path(path), OutputError, LARGEST_FILE)
+    try:
+        known = _gaussian_of(arrays_of(data, _KEYS))
+    except NotReadableError as e:
+        raise OutputError(f"{path}: is not a Gaussian process of this toolkit: {e}.") from e
+    if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
+        theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
+        raise OutputError(f"{path}: is of a robot with the joints {theirs}, and this one has {ours}.")
+    return known
+
+
+def _gaussian_of(arrays: dict[str, npt.NDArray[Any]]) -> GaussianResiduals:
+    kinds: Final = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U"}
+    for key, array in arrays.items():
+        if array.dtype.kind != kinds.get(key, "f"):
+            raise NotReadableError(f"{key} has a wrong type")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise NotReadableError(f"{key} has a value that is not a finite number")
+    if arrays["schema"].shape != () or int(arrays["schema"]) != _SCHEMA:
+        raise NotReadableError(f"its schema is not {_SCHEMA}")
+    if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
+        raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
+    table, joints = arrays["dimensions"], arrays["joints"]
+    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], ["angle", "length"]).all():
+        raise NotReadableError("its joints have no names and dimensions")
+    numbers = tuple(int(j) for j in joints.ravel())
+    if (
+        joints.ndim != 1
+        or not numbers
+        or sorted(set(numbers)) != list(numbers)
+        or not set(numbers) <= {*range(len(table))}
+    ):
+        raise NotReadableError("its joints are not different ones of the robot's, in order")
+    points, errors, scales = arrays["points"], arrays["errors"], arrays["scales"]
+    n = len(points) if points.ndim else 0
+    if not 0 < n <= _MOST_ROWS or points.shape != (n, len(numbers)) or errors.shape != (n, 3):
+        raise NotReadableError("its errors are not those of its points")
+    sizes = (arrays["amplitude"], scales, arrays["noise"])
+    if sizes[0].shape != () or sizes[2].shape != () or scales.shape != joints.shape or min(map(np.min, sizes)) <= 0.0:
+        raise NotReadableError("its amplitude, scales and noise are not positive numbers")
+    kernel = Kernel(float(sizes[0]), read_only(scales), float(sizes[2]))
+    readings = tuple((str(name), cast(Dimension, str(dimension))) for name, dimension in table)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"), one_thread():
+            return _trained(readings, numbers, points, errors, cast(Frame, str(arrays["frame"])), kernel)
+    except (np.linalg.LinAlgError, ValueError) as e:
+        raise NotReadableError("its rows cannot be told apart") from e

@@ -1,0 +1,69 @@
+"""The last level of a job: a model of what the identified machine leaves, over joint space."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.assessment.validation import groups
+from calib.compensation.gaussian import GaussianResiduals, bought, gaussian_from_residuals
+from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
+from calib.foundations.errors import JobError
+from calib.identification.fit import Fit
+from calib.identification.identify import residuals_of
+from calib.job.inputs import Inputs, Progress
+from calib.measurement.checks import Finding
+
+
+class ResidualLevel(NamedTuple):
+    """A residual model, the number of its free values, and what is to be said of it."""
+
+    known: SectorGrid | GaussianResiduals | None
+    values: int = 0
+    remark: Finding | None = None
+
+
+def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLevel:
+    """Return the residual model for which the last level asks. A Gaussian process must earn its place.
+
+    Raises JobError and MeasurementError as :func:`calib.compensation.grid.grid_from_residuals` and
+    :func:`calib.compensation.gaussian.gaussian_from_residuals`.
+    """
+    section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
+    if section is None:
+        return ResidualLevel(None)
+    sets = inputs.nodes or tuple(data for data in inputs.identify if data.position is not None)
+    if not sets:
+        raise JobError("levels: the residual_model has no positions to be made of.")
+    errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
+    base = fit.machine.frames.base
+    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in sets]
+    axes = [axes_of(section.frame, base, T) for T in tips]
+    turned = np.concatenate(
+        [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]
+    )
+    readings = np.concatenate([data.readings for data in sets])
+    if section.kind == "grid":
+        grid = grid_from_residuals(
+            readings,
+            turned,
+            fit.robot.readings,
+            section.joints or (),
+            section.frame,
+            partial=True,
+            where=sets[0].where,
+            lines=sets[0].lines if len(sets) == 1 else None,
+        )
+        return ResidualLevel(grid, int(3 * grid.measured.sum()))
+    progress("learning the Gaussian process")
+    known = gaussian_from_residuals(
+        readings, turned, fit.robot.readings, section.joints, section.frame, where=sets[0].where
+    )
+    gain = bought(known, readings, turned, groups(sets))
+    if gain.enters:
+        return ResidualLevel(known, len(known.joints) + 2)
+    without, held = gain
+    sentence = (
+        f"The Gaussian process is left out: at rows held out it brings the position error from {without.rms * 1e3:.3g} "
+        f"mm to {held.rms * 1e3:.3g} mm, which is not better by more than a standard error."
+    )
+    return ResidualLevel(None, 0, Finding("warning", "gaussian-process-left-out", sentence))
