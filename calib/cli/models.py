@@ -29,7 +29,7 @@ def models(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare error models of growing size by errors at rows held out.
+    """Compare error models by errors at rows held out.
 
     Base and tool alone, joint offsets, placements or DH parameters, joint terms, and what the job frees: the simplest
     that is not significantly worse than the best is recommended. Rows of one pose, one socket or one word in the

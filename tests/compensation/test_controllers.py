@@ -229,15 +229,15 @@ def test_what_is_left_out_is_told_with_its_cost() -> None:
     turntable = ("table", "continuous", "0 0 0", "0 0 0", "0 0 1"), ("rim", "fixed", "0.5 0 0", "0 0 0", "0 0 0")
     bare = model(machines.load(machines.urdf(*turntable), "tip"), seed=None)
     machine = replace(
-        with_terms(bare, {JointTerm("table", "cos", 3): 1e-3}), grid=constant_grid(np.array([0.0, 0.0, 2e-4]))
+        with_terms(bare, {JointTerm("table", "cos", 3): 1e-3}), residual_model=constant_grid(np.array([0.0, 0.0, 2e-4]))
     )
     for found in (export_offsets(machine), export_dh(machine)):
-        assert [part.part for part in found.left_out] == ["joint terms", "residual grid"]
+        assert [part.part for part in found.left_out] == ["joint terms", "residual model"]
         terms, grid = (part.cost for part in found.left_out)
         assert terms == pytest.approx(0.5e-3 / math.sqrt(2.0), rel=0.05)
         assert grid == pytest.approx(2e-4, rel=1e-9)
         assert found.lost == pytest.approx(math.hypot(terms, grid), rel=1e-9)  # one is level, the other upright
-    assert export_ros(machine).left_out == (LeftOut("residual grid", pytest.approx(2e-4)),)
+    assert export_ros(machine).left_out == (LeftOut("residual model", pytest.approx(2e-4)),)
 
 
 def constant_grid(error: Array) -> SectorGrid:
