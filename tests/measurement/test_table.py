@@ -12,7 +12,10 @@ from calib.measurement.table import Table, read_table, table_from_arrays, table_
 
 HEADER = "j1 [deg], x [mm], qw, point"
 ROWS = "90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n"
-UNITS = "m, cm, mm, um, inch, rad, mrad, urad, deg, Nm, kg, m/s2, s, ms, degC, px, rad/Nm, mrad/Nm, urad/Nm, m/N, mm/N, um/N, 1"
+UNITS = (
+    "m, cm, mm, um, inch, rad, mrad, urad, deg, Nm, kg, m/s2, s, ms, degC, px, "
+    "rad/Nm, mrad/Nm, urad/Nm, m/N, mm/N, um/N, 1"
+)
 
 
 def write(folder: Path, content: str | bytes) -> Path:
