@@ -19,6 +19,7 @@ from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
 from calib.job.arm import Arm, read_arm, touched
+from calib.job.read import read_job
 from calib.job.schema import (
     FrameSection,
     InstrumentSection,
@@ -28,7 +29,6 @@ from calib.job.schema import (
     PriorSection,
     RelationSection,
     TargetSection,
-    read_job,
 )
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import Camera, LaserTracker

@@ -13,7 +13,7 @@ from calib.compensation.grid import grid_from_residuals
 from calib.compensation.model_file import CalibratedModel
 from calib.job.arm import Arm, read_arm
 from calib.job.inputs import load
-from calib.job.schema import read_job
+from calib.job.read import read_job
 from calib.measurement.table import read_table
 from tests.job.cases import CASE as ARM_CASE
 from tests.job.cases import ROOT, Edit, edit, run, tree, write

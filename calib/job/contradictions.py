@@ -1,0 +1,140 @@
+"""What no single field of a job can know: keys that point nowhere, or that another key makes meaningless."""
+
+from collections.abc import Iterator, Mapping
+from typing import get_args
+
+from calib.foundations.errors import JobError
+from calib.foundations.units import parse_quantity
+from calib.identification.relations import RelationKind
+from calib.job.fields import in_pixels
+from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
+from calib.job.sentences import dotted
+
+
+def contradictions(job: Job) -> Iterator[str]:
+    """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
+    for name, instrument in job.instruments.items():
+        yield from _instrument_contradictions(dotted(("instruments", name)), instrument)
+    for i, section in enumerate(job.measurements):
+        yield from _measurement_contradictions(job, f"measurements[{i}]", section)
+    if job.error_model.terms == "auto":
+        for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
+            if getattr(job.error_model, key) != "none":
+                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
+    for i, level in enumerate(job.levels):
+        residual = level.residual_model
+        if residual is not None and residual.kind == "grid" and residual.joints is None:
+            yield f"levels[{i}].residual_model.joints: is missing; a grid spans joints that are named."
+    if not any(section.use == "identify" for section in job.measurements):
+        yield 'measurements: none has use = "identify"; there is nothing to identify from.'
+    for name, target in job.targets.items():
+        if (target.position is None) == (target.normal is None):
+            yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
+        if target.quaternion is not None and target.position is None:
+            yield f"targets.{name}.quaternion: belongs to a position, and there is none."
+        if target.height is not None and target.normal is None:
+            yield f"targets.{name}.height: belongs to a normal, and there is none."
+    for i, relation in enumerate(job.relations):
+        yield from _relation_contradictions(f"relations[{i}]", relation)
+    if job.base is not None and job.error_model.base != "fixed":
+        yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
+    if job.tools and job.error_model.tool != "fixed":
+        yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection) -> Iterator[str]:
+    measured_by = job.instruments.get(section.instrument or "")
+    if measured_by is not None and measured_by.kind == "arm" and section.observes != "position":
+        yield f'{at}.observes: an arm that touches sees positions only; write "position".'
+    if section.instrument is not None and section.instrument not in job.instruments:
+        known = ", ".join(map(repr, job.instruments)) or "none"
+        yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
+    if section.instrument is not None and section.sigma is not None:
+        yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
+    if section.observes != "pose":
+        for key in ("sigma_angle", "model_sigma_angle"):
+            if getattr(section, key) is not None:
+                yield f'{at}.{key}: only poses have angles; leave it out or write observes = "pose".'
+    yield from _of_pixels(section, job, at)
+    if section.observes not in ("position", "pose"):
+        if section.instrument is not None and section.observes != "pixels":
+            yield f"{at}.instrument: a laser tracker measures no {section.observes}; give sigma."
+        if section.use == "nodes":
+            yield f"{at}.use: nodes of a residual model need positions, and a {section.observes} has none."
+    if section.length_offset is not None and section.observes not in ("distance", "pair_distance", "sphere"):
+        yield f"{at}.length_offset: a {section.observes} has no length; leave it out."
+    if section.use == "validate":
+        for key in ("model_sigma", "model_sigma_angle"):
+            if getattr(section, key) is not None:
+                yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+    if section.use != "identify" and section.loss != "linear":
+        yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+
+
+def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str]:
+    given = [kind for kind in get_args(RelationKind) if getattr(relation, kind) is not None]
+    if len(set(relation.targets)) < len(relation.targets):
+        yield f"{at}.targets: {relation.targets[0]!r} comes twice; a relation is between two."
+    if len(given) != 1:
+        yield f"{at}: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
+    else:
+        try:
+            sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
+        except JobError as e:
+            yield f"{at}.sigma: {str(e).removeprefix(': ')}"
+        else:
+            if not sigma > 0.0:
+                yield f"{at}.sigma: {relation.sigma!r} is not above 0."
+
+
+def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]:
+    """Yield what is wrong with pixels and cameras of one section of measurements."""
+    if section.instrument is None:
+        if section.observes == "pixels":
+            yield f"{at}.instrument: is missing; pixels need the camera that saw them."
+    elif section.instrument in job.instruments:
+        kind = job.instruments[section.instrument].kind
+        if (kind == "camera") != (section.observes == "pixels"):
+            yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
+    if section.observes == "pixels" and section.sigma is not None:
+        yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
+    if section.model_sigma is not None and in_pixels(section.model_sigma) != (section.observes == "pixels"):
+        unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
+        yield f"{at}.model_sigma: {section.model_sigma!r} does not fit what is observed; allowed are {unit}."
+
+
+_KEYS_OF: Mapping[str, tuple[str, ...]] = {
+    "laser_tracker": ("sigma_per_metre", "station"),
+    "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
+    "camera": ("camera_on", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+}
+
+
+def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[str]:
+    """Yield keys that an instrument lacks, or that belong to another kind."""
+    for key in [key for kind, keys in _KEYS_OF.items() if kind != section.kind for key in keys]:
+        if key in section.model_fields_set:
+            yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
+    if in_pixels(section.sigma) != (section.kind == "camera"):
+        unit = "pixels, like '0.2 px'" if section.kind == "camera" else "a length, like '7.5 um'"
+        yield f"{at}.sigma: {section.sigma!r} is not of a {_words(section.kind)}; allowed are {unit}."
+    if section.kind == "camera":
+        needed = _KEYS_OF["camera"][:5]
+        for key in needed:
+            if getattr(section, key) is None:
+                yield f"{at}.{key}: is missing; a camera has {', '.join(needed)} and sigma."
+    if section.kind != "arm":
+        return
+    if (section.model is None) == (section.urdf is None):
+        yield f"{at}: an arm has either a model, the folder of its results, or a urdf."
+    if section.model is not None and section.tip is not None:
+        yield f"{at}.tip: the model has its own; leave it out."
+    if section.urdf is not None and section.tool is not None:
+        yield f"{at}.tool: a urdf has no tools; give a point on its tip, or a pivot."
+    given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
+    if len(given) > 1 or (section.model is not None and not given):
+        yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."
+
+
+def _words(kind: str) -> str:
+    return kind.replace("_", " ")

@@ -1,0 +1,158 @@
+"""What stands in a field of a job. Each kind says itself what is wrong: pydantic's own words are for programmers."""
+
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator
+
+from calib.foundations.errors import JobError
+from calib.foundations.units import Dimension, parse_quantity
+from calib.identification.joint_terms import HIGHEST_ORDER
+
+# Six digits of each component are enough; half a quaternion or another order of magnitude is not.
+_NORM_TOLERANCE = 1e-3
+LONGEST_SHOWN = 60
+_MOST_ITERATIONS = 1000
+
+
+def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any") -> Callable[[object], object]:
+    """Return a validator of text like ``"0.02 mm"``; ``least`` says which sign it may have."""
+
+    def checked(text: object) -> object:
+        if not isinstance(text, str):
+            example = {
+                "length": "0.02 mm",
+                "mass": "5 kg",
+                "acceleration": "9.81 m/s2",
+                "turning compliance": "10 urad/Nm",
+            }.get(dimension, "0.01 deg")
+            raise ValueError(f"{shown(text)} is not a text with a number and a unit, like {example!r}.")
+        try:
+            value = parse_quantity(text, dimension, "")
+        except JobError as e:
+            raise ValueError(str(e).removeprefix(": ")) from e
+        if value < 0.0 and least == "zero":
+            raise ValueError(f"{text!r} is negative; allowed is 0 or more.")
+        if value <= 0.0 and least == "more":
+            raise ValueError(f"{text!r} is not above 0; leave the key out where it is not known.")
+        return text
+
+    return checked
+
+
+def list_of(count: int, what: str) -> Callable[[object], object]:
+    """Return a validator of a list of so many; ``what`` they are."""
+
+    def checked(value: object) -> object:
+        if not isinstance(value, tuple) or len(value) != count:
+            raise ValueError(f"{shown(value)} is not a list of {what}.")
+        return value
+
+    return checked
+
+
+def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = float(np.linalg.norm(value))
+    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+        raise ValueError(f"{shown(value)} has the norm {norm:.6g}, and must have 1; the order is w, x, y, z.")
+    return value
+
+
+def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not np.linalg.norm(value) > 0.0:
+        raise ValueError(f"{shown(value)} has no direction.")
+    return value
+
+
+def _selection(value: object) -> object:
+    names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+    if not names and value not in ("all", "none"):
+        raise ValueError(f"""{shown(value)} is not "all", "none" or a list of names.""")
+    return value
+
+
+def _not_empty(text: str) -> str:
+    if not text:
+        raise ValueError("is empty.")
+    return text
+
+
+def iterations(value: object) -> object:
+    """Accept a number of iterations."""
+    if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
+        raise ValueError(f"{shown(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+    return value
+
+
+def orders(value: object) -> object:
+    """Accept orders of harmonics."""
+    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
+        raise ValueError(f"{shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
+    return value
+
+
+def this_schema(value: object) -> object:
+    """Accept the schema that this version reads."""
+    # As Python has it, 1 == 1.0 == True.
+    if type(value) is not int or value != 1:
+        raise ValueError(f"{shown(value)} is not a schema that this version reads; it must be 1.")
+    return value
+
+
+def _length_or_pixels(text: object) -> object:
+    """Accept what the kind of the measurements or of the instrument decides: a length, or pixels."""
+    return _quantity("pixel" if isinstance(text, str) and in_pixels(text) else "length", "zero")(text)
+
+
+def _compliance(text: object) -> object:
+    """Accept what the unit decides: a compliance of what slides, or of what turns."""
+    slides = isinstance(text, str) and text.rstrip().endswith("/N")
+    return _quantity("sliding compliance" if slides else "turning compliance", "more")(text)
+
+
+def in_pixels(text: str) -> bool:
+    """Return whether a quantity is in pixels."""
+    return text.rstrip().endswith("px")
+
+
+Name = Annotated[str, AfterValidator(_not_empty)]
+Length = Annotated[str, BeforeValidator(_quantity("length"))]
+LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
+LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
+Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
+PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
+Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
+PositiveCompliance = Annotated[str, BeforeValidator(_compliance)]
+AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
+PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
+PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
+Position = Annotated[tuple[Length, Length, Length], BeforeValidator(list_of(3, "three lengths x, y, z"))]
+MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
+Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]
+Gravity = Annotated[
+    tuple[Acceleration, Acceleration, Acceleration],
+    BeforeValidator(list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
+]
+Quaternion = Annotated[
+    tuple[float, float, float, float],
+    BeforeValidator(list_of(4, "four numbers w, x, y, z")),
+    AfterValidator(_unit_quaternion),
+]
+Direction = Annotated[
+    tuple[float, float, float], BeforeValidator(list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
+]
+Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
+
+
+def shown(value: object) -> str:
+    """Return a value as TOML has it, short enough for a sentence."""
+    if isinstance(value, dict):
+        return "a section with keys"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(shown, value[:5]))}{', ...' if len(value) > 5 else ''}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = str(value)
+    text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    return repr(text) if isinstance(value, str) else text
