@@ -67,6 +67,8 @@ def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection)
         for key in ("model_sigma", "model_sigma_angle"):
             if getattr(section, key) is not None:
                 yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+    if section.use != "identify" and section.hold_out is not None:
+        yield f'{at}.hold_out: means nothing with use = "{section.use}"; leave it out.'
     if section.use != "identify" and section.loss != "linear":
         yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
 

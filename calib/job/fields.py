@@ -65,6 +65,12 @@ def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float
     return value
 
 
+def _share(value: object) -> object:
+    if not isinstance(value, float) or not 0.0 < value < 1.0:
+        raise ValueError(f"{shown(value)} is not a share between 0 and 1, like 0.25.")
+    return value
+
+
 def _selection(value: object) -> object:
     names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
     if not names and value not in ("all", "none"):
@@ -142,6 +148,7 @@ Quaternion = Annotated[
 Direction = Annotated[
     tuple[float, float, float], BeforeValidator(list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
 ]
+Share = Annotated[float, BeforeValidator(_share)]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
 
 

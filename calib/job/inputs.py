@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.assessment.validation import groups
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, PoseError
@@ -96,12 +97,12 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     """
     progress("reading the job")
     arm = load_arm(path)
-    job, urdf, robot, model, folder = arm.job, arm.urdf, arm.robot, arm.model, path.parent
+    job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
-    sets = [_measurements(section, job, robot, folder, arms, doubts) for section in sections]
+    sets = [_shared_out(_measurements(section, job, robot, folder, arms, doubts), section) for section in sections]
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
@@ -249,6 +250,29 @@ def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None
                 )
 
 
+def _with_held_out(job: Job) -> Job:
+    """Return the job in which a table that holds out rows stands a second time, for these, behind all others."""
+    of_these = {"use": "validate", "model_sigma": None, "model_sigma_angle": None, "loss": "linear"}
+    again = [section.model_copy(update=of_these) for section in job.measurements if section.hold_out is not None]
+    return job.model_copy(update={"measurements": (*job.measurements, *again)})
+
+
+def _shared_out(data: Measurements, section: MeasurementsSection) -> Measurements:
+    """Return what of a table one section has: all, or whole groups of rows, spread at random but alike every time.
+
+    Raises MeasurementError when the rows are of one pose or one group.
+    """
+    if section.hold_out is None:
+        return data
+    group = groups([data], places=True)
+    number = int(group.max()) + 1
+    if number < 2:
+        raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
+    many = min(max(round(section.hold_out * number), 1), number - 1)
+    out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
+    return data.subset(out if section.use == "validate" else ~out)
+
+
 def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
     """Find tables that the model is both fitted to and judged by."""
     fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
@@ -260,7 +284,7 @@ def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findi
             "the parameters are identified; as a validation it proves nothing.",
         )
         for i, section in enumerate(job.measurements)
-        if section.use == "validate" and hashes[section.file] in fitted
+        if section.use == "validate" and section.hold_out is None and hashes[section.file] in fitted
     ]
 
 

@@ -24,6 +24,7 @@ from calib.job.fields import (
     PositivePixels,
     Quaternion,
     Selection,
+    Share,
     iterations,
     list_of,
     orders,
@@ -207,7 +208,7 @@ class LevelSection(_Section):
 
 
 class MeasurementsSection(_Section):
-    """``[[measurements]]``: one table."""
+    """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged."""
 
     file: Name
     observes: Kind = "position"
@@ -219,6 +220,7 @@ class MeasurementsSection(_Section):
     model_sigma: LengthOrPixelsFromZero | None = None
     model_sigma_angle: AngleFromZero | None = None
     loss: Loss = "linear"
+    hold_out: Share | None = None
     in_order: bool = False
     columns: dict[str, str] = Field(default_factory=dict)
     targets: dict[str, Name] = Field(default_factory=dict)

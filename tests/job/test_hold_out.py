@@ -1,0 +1,67 @@
+"""A table that holds out rows of its own: whole groups of them, the same every time, never on both sides."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.foundations.errors import MeasurementError
+from calib.job.inputs import load
+from tests.job.cases import JOB, TABLE, copy_case, edit, keep_rows, run
+
+BEGIN = f'file = "{TABLE}"\n'
+
+
+def holding_out(folder: Path, share: str = "0.25") -> Path:
+    """The shipped case without its validation table, a share of the other one held out."""
+    job = copy_case(folder)
+    text = job.read_text(encoding="utf-8")
+    job.write_text(text[: text.rindex("[[measurements]]")], encoding="utf-8")
+    edit(JOB, (BEGIN, f"{BEGIN}hold_out = {share}\n"))(job.parent)
+    return job
+
+
+def test_rows_are_on_one_side_and_judge_the_other(tmp_path: Path) -> None:
+    job = holding_out(tmp_path / "job")
+    inputs = load(job)
+    (seen,), (held_out,) = inputs.identify, inputs.validate
+    assert (len(seen), len(held_out)) == (45, 15)
+    assert not set(seen.lines.tolist()) & set(held_out.lines.tolist())
+    assert load(job).validate[0].lines.tolist() == held_out.lines.tolist()
+    assert run("calibrate", job, "-o", tmp_path / "out", "-q") == (0, "", "")
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["metrics"]
+    assert metrics["validation"]["after"]["position"]["n"] == 15
+    assert metrics["validation"]["after"]["position"]["rms"] < 1e-2 * metrics["validation"]["before"]["position"]["rms"]
+
+
+def test_a_pose_that_was_visited_again_stays_with_itself(tmp_path: Path) -> None:
+    job = holding_out(tmp_path)
+    table = tmp_path / TABLE
+    rows = [line for line in table.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    table.write_text("\n".join([rows[0], *rows[1:], *rows[1:]]) + "\n", encoding="utf-8")
+    inputs = load(job)
+    sides = [{tuple(q) for q in np.round(data.readings, 6)} for data in (*inputs.identify, *inputs.validate)]
+    assert not sides[0] & sides[1]
+    assert sum(map(len, (*inputs.identify, *inputs.validate))) == 120
+
+
+@pytest.mark.parametrize("share", ["0.0", "1.0", "2", "-0.5", '"0.25"', "true"])
+def test_a_share_that_is_none_is_refused(share: str, tmp_path: Path) -> None:
+    said = run("check", holding_out(tmp_path, share))
+    assert (said.code, said.out) == (1, "")
+    assert "measurements[0].hold_out: " in said.err
+    assert "is not a share between 0 and 1, like 0.25." in said.err
+
+
+def test_held_out_tables_hold_nothing_out(tmp_path: Path) -> None:
+    job = copy_case(tmp_path)
+    edit(JOB, ('use = "validate"', 'use = "validate"\nhold_out = 0.5'))(job.parent)
+    assert 'hold_out: means nothing with use = "validate"' in run("check", job).err
+
+
+def test_one_row_cannot_be_shared_out(tmp_path: Path) -> None:
+    job = holding_out(tmp_path)
+    keep_rows(TABLE, 1)(tmp_path)
+    with pytest.raises(MeasurementError, match="none can be held out"):
+        load(job)
