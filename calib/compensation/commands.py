@@ -116,19 +116,8 @@ def for_joint_targets(
     nominal = TipModel(model.robot)
     tips, why = _rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
-    return _solve(
-        model,
-        tips @ tools,
-        what,
-        readings,
-        tools,
-        reasons,
-        residuals,
-        clamp,
-        conditions,
-        (tolerance, tolerance_angle),
-        _REMARKABLE,
-    )
+    how = _How(what, residuals, clamp, (tolerance, tolerance_angle), _REMARKABLE)
+    return _solve(model, _Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
 
 
 def for_poses(
@@ -166,7 +155,7 @@ def for_poses(
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses
-    n, tolerances = len(poses), (tolerance, tolerance_angle)
+    n, how = len(poses), _How(what, residuals, clamp, (tolerance, tolerance_angle), np.inf)
     tools = _tools(model, tool, n)
     if start is not None:
         start = _start(model, start)
@@ -174,23 +163,12 @@ def for_poses(
             raise JobError(
                 f"there are {len(start)} rows of readings to start from and {n} poses; there must be as many."
             )
-        return _solve(model, poses, what, start, tools, [""] * n, residuals, clamp, conditions, tolerances, np.inf)
+        return _solve(model, _Asked(poses, tools, start, ("",) * n, conditions), how)
     found: Corrections | None = None
     for row in _starting_places(model):
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached)
-        more = _solve(
-            model,
-            poses[left],
-            what,
-            np.broadcast_to(row, (len(left), len(row))),
-            tools[left],
-            [""] * len(left),
-            residuals,
-            clamp,
-            conditions.subset(left),
-            tolerances,
-            np.inf,
-        )
+        asked = _Asked(poses, tools, np.broadcast_to(row, (n, len(row))), ("",) * n, conditions)
+        more = _solve(model, asked.subset(left), how)
         found = more if found is None else _better(found, more, left)
         if found.reached.all():
             break
@@ -316,24 +294,42 @@ class _Seen(NamedTuple):
         return np.asarray(np.where([not text for text in self.why], np.linalg.norm(self.gap, axis=1), np.inf))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """What is asked of N rows: ``targets`` and ``tools`` (N, 4, 4), where to ``start`` (N, nr), why ``refused``."""
+
+    targets: Array
+    tools: Array
+    start: Array
+    refused: tuple[str, ...]
+    conditions: Conditions
+
+    def subset(self, rows: IntArray) -> "_Asked":
+        refused = tuple(self.refused[n] for n in rows)
+        return _Asked(self.targets[rows], self.tools[rows], self.start[rows], refused, self.conditions.subset(rows))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _How:
+    """How rows are to be reached; a reading that changes by more than ``remarkable`` earns a remark."""
+
+    what: What
+    residuals: ResidualModel | None
+    clamp: bool
+    tolerances: tuple[float, float]
+    remarkable: float
+
+
 class _Machine:
     """The calibrated machine at N targets."""
 
-    def __init__(
-        self,
-        model: CalibratedModel,
-        targets: Array,
-        what: What,
-        tools: Array,
-        residuals: ResidualModel | None,
-        conditions: Conditions,
-        length: float,
-    ) -> None:
-        self._tips, self._residuals = TipModel(model.robot, model.deviations), residuals
-        self._conditions = conditions
-        self._targets, self._tools, self._to_tool = targets, tools, rigid.adjoint(rigid.inverse(tools))
-        self.size = 3 if what == "position" else 6
-        self._weights = np.repeat((1.0, length), 3)[: self.size]
+    def __init__(self, model: CalibratedModel, asked: _Asked, how: _How) -> None:
+        self._tips, self._residuals = TipModel(model.robot, model.deviations), how.residuals
+        self._conditions, self._targets, self._tools = asked.conditions, asked.targets, asked.tools
+        self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))
+        length, angle = how.tolerances
+        self.size = 3 if how.what == "position" else 6
+        self._weights = np.repeat((1.0, length / angle), 3)[: self.size]
         self._columns = len(model.robot.readings)
 
     def look(self, rows: IntArray, q: Array) -> _Seen:
@@ -372,40 +368,15 @@ class _Machine:
 # ---- the solver
 
 
-def _solve(
-    model: CalibratedModel,
-    targets: Array,
-    what: What,
-    start: Array,
-    tools: Array,
-    refused: Sequence[str],
-    residuals: ResidualModel | None,
-    clamp: bool,
-    conditions: Conditions,
-    tolerances: tuple[float, float],
-    remarkable: float,
-) -> Corrections:
+def _solve(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
+    what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
     if not all(np.isfinite(value) and value > 0.0 for value in tolerances):
         raise JobError(f"the tolerances are {tolerances[0]} and {tolerances[1]}; allowed are positive numbers.")
     with one_thread():
-        blocks = [
-            _solve_block(
-                model,
-                targets[n : n + _BLOCK],
-                what,
-                start[n : n + _BLOCK],
-                tools[n : n + _BLOCK],
-                refused[n : n + _BLOCK],
-                residuals,
-                clamp,
-                conditions.subset(slice(n, n + _BLOCK)),
-                tolerances,
-                remarkable,
-            )
-            for n in range(0, max(len(targets), 1), _BLOCK)
-        ]
+        rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
+        blocks = [_solve_block(model, asked.subset(block), how) for block in rows]
     reached = np.concatenate([block.reached for block in blocks])
     steps = np.concatenate([block.steps for block in blocks])
     return Corrections(
@@ -419,23 +390,11 @@ def _solve(
     )
 
 
-def _solve_block(
-    model: CalibratedModel,
-    targets: Array,
-    what: What,
-    start: Array,
-    tools: Array,
-    refused: Sequence[str],
-    residuals: ResidualModel | None,
-    clamp: bool,
-    conditions: Conditions,
-    tolerances: tuple[float, float],
-    remarkable: float,
-) -> Corrections:
-    readings = model.robot.readings
-    machine = _Machine(model, targets, what, tools, residuals, conditions, tolerances[0] / tolerances[1])
+def _solve_block(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
+    readings, start, tolerances = model.robot.readings, asked.start, how.tolerances
+    machine = _Machine(model, asked, how)
     low, high = _limits(readings)
-    why = [text or _beyond(row, readings) for text, row in zip(refused, start, strict=True)]
+    why = [text or _beyond(row, readings) for text, row in zip(asked.refused, start, strict=True)]
     tried = np.flatnonzero([not text for text in why])
     q, steps, free = start.copy(), np.zeros(len(start), dtype=np.intp), np.ones(start.shape)
     rows, passed = tried, dict[int, str]()
@@ -461,14 +420,14 @@ def _solve_block(
         elif not near[n] or _beyond(q[n], readings):
             why[n] = f"the corrected {passed[n]}" if n in passed else _far(position[n], angle[n], seen.slope[n])
     reached = np.array([not text for text in why], dtype=np.bool_) & near
-    if residuals is not None:
+    if how.residuals is not None:
         for n in map(int, np.flatnonzero(reached)):
-            (why[n],) = residuals.outside(q[n : n + 1])
-            if why[n] and clamp:
-                why[n] += f"; {residuals.when_clamped}"
-            reached[n] = clamp or not why[n]
+            (why[n],) = how.residuals.outside(q[n : n + 1])
+            if why[n] and how.clamp:
+                why[n] += f"; {how.residuals.when_clamped}"
+            reached[n] = how.clamp or not why[n]
     change = q - start
-    for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > remarkable))):
+    for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > how.remarkable))):
         j = int(np.argmax(np.abs(change[n])))
         why[n] = "; ".join(filter(None, [why[n], f"{readings[j].name} changes by {_said(change[n, j], readings[j])}"]))
     change[~reached] = q[~reached] = np.nan
