@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
 from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
-from calib.compensation.grid import FRAMES, Frame, axes_of
+from calib.compensation.grid import FRAMES, SCHEMA, Frame, axes_of, head_of
 from calib.compensation.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError, OutputError
@@ -39,7 +39,6 @@ _ROWS_FOR_SCALES = 600
 _FEWEST_ROWS = 10
 _MOST_ROWS = 5000
 _BLOCK = 2048
-_SCHEMA = 1
 _KEYS = ("schema", "frame", "joints", "dimensions", "points", "errors", "amplitude", "scales", "noise")
 
 
@@ -286,7 +285,7 @@ def gaussian_bytes(known: GaussianResiduals) -> bytes:
     buffer = io.BytesIO()
     np.savez(
         buffer,
-        schema=np.array(_SCHEMA),
+        schema=np.array(SCHEMA),
         frame=np.array(known.frame),
         joints=np.array(known.joints, dtype=np.int64),
         dimensions=np.array(known.readings),
@@ -321,25 +320,17 @@ def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = N
 
 
 def _gaussian_of(arrays: dict[str, npt.NDArray[Any]]) -> GaussianResiduals:
-    kinds: Final = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U"}
+    frame, readings = head_of(arrays, {})
     for key, array in arrays.items():
-        if array.dtype.kind != kinds.get(key, "f"):
-            raise NotReadableError(f"{key} has a wrong type")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise NotReadableError(f"{key} has a value that is not a finite number")
-    if arrays["schema"].shape != () or int(arrays["schema"]) != _SCHEMA:
-        raise NotReadableError(f"its schema is not {_SCHEMA}")
-    if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
-        raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
-    table, joints = arrays["dimensions"], arrays["joints"]
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], ["angle", "length"]).all():
-        raise NotReadableError("its joints have no names and dimensions")
+    joints = arrays["joints"]
     numbers = tuple(int(j) for j in joints.ravel())
     if (
         joints.ndim != 1
         or not numbers
         or sorted(set(numbers)) != list(numbers)
-        or not set(numbers) <= {*range(len(table))}
+        or not set(numbers) <= {*range(len(readings))}
     ):
         raise NotReadableError("its joints are not different ones of the robot's, in order")
     points, errors, scales = arrays["points"], arrays["errors"], arrays["scales"]
@@ -350,9 +341,8 @@ def _gaussian_of(arrays: dict[str, npt.NDArray[Any]]) -> GaussianResiduals:
     if sizes[0].shape != () or sizes[2].shape != () or scales.shape != joints.shape or min(map(np.min, sizes)) <= 0.0:
         raise NotReadableError("its amplitude, scales and noise are not positive numbers")
     kernel = Kernel(float(sizes[0]), read_only(scales), float(sizes[2]))
-    readings = tuple((str(name), cast(Dimension, str(dimension))) for name, dimension in table)
     try:
         with np.errstate(over="ignore", invalid="ignore"), one_thread():
-            return _trained(readings, numbers, points, errors, cast(Frame, str(arrays["frame"])), kernel)
+            return _trained(readings, numbers, points, errors, frame, kernel)
     except (np.linalg.LinAlgError, ValueError) as e:
         raise NotReadableError("its rows cannot be told apart") from e

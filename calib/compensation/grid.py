@@ -29,7 +29,7 @@ _OFF_GRID = 1e-3
 # Readings are inside up to rounding, and so is a cell whose missing corner has no more weight than this.
 _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
-_SCHEMA = 1
+SCHEMA = 1
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 _UNITS = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
 
@@ -328,7 +328,7 @@ def grid_bytes(grid: SectorGrid) -> bytes:
     buffer = io.BytesIO()
     np.savez(
         buffer,
-        schema=np.array(_SCHEMA),
+        schema=np.array(SCHEMA),
         frame=np.array(grid.frame),
         joints=np.array(grid.joints, dtype=np.int64),
         dimensions=np.array(grid.readings),
@@ -362,20 +362,34 @@ def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None)
     return grid
 
 
-def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
-    kinds = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U", "lengths": "i", "measured": "b"}
+def head_of(
+    arrays: Mapping[str, npt.NDArray[Any]], kinds: Mapping[str, str]
+) -> tuple[Frame, tuple[tuple[str, Literal["angle", "length"]], ...]]:
+    """Return what every file of a residual model begins with: its frame, and names and dimensions of all joints.
+
+    ``kinds``: of arrays beside those of the head that are no floating-point numbers, as numpy's letters. Raises
+    NotReadableError for an array of another type, another schema, and a head that is none.
+    """
+    kinds = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U", **kinds}
     for key, array in arrays.items():
         if array.dtype.kind != kinds.get(key, "f"):
             raise NotReadableError(f"{key} has a wrong type")
-    if arrays["schema"].shape != () or int(arrays["schema"]) != _SCHEMA:
-        raise NotReadableError(f"its schema is not {_SCHEMA}")
+    if arrays["schema"].shape != () or int(arrays["schema"]) != SCHEMA:
+        raise NotReadableError(f"its schema is not {SCHEMA}")
     if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
         raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
-    table, joints, lengths = arrays["dimensions"], arrays["joints"], arrays["lengths"]
+    table = arrays["dimensions"]
     if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(_UNITS)).all():
         raise NotReadableError("its joints have no names and dimensions")
+    readings = tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table)
+    return cast(Frame, str(arrays["frame"])), readings
+
+
+def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
+    frame, readings = head_of(arrays, {"lengths": "i", "measured": "b"})
+    joints, lengths = arrays["joints"], arrays["lengths"]
     numbers = [int(j) for j in joints.ravel()]
-    n = len(table)
+    n = len(readings)
     if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not all(0 <= j < n for j in numbers):
         raise NotReadableError("its joints are not different ones of the robot's")
     if lengths.shape != joints.shape or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
@@ -393,11 +407,11 @@ def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
     if reference.shape != (n,) or not np.isfinite(reference[still]).all() or not np.isnan(reference[numbers]).all():
         raise NotReadableError("its reference is not that of the joints beside the grid")
     return SectorGrid(
-        tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table),
+        readings,
         tuple(numbers),
         axes,
         read_only(reference),
         read_only(arrays["errors"]),
         read_only_view(arrays["measured"].copy()),
-        cast(Frame, str(arrays["frame"])),
+        frame,
     )
