@@ -1,6 +1,6 @@
 """Kill the real command line at random moments, fill its disk and close its folders; look at what is left.
 
-    python scripts/kill_runs.py --runs 60
+    python scripts/kill_runs.py --runs 60 --markdown docs/crashes.md
 
 Every run calibrates anew into a folder that holds whole results of another job, so that old and new can be told apart.
 It is killed (SIGKILL) at a random moment: of the whole run, or, every second time, of the moments in which it writes.
@@ -24,10 +24,12 @@ import time
 from pathlib import Path
 
 import calib
+from calib.foundations.files import write_atomically
 
 ROOT = Path(__file__).resolve().parents[1]
 CASE = ROOT / "robots" / "arm_cmm"
 FILES = ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv")
+BEGIN, END = "<!-- scripts/kill_runs.py -->", "<!-- end -->"
 COMMAND = (sys.executable, "-c", "from calib.cli import main; main()")
 
 
@@ -164,23 +166,36 @@ def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, ("---",) * len(header), *rows))
 
 
+def put(page: Path, lines: list[str]) -> None:
+    """Put lines between the marks of a page."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise SystemExit(f"{page} has no {BEGIN} and {END} around a table.")
+    write_atomically(page, "\n".join([f"{before}{BEGIN}", "", *lines, "", f"{END}{after}"]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables into this page")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows, passed = kills(folder, arguments.runs, arguments.seed)
-        print(table(("killed", "folder as it stood", "left beside it", "read, then written anew", "runs"), rows))
-        print(f"\n{passed} of {arguments.runs} runs passed.\n")
+        head = ("killed", "folder as it stood", "left beside it", "read, then written anew", "runs")
+        lines = [table(head, rows), "", f"{passed} of {arguments.runs} runs passed.", ""]
         good = passed == arguments.runs
         if os.geteuid() == 0:
             found = disks(folder)
-            print(table(("disk", "what is said", "old results"), found))
+            lines.append(table(("disk", "what is said", "old results"), found))
             good = good and all(state == "whole" for *_, state in found)
         else:
-            print("Full and read-only disks are mounts, and need root: not tried.")
+            lines.append("Full and read-only disks are mounts, and need root: not tried.")
+    print("\n".join(lines))
+    if arguments.markdown is not None:
+        put(arguments.markdown, lines)
     raise SystemExit(0 if good else 1)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -20,8 +21,8 @@ from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, in s.
 _PATIENCE = 20
-# A job of this name is called as its folder, as those in robots/ are.
-_USUAL = "calibration"
+# A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
+_USUAL = re.compile(r"calibration(?![^_.-])")
 SUMMARY_JSON = "summary.json"
 SUMMARY_CSV = "summary.csv"
 PAGE = "fleet.html"
@@ -52,12 +53,15 @@ class Done:
 def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
     """Return the jobs of a fleet whose results go to folders of their names in ``out``.
 
-    A job is called as its file, or, where that is ``calibration.toml``, as the folder it is in. Raises JobError when
-    two jobs would be written to one folder, OutputError when ``out`` cannot take the summary.
+    A job is called as its file; of ``calibration.toml`` or ``calibration_fast.toml`` in the folder ``ur10`` that is
+    ``ur10`` and ``ur10_fast``. Raises JobError when two jobs would be written to one folder, OutputError when ``out``
+    cannot take the summary.
     """
     found: dict[str, FleetJob] = {name: FleetJob(out / name, name, out / name) for name in SUMMARIES}
     for path in paths:
-        name = path.absolute().parent.name if path.stem == _USUAL else path.stem
+        name = path.stem
+        if usual := _USUAL.match(name):
+            name = path.absolute().parent.name + name[usual.end() :]
         key = name.casefold()  # some file systems know no capitals
         if key in SUMMARIES:
             raise JobError(f"{path}: its results would be written to {out / name}, where a summary belongs; rename it.")

@@ -54,12 +54,13 @@ def fleet_sheet(lines: Sequence[JobLine]) -> Sheet:
     for line in lines:
         errors: tuple[QuantityError | None, ...] = line.errors or (None,)
         for k, error in enumerate(errors):
-            shown = ("", "", "", "") if error is None else (error.quantity, *_shown(error))
-            seen = (_rank(line), _number(line.outliers), line.word) if k == 0 else ("", "", "")
+            shown = ("", "", "") if error is None else _shown(error)
+            seen = (_rank(line), line.word) if k == 0 else ("", "")
             rows.append(Row((line.name if k == 0 else "", *shown, *seen), strong=line.word != "trusted"))
-    columns = ("job", "error", "before", "after", "unit", "rank", "outliers", "verdict")
-    caption = "rms, of held-out data where there are any"
-    return Sheet("Fleet", columns, frozenset(("before", "after", "rank", "outliers")), tuple(rows), caption, brief=True)
+    columns = ("job", "error", "before", "after", "rank", "verdict")
+    found = [f"{line.name} {line.outliers}" for line in lines if line.outliers]
+    caption = "rms, of held-out data where there are any" + (f"; outliers: {', '.join(found)}" if found else "")
+    return Sheet("Fleet", columns, frozenset(("before", "after", "rank")), tuple(rows), caption, brief=True)
 
 
 def fleet_report(lines: Sequence[JobLine]) -> Report:
@@ -107,7 +108,7 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
                 for unit in units
                 for value in ((0.0, 0.0, 0.0) if error is None else (error.before, error.after, error.largest))
             ]
-            what = ("", "", "") if error is None else (error.quantity, line.data, str(error.n))
+            what = ("", "", "") if error is None else (error.quantity.replace("_", " "), line.data, str(error.n))
             seen = (_rank(line), _number(line.outliers), line.word)
             link = "" if line.report is None else quote(line.report)
             rows.append(Row((line.name, *what, *values, *seen), strong=line.word != "trusted", link=link))
@@ -146,7 +147,7 @@ def _picture(lines: Sequence[JobLine], unit: str) -> Picture | None:
 
 def _shown(error: QuantityError) -> tuple[str, str, str]:
     factor, name = SHOWN[error.unit]
-    return f"{error.before * factor:.4f}", f"{error.after * factor:.4f}", name
+    return f"{error.quantity.replace('_', ' ')} [{name}]", f"{error.before * factor:.4f}", f"{error.after * factor:.4f}"
 
 
 def _rank(line: JobLine) -> str:
