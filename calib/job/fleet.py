@@ -54,14 +54,16 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
     """Return the jobs of a fleet whose results go to folders of their names in ``out``.
 
     A job is called as its file; of ``calibration.toml`` or ``calibration_fast.toml`` in the folder ``ur10`` that is
-    ``ur10`` and ``ur10_fast``. Raises JobError when two jobs would be written to one folder, OutputError when ``out``
-    cannot take the summary.
+    ``ur10`` and ``ur10_fast``. Raises JobError when a job has no usable name or two would be written to one folder,
+    OutputError when ``out`` cannot take the summary.
     """
     found: dict[str, FleetJob] = {name: FleetJob(out / name, name, out / name) for name in SUMMARIES}
     for path in paths:
         name = path.stem
         if usual := _USUAL.match(name):
             name = path.absolute().parent.name + name[usual.end() :]
+        if not name or name.startswith("."):
+            raise JobError(f"{path}: {name!r} is no name for a folder of results; rename it.")
         key = name.casefold()  # some file systems know no capitals
         if key in SUMMARIES:
             raise JobError(f"{path}: its results would be written to {out / name}, where a summary belongs; rename it.")

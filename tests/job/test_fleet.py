@@ -144,6 +144,7 @@ REFUSED = [
         "jobs/plain.toml and jobs/plain.toml: both would be written to fleet/plain; ",
     ),
     (("a/x.toml", "b/X.toml"), "a/x.toml and b/X.toml: both would be written to fleet/X; rename one of them."),
+    (("jobs/.toml",), "jobs/.toml: '.toml' is no name for a folder of results; rename it."),
     (("summary.csv.toml",), "summary.csv.toml: its results would be written to fleet/summary.csv, where a summary "),
 ]
 
