@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.presentation.report.charts import Axis, Mark, Points, chart, logarithmic
 from calib.presentation.report.document import Block, Picture, Prose, Report, Row, Section, Sheet, Tile, Verdict
-from calib.presentation.sheets import SHOWN, count
+from calib.presentation.sheets import SHOWN, count, figure
 
 Word = Literal["trusted", "not trusted", "failed"]
 _NAMES_BELOW = 13
@@ -86,12 +86,12 @@ def _verdict(lines: Sequence[JobLine]) -> Verdict:
     reasons = (f"Look at {', '.join(bad[:8])}{' and others' if len(bad) > 8 else ''}.",) if bad else ()
     tiles = []
     for quantity, unit in dict.fromkeys((error.quantity, error.unit) for line in lines for error in line.errors):
-        factor, name = SHOWN[unit]
         found = [error for line in lines for error in line.errors if (error.quantity, error.unit) == (quantity, unit)]
-        before, after = (median(getattr(error, when) for error in found) * factor for when in ("before", "after"))
-        tiles.append(Tile(f"{quantity} (rms), median of {len(found)}", f"{before:.4f} to {after:.4f} {name}"))
-        worst = max(error.after for error in found) * factor
-        tiles.append(Tile(f"{quantity} (rms), after, worst job", f"{worst:.4f} {name}"))
+        if len(found) > 1:
+            what = quantity.replace("_", " ")
+            for when, values in (("before", [e.before for e in found]), ("after", [e.after for e in found])):
+                tiles.append(Tile(f"{what}, {when} (rms, median of {len(found)})", figure(median(values), unit)))
+            tiles.append(Tile(f"{what}, after (rms, worst job)", figure(max(e.after for e in found), unit)))
     return Verdict(not bad, fleet_sentence(lines), reasons, tuple(tiles))
 
 
@@ -109,10 +109,10 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
                 for value in ((0.0, 0.0, 0.0) if error is None else (error.before, error.after, error.largest))
             ]
             what = ("", "", "") if error is None else (error.quantity.replace("_", " "), line.data, str(error.n))
-            seen = (_rank(line), _number(line.outliers), line.word)
+            seen = (_rank(line), _number(line.outliers))
             link = "" if line.report is None else quote(line.report)
-            rows.append(Row((line.name, *what, *values, *seen), strong=line.word != "trusted", link=link))
-    columns = ("job", "error", "data", "n", *figures, "rank", "outliers", "verdict")
+            rows.append(Row((line.name, line.word, *what, *values, *seen), strong=line.word != "trusted", link=link))
+    columns = ("job", "verdict", "error", "data", "n", *figures, "rank", "outliers")
     caption = (
         "A job's name leads to its report; the head of a column sorts by it. rms before and after, and the largest "
         "error after; rank: of how many parameters the data see how many; outliers: rows, jumps and groups that are no "
