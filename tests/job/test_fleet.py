@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import psutil
@@ -246,12 +245,8 @@ def test_ctrl_c_keeps_what_is_finished_and_stops_the_workers(folder: Path) -> No
 
 def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    with (
-        warnings.catch_warnings(),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
-        ) as cluster,
-    ):
+    quiet = {"dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **quiet) as cluster:
         said = run("fleet", *jobs("bad.toml", *GOOD), "--dask", cluster.scheduler_address)
         assert (said.code, said.err) == (1, "")
     for name in ("plain", "fewer"):
