@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,22 +13,38 @@ from calib.foundations.errors import CalibError, OutputError
 
 # Far above any input this toolkit meets, and low enough that a wrong path gives a sentence, not a full memory.
 LARGEST_INPUT = 2_000_000_000
+# JSON takes some twenty times its size while it is read.
+LARGEST_JSON = 100_000_000
 
 
 def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT) -> bytes:
-    """Return the contents of a regular file, or raise ``error`` with a sentence that says why it cannot be read."""
+    """Return the contents of a regular file, or raise ``error`` with a sentence that says why it cannot be read.
+
+    What is not regular (a folder, a device, a pipe) is not opened; nor waited for, if it took the file's place since.
+    """
     try:
         if not path.exists():
             raise error(f"{path}: there is no such file.")
         if not path.is_file():
             raise error(f"{path}: is not a regular file.")
-        if path.stat().st_size > largest:
-            raise error(f"{path}: is larger than {largest} bytes.")
-        return path.read_bytes()
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as file:
+            found = os.fstat(handle)
+            if not stat.S_ISREG(found.st_mode):
+                raise error(f"{path}: is not a regular file.")
+            # Some files of the system say that they are empty, and others grow: what is read counts as well.
+            data = b"" if found.st_size > largest else file.read(largest + 1)
+            if max(len(data), found.st_size) > largest:
+                raise error(f"{path}: is larger than {largest} bytes.")
+            return data
     except OSError as e:
         if isinstance(e, CalibError):
             raise
         raise error(f"{path}: cannot be read ({e.strerror}).") from e
+    except ValueError as e:  # such as a zero byte in the name
+        if isinstance(e, CalibError):
+            raise
+        raise error(f"{str(path)!r}: is not the name of a file.") from e
 
 
 def sha256(data: bytes) -> str:

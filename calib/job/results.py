@@ -30,7 +30,9 @@ from calib.compensation.model_file import (
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import previous_folder, read_bytes, replace_folder
+from calib.foundations.files import LARGEST_JSON, previous_folder, read_bytes, replace_folder
+from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
@@ -63,6 +65,8 @@ _MOST_WORST = 10
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _STEPS_OF_WRITING = 4
+# Of a parameter read back, in SI units.
+_LARGEST_VALUE = 1e6
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -165,12 +169,16 @@ def robot_errors(folder: Path) -> dict[str, float]:
     Raises OutputError when the folder holds no readable result.
     """
     path = folder / RESULT_FILE
-    source = read_bytes(path, OutputError)
+    source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
-        records = json.loads(source)["parameters"]
+        records = parse_json(source)["parameters"]
         found = {str(record["name"]): float(record["value"]) for record in records}
-    except (ValueError, TypeError, KeyError, RecursionError) as e:
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
+    except (ValueError, TypeError, KeyError, OverflowError) as e:
         raise OutputError(f"{path}: is not a result of this tool.") from e
+    if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
+        raise OutputError(f"{path}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}.")
     of_set_up = ("base", "tool", "target", "length")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
