@@ -35,7 +35,7 @@ def main() -> int:
     sys.path[:0] = [str(ROOT)]
     if len(sys.argv) > 2 and sys.argv[1] == "--child":
         return _fuzz(sys.argv[2], Path(sys.argv[3]), sys.argv[4:])
-    from scripts.fuzz_readers import READERS
+    from scripts.fuzz_readers import READERS  # noqa: PLC0415
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--reader", choices=sorted(READERS), action="append", help="default: every one")
@@ -51,7 +51,7 @@ def main() -> int:
 
 def _supervise(name: str, seconds: int, corpus: Path) -> int:
     """Fuzz one reader in processes of its own until its time is over; return how many faults were found."""
-    from scripts.fuzz_readers import READERS
+    from scripts.fuzz_readers import READERS  # noqa: PLC0415
 
     corpus.mkdir(parents=True, exist_ok=True)
     for seed in READERS[name].seeds():
@@ -108,11 +108,11 @@ def _store(name: str, data: bytes) -> Path:
 
 def _fault(name: str, data: bytes) -> str | None:
     """Return what is wrong with the reading of an input, and where; None where nothing is."""
-    from scripts.fuzz_readers import READERS, judge
+    from scripts.fuzz_readers import READERS, judge  # noqa: PLC0415
 
     try:
         judge(READERS[name].read, data)
-    except Exception as e:
+    except Exception as e:  # noqa: BLE001 - whatever escapes is what is looked for
         own = [frame for frame in traceback.extract_tb(e.__traceback__) if str(ROOT) in frame.filename]
         at = own[-1]
         return f"{type(e).__name__} at {Path(at.filename).relative_to(ROOT)}:{at.lineno} ({str(e)[:80]!r})"[:200]
@@ -138,10 +138,10 @@ def minimised(data: bytes, bad: Callable[[bytes], bool]) -> bytes:
 
 def _fuzz(name: str, folder: Path, options: list[str]) -> int:
     """Be the process that fuzzes: note every new kind of fault, and go on."""
-    import atheris
+    import atheris  # noqa: PLC0415
 
     with atheris.instrument_imports(include=["calib", "tomllib", "trimesh.exchange", "collada"]):
-        from scripts.fuzz_readers import READERS
+        from scripts.fuzz_readers import READERS  # noqa: PLC0415
     # What the shipped files need is made and loaded before memory is limited and time is counted.
     for seed in READERS[name].seeds():
         _fault(name, seed)

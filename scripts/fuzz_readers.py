@@ -4,7 +4,6 @@ A reader may return anything or raise a CalibError of one short line. Whatever e
 warning. Readers of several files take them in one text, each after a line ``%%% name``.
 """
 
-import dataclasses
 import functools
 import io
 import json
@@ -336,7 +335,7 @@ def _gaussians() -> list[bytes]:
 
 
 def _meshes() -> list[bytes]:
-    import trimesh
+    import trimesh  # noqa: PLC0415 - slow to load
 
     ball = trimesh.creation.icosphere(subdivisions=0)
     texts = [ball.export(file_type=kind[1:]) for kind in _MESHES[:-1]]

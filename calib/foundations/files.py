@@ -52,12 +52,17 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def encoded(text: str) -> bytes:
+    """Return text as UTF-8; what cannot be, the bytes of a file's name that are no text, as escapes."""
+    return text.encode(errors="backslashreplace")
+
+
 def write_atomically(path: Path, data: bytes | str) -> None:
     """Write a file so that a reader sees the old contents or the new ones, never a part.
 
     Raises OutputError when the folder is missing, read-only or full; the old file is then untouched.
     """
-    data = data.encode() if isinstance(data, str) else data
+    data = encoded(data) if isinstance(data, str) else data
     temporary = None
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)

@@ -14,10 +14,11 @@ _LINE_END = re.compile(rb"\r\n?|\n")
 
 
 class Line(NamedTuple):
-    """A line that is neither blank nor a comment, and its number from 1."""
+    """A line that is neither blank nor a comment, and its number from 1; ``ended``: by a line end, not the file's."""
 
     number: int
     text: str
+    ended: bool
 
 
 def lines(data: bytes, where: str) -> Iterator[list[Line]]:
@@ -40,11 +41,11 @@ def lines(data: bytes, where: str) -> Iterator[list[Line]]:
         # splitlines() would also split at form feeds and the like, and number the lines as no editor does.
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         found = [
-            Line(k, line)
-            for k, line in enumerate(every, start=number)
+            Line(number + k, line, k < len(every) - 1)
+            for k, line in enumerate(every)
             if line.strip() and not line.lstrip().startswith("#")
         ]
-        for k, line in found:
+        for k, line, _ in found:
             if len(line) > LONGEST_LINE:
                 raise MeasurementError(f"{where}:{k}: is longer than the {LONGEST_LINE} characters that are allowed.")
         if found:
@@ -86,14 +87,12 @@ def cells(line: str, separator: str, at: str) -> list[str]:
     return [cell.strip() for cell in found]
 
 
-def refuse_ragged(
-    rows: Sequence[Sequence[str]], width: int, numbers: Sequence[int], where: str, *, truncated: bool
-) -> None:
-    """Raise MeasurementError for a row that has not ``width`` cells; ``truncated``: no line end follows the last."""
-    for row, (number, found) in enumerate(zip(numbers, rows, strict=True), start=1):
+def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Line], where: str) -> None:
+    """Raise MeasurementError for a row that has not ``width`` cells."""
+    for (number, _, ended), found in zip(block, rows, strict=True):
         if len(found) == width:
             continue
-        if len(found) < width and row == len(rows) and truncated:
+        if len(found) < width and not ended:
             hint = ", and the file ends within this row: it seems truncated"
         elif len(found) > width and found[-1]:
             hint = "; if these are decimal commas, write points, or separate the cells by semicolons"

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER, UNITS, Unit
@@ -99,22 +99,22 @@ def read_table(path: str | Path, columns: Mapping[str, str] = AS_WRITTEN) -> Tab
     """
     where = str(path)
     data = read_bytes(Path(path), MeasurementError)
-    truncated = not data.endswith((b"\n", b"\r"))
     blocks = lines(data, where)
     first = next(blocks, None)
     if first is None:
         raise MeasurementError(f"{where}: is empty; a table starts with a header line.")
-    (header_line, titles), *rest = first
+    (header_line, titles, _), *rest = first
     at_header = f"{where}:{header_line}"
     separator = separator_of(titles, at_header)
     header = _header(cells(titles, separator, at_header), columns, at_header)
-    reader = _BlockReader(header, where, separator, truncated)
+    reader = _BlockReader(header, where, separator)
     parts = [reader(block) for block in itertools.chain([rest], blocks) if block]
     if not parts:
         raise MeasurementError(f"{where}: has a header and no rows.")
-    numbers = np.concatenate([part.numbers for part in parts])
-    values = [_joined(kinds) for kinds in zip(*(part.values for part in parts), strict=True)]
-    return _whole(header, values, numbers, where)
+    del data, first, rest
+    # Column by column, and what is joined is let go: all columns are in memory once, one of them twice.
+    values = [_joined([part.values.pop() for part in parts]) for _ in header][::-1]
+    return _whole(header, values, np.concatenate([part.numbers for part in parts]), where)
 
 
 class _Part(NamedTuple):
@@ -125,19 +125,19 @@ class _Part(NamedTuple):
 class _BlockReader:
     """Makes numbers and words of blocks of lines, and remembers which decimal mark was seen and where."""
 
-    def __init__(self, header: Sequence[_Heading], where: str, separator: str, truncated: bool) -> None:
-        self._header, self._where, self._separator, self._truncated = header, where, separator, truncated
+    def __init__(self, header: Sequence[_Heading], where: str, separator: str) -> None:
+        self._header, self._where, self._separator = header, where, separator
         self._marks: dict[str, str] = {}
         self._known: dict[str, str] = {}
 
     def __call__(self, block: Sequence[Line]) -> _Part:
-        numbers = [number for number, _ in block]
+        numbers = [line.number for line in block]
 
         def place(row: int) -> str:
             return f"{self._where}:{numbers[row]}"
 
-        rows = [cells(line, self._separator, f"{self._where}:{number}") for number, line in block]
-        refuse_ragged(rows, len(self._header), numbers, self._where, truncated=self._truncated)
+        rows = [cells(text, self._separator, f"{self._where}:{number}") for number, text, _ in block]
+        refuse_ragged(rows, len(self._header), block, self._where)
         values: list[Array | tuple[str, ...]] = []
         for (name, unit), column in zip(self._header, zip(*rows, strict=True), strict=True):
             if unit is None:
@@ -167,7 +167,7 @@ class _BlockReader:
 def _joined(parts: Sequence[Array | tuple[str, ...]]) -> Array | tuple[str, ...]:
     if isinstance(parts[0], tuple):
         return tuple(itertools.chain.from_iterable(cast(Sequence[tuple[str, ...]], parts)))
-    return read_only(np.concatenate(cast(Sequence[Array], parts)))
+    return read_only_view(np.concatenate(cast(Sequence[Array], parts)))
 
 
 def table_from_frame(frame: Frame, where: str = "DataFrame", columns: Mapping[str, str] = AS_WRITTEN) -> Table:
@@ -286,8 +286,8 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
         numbers = values.astype(np.float64)
     else:
         # Objects of a frame pass the same gate as the cells of a file.
-        numbers = _parsed([str(value) for value in values], name, place)
-    si = read_only(unit.factor * numbers)
+        numbers = _parsed(values if isinstance(values, tuple) else [str(value) for value in values], name, place)
+    si = read_only_view(np.asarray(unit.factor * numbers))
     within = np.abs(si) <= _LARGEST_NUMBER  # false for nan
     if not within.all():
         row = int(np.argmin(within))
@@ -300,7 +300,7 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
 def _parsed(column: Sequence[str], name: str, place: _Place) -> Array:
     try:
         if not "".join(column).encode().translate(None, _PLAIN):
-            return np.fromiter(map(float, column), dtype=np.float64, count=len(column))
+            return np.array(list(map(float, column)))
     except ValueError:  # which cell it is, is found below; lone halves of a character cannot be encoded either
         pass
     row = next(row for row, cell in enumerate(column) if NUMBER.fullmatch(cell) is None)

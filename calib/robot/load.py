@@ -8,7 +8,9 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import begins_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.words import shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.loops import Loop
@@ -147,7 +149,8 @@ def _path(document: Urdf, base: str, tip: str, role: str) -> tuple[UrdfJoint, ..
         path.append(joint)
         if len(path) > MOST_JOINTS:
             raise RobotError(
-                f"{document.where}: more than the {MOST_JOINTS} joints that are allowed lie between {base!r} and {tip!r}."
+                f"{document.where}: between {base!r} and {tip!r} are more than the {MOST_JOINTS} joints that are "
+                "allowed."
             )
         link = joint.parent
     return tuple(reversed(path))
@@ -215,6 +218,11 @@ def _couple(
                 dimension: Literal["angle", "length"] = "length" if driver.type == "prismatic" else "angle"
                 readings.append(Reading(name, dimension, driver.lower, driver.upper))
     names = [reading.name for reading in readings]
+    # They head the columns of tables that are written.
+    if formula := next(filter(begins_formula, names), None):
+        raise RobotError(
+            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
+        )
     coupling = np.zeros((len(moving), len(names)))
     for i, (multiples, _) in enumerate(rows):
         for name, multiple in multiples.items():
