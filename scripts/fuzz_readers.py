@@ -38,8 +38,10 @@ from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.table import read_table
 from calib.presentation.live import answer, sliders
-from calib.presentation.meshes import read_mesh
+from calib.presentation.meshes import primitive, read_mesh
+from calib.presentation.visuals import visuals
 from calib.robot import dh
+from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Reading
@@ -228,6 +230,29 @@ def _live(data: bytes) -> None:
     json.dumps(answer(_model(), data), allow_nan=False)
 
 
+_LOOKS = b"<!-- looks -->"
+
+
+@functools.cache
+def _looked_at() -> bytes:
+    source = _results()["nominal.urdf"]
+    for name in (b"base_link", b"link_3"):
+        source = source.replace(b'<link name="%s"/>' % name, b'<link name="%s">%s</link>' % (name, _LOOKS))
+        source = source.replace(b'<link name="%s">' % name, b'<link name="%s">%s' % (name, _LOOKS))
+    assert _LOOKS in source
+    return source
+
+
+def _looks(data: bytes) -> None:
+    urdf = parse_urdf(_looked_at().replace(_LOOKS, data), "arm.urdf")
+    for shapes in visuals(urdf, (0.5, 0.5, 0.5)).values():
+        for shape in shapes:
+            if shape is not None and shape.kind != "mesh":
+                assert np.isfinite(primitive(shape.kind, shape.sizes, shape.rgb).vertices).all(), "a vertex nowhere"
+    robot = load_robot(urdf, "probe")
+    self_collision(robot, (), np.zeros((1, len(robot.readings))))
+
+
 _MESHES = (".stl", ".obj", ".ply", ".off", ".glb", ".dae")
 
 
@@ -334,6 +359,21 @@ def _gaussians() -> list[bytes]:
     return _arrays(gaussian_bytes(gaussian_from_residuals(points, errors, _READINGS, None, "base")))
 
 
+def _shapes() -> list[bytes]:
+    return [
+        b'<visual><origin xyz="0 0 .1" rpy="0 0 1"/><geometry><%s/></geometry><material name="red"><color '
+        b'rgba="1 0 0 1"/></material></visual><collision><geometry><%s/></geometry><origin xyz="1 0 0"/></collision>'
+        % (shape, shape)
+        for shape in (
+            b'box size=".1 .2 .3"',
+            b'sphere radius=".1"',
+            b'cylinder radius=".1" length=".2"',
+            b'capsule radius=".1" length=".2"',
+            b'mesh filename="package://a/b.stl" scale="1 1 1e-3"',
+        )
+    ]
+
+
 def _meshes() -> list[bytes]:
     import trimesh  # noqa: PLC0415 - slow to load
 
@@ -357,6 +397,8 @@ _NUMBERS = (b"1e400", b"-1e308", b"1e-320", b"nan", b"inf", b"-0.0", b"9" * 400,
 _ODD = (b"\0", b"\xef\xbb\xbf", b"\xff\xfe", b"\r", b"\n", b"\x1b[31m", b"\xe2\x80\xae", b"\xc3", b"=1+1", b"../..")
 _XML = (b"<", b"/>", b"<!DOCTYPE a [", b"<!ENTITY a 'b'>", b"&a;", b"<![CDATA[", b"]]>", b"<!--", b"&#9;", b"xacro:if")
 _XML += (b'<joint name="', b'type="continuous"', b"<mimic ", b"<inertial>", b'<mass value="', b"<axis ", b"<origin ")
+_LOOK = (b"<visual>", b"</visual>", b"<collision>", b"<geometry>", b"</geometry>", b"<box ", b'size="', b"<sphere ")
+_LOOK += (b'radius="', b"<cylinder ", b'length="', b"<capsule ", b"<mesh ", b'filename="', b'scale="', b"<material ")
 _CSV = (b",", b";", b"\t", b'"', b'""', b"#", b" [mm]", b" [deg]", b"qw", b"sigma [mm]", b"group", b"length [mm]")
 _CSV += (b"pair", b"target", b"indicated [mm]", b"diameter [mm]", b"ball [mm]", b"tau_joint_1 [Nm]", b"direction")
 _TOML = (
@@ -405,5 +447,6 @@ READERS: dict[str, Reader] = {
     "grid": Reader(functools.partial(_npz, load_grid), _grids, _NUMBERS + _ODD + _NPY),
     "gaussian": Reader(functools.partial(_npz, load_gaussian), _gaussians, _NUMBERS + _ODD + _NPY),
     "live": Reader(_live, lambda: [b'{"readings": [0, 1, 2, 3, 4, 5], "apart": 100.0}'], _NUMBERS + _ODD + _JSON),
+    "looks": Reader(_looks, _shapes, _NUMBERS + _ODD + _XML + _LOOK),
     "mesh": Reader(_mesh, _meshes, _NUMBERS + _ODD + _XML, largest=4_000),
 }

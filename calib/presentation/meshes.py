@@ -69,16 +69,16 @@ def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) 
     return Triangles(vertices, _repeated(wall, len(starts)), rgb)
 
 
-def primitive(shape: Any, rgb: Rgb) -> Triangles:
-    """Return the box, sphere or cylinder (along z) of a yourdfpy geometry."""
+def primitive(kind: str, sizes: Sequence[float], rgb: Rgb) -> Triangles:
+    """Return a box of three edges, a sphere of a radius or a cylinder (along z) of a radius and a length, in m."""
     from trimesh import creation  # noqa: PLC0415
 
-    if shape.box is not None:
-        mesh = creation.box(extents=shape.box.size)
-    elif shape.sphere is not None:
-        mesh = creation.icosphere(subdivisions=3, radius=shape.sphere.radius)
+    if kind == "box":
+        mesh = creation.box(extents=sizes)
+    elif kind == "sphere":
+        mesh = creation.icosphere(subdivisions=3, radius=sizes[0])
     else:
-        mesh = creation.cylinder(radius=shape.cylinder.radius, height=shape.cylinder.length, sections=48)
+        mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=48)
     return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 

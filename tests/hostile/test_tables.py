@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import MeasurementError, RobotError
+from calib.job.inputs import load
+from calib.job.results import residual_table, result_json
+from calib.job.run import run as calibrate
 from calib.measurement.table import Table, read_table
 from calib.robot import dh
-from tests.job.cases import CASE, JOB, ROOT, run
+from tests.job.cases import CASE, JOB, ROOT
 
 HEADER = "joint_1 [deg], x [mm], point\n"
 
@@ -49,8 +52,8 @@ def test_a_table_as_a_german_spreadsheet_saves_it(tmp_path: Path) -> None:
         # 1.234 is a thousand or one and a quarter: whoever mixes has to say which.
         (
             "x [mm];y [mm]\n1,5;2\n3;1.234\n",
-            ":3: column 'y': '1.234' has a decimal point, and {}:2, column 'x', has the other; write one of them in the "
-            "whole file, and nothing between thousands.",
+            ":3: column 'y': '1.234' has a decimal point, and {}:2, column 'x', has the other; write one of them in "
+            "the whole file, and nothing between thousands.",
         ),
         (
             "x [mm];y [mm]\n1;2\n1.234,5;3\n",
@@ -159,6 +162,16 @@ def test_a_dh_table_of_another_encoding_and_without_end() -> None:
         assert str(caught.value).endswith(why)
 
 
+_PROGRAM = f"""
+from pathlib import Path
+from calib.job.inputs import load
+from calib.job.results import residual_table, result_json
+from calib.job.run import run
+outcome = run(load(Path({str(CASE / JOB)!r})))
+print(result_json(outcome), residual_table(outcome), sep="", end="")
+"""
+
+
 @pytest.mark.skipif(shutil.which("localedef") is None, reason="makes the locale by localedef")
 def test_a_german_process_writes_the_same_numbers(tmp_path: Path) -> None:
     made = subprocess.run(
@@ -166,18 +179,13 @@ def test_a_german_process_writes_the_same_numbers(tmp_path: Path) -> None:
     )
     if made.returncode and not (tmp_path / "de_DE.UTF-8").is_dir():
         pytest.skip("the system has no sources of locales")
-    program = (
-        "import locale, sys; locale.setlocale(locale.LC_ALL, ''); print(f'{1.5:n}'); "
-        "from calib.cli import main; sys.argv[0] = 'calib'; main()"
-    )
     ran = subprocess.run(
-        [sys.executable, "-c", program, "calibrate", str(CASE / JOB), "-o", str(tmp_path / "german"), "--quiet"],
+        [sys.executable, "-c", f"import locale; locale.setlocale(locale.LC_ALL, ''); print(f'{{1.5:n}}'); {_PROGRAM}"],
         env=os.environ | {"LOCPATH": str(tmp_path), "LC_ALL": "de_DE.UTF-8", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert ran.stdout == "1,5\n"
-    assert run("calibrate", CASE / JOB, "-o", tmp_path / "plain", "--quiet").code == 0
-    for file in (tmp_path / "plain").iterdir():
-        assert file.read_bytes() == (tmp_path / "german" / file.name).read_bytes(), file.name
+    outcome = calibrate(load(CASE / JOB))
+    expected = [*result_json(outcome).splitlines(), *residual_table(outcome).splitlines()]
+    assert ran.stdout.splitlines() == ["1,5", *expected]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
-from calib.presentation.meshes import read_mesh
+from calib.presentation.meshes import primitive, read_mesh
+from calib.presentation.visuals import visuals
 from calib.robot.load import MOST_JOINTS, load_robot
 from calib.robot.robot import Coupling
 from calib.robot.sources import find_mesh
@@ -166,3 +167,34 @@ def test_a_mesh_is_xml_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     for doctype in (f'<!DOCTYPE r [<!ENTITY l0 "ha">{LAUGHS}]>', '<!DOCTYPE r [<!ENTITY x SYSTEM "/etc/passwd">]>'):
         path.write_text(f"{doctype}<COLLADA>&l9;&x;</COLLADA>", encoding="utf-8")
         assert read_mesh(path, (0.5, 0.5, 0.5)) is None
+
+
+GOOD = '<geometry><sphere radius="0.1"/></geometry>'
+BAD_SHAPES = (
+    *("", "<geometry/>", "<geometry><box/></geometry>", '<geometry><box size="a"/></geometry>'),
+    *('<geometry><box size="1 2"/></geometry>', '<geometry><box size="nan 1 1"/></geometry>'),
+    *('<geometry><box size="1e400 1 1"/></geometry>', '<geometry><sphere radius="1e300"/></geometry>'),
+    *('<geometry><sphere radius="-1"/></geometry>', '<geometry><capsule radius="1" length="1"/></geometry>'),
+    *(f'<origin xyz="a b c"/>{GOOD}', f'<origin rpy="0 0"/>{GOOD}', "<geometry><mesh/></geometry>"),
+    *('<geometry><mesh filename="a.stl" scale="x"/></geometry>', '<geometry><mesh filename="/etc/passwd"/></geometry>'),
+)
+
+
+@pytest.mark.parametrize("shape", BAD_SHAPES)
+def test_a_shape_that_is_none_costs_no_other_and_no_results(shape: str) -> None:
+    looks = f"<visual>{shape}</visual><visual>{GOOD}</visual><inertial><mass value='x'/></inertial>"
+    source = f'<robot name="r"><link name="a">{looks}</link><link name="b"/>{ARM.partition("<joint")[1]}'
+    source += f"{ARM.partition('<joint')[2].format('')}</robot>"
+    urdf = parse_urdf(source.encode(), "arm.urdf")
+    none, ball = visuals(urdf, (0.5, 0.5, 0.5))["a"]
+    assert none is None or (none.kind == "mesh" and find_mesh(none.file, ()) is None)
+    assert ball is not None
+    assert np.ptp(primitive(ball.kind, ball.sizes, ball.rgb).vertices, axis=0) == pytest.approx(0.2, rel=1e-2)
+
+
+def test_colours_that_are_none() -> None:
+    paint = '<material name="p"><color rgba="{}"/></material>'
+    link = f'<link name="a"><visual>{GOOD}{paint}</visual></link>'
+    for rgba, expected in (("1 0 0 1", (1.0, 0.0, 0.0)), ("9 -1 0 1", (1.0, 0.0, 0.0)), ("x", (0.5, 0.5, 0.5))):
+        urdf = parse_urdf(f"<robot>{link.format(rgba)}</robot>".encode(), "arm.urdf")
+        assert visuals(urdf, (0.5, 0.5, 0.5))["a"][0].rgb == expected
