@@ -140,8 +140,10 @@ def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
         shown = np.array(asked["readings"], dtype=np.float64)
         apart = float(asked["apart"])
         factors = [UNITS["deg" if reading.dimension == "angle" else "mm"].factor for reading in robot.readings]
+        if shown.shape != (len(factors),):
+            raise ValueError("not one number for every reading")
         readings = (shown * factors)[None]
-        if readings.shape != (1, len(factors)) or not max(np.abs(readings).max(), abs(apart)) <= _LARGEST_NUMBER:
+        if not max(np.abs(readings).max(), abs(apart)) <= _LARGEST_NUMBER:
             raise ValueError("not finite, or beyond all machines")
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return {"sentence": "This is no question that the server knows."}
