@@ -73,13 +73,15 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb) -> Triangles:
     """Return a box of three edges, a sphere of a radius or a cylinder (along z) of a radius and a length, in m."""
     from trimesh import creation  # noqa: PLC0415
 
+    # Of size 1 first: trimesh divides by the size of a sphere, and some have none.
+    scale = 1.0
     if kind == "box":
         mesh = creation.box(extents=sizes)
     elif kind == "sphere":
-        mesh = creation.icosphere(subdivisions=3, radius=sizes[0])
+        mesh, scale = creation.icosphere(subdivisions=3), sizes[0]
     else:
         mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=48)
-    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
+    return Triangles(scale * np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 
 def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
