@@ -30,6 +30,8 @@ from calib.measurement.measurements import Measurements
 
 # On either side of a jump there are two rows; what one row does is its own.
 _LEAST_ROWS = 2
+# Of a target with more rows than these not every place is tried.
+_MOST_SPLITS = 10_000
 _MOST_WORDS = 1000
 
 GroupKind = Literal["target", "group", "file"]
@@ -101,35 +103,41 @@ class _Split(NamedTuple):
 
 
 class _Run:
-    """Walks along the rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
+    """Walks along the ``number`` rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
 
-    def __init__(self, columns: Sequence[int]) -> None:
+    def __init__(self, columns: Sequence[int], number: int) -> None:
         self.columns = list(columns)
         self.rows: list[tuple[int, int]] = []
-        self._sums = [np.zeros((1, len(columns), 0))]
+        self._step = -(-number // _MOST_SPLITS)
+        self._sum: Array | float = 0.0
+        self._sums: list[Array] = []
 
     def add(self, i: int, rows: Array, weighted: Array) -> None:
         """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, p + 1)."""
         Z = np.swapaxes(weighted[:, :, self.columns], -1, -2)
-        last = self._sums[-1][-1] if self.rows else 0.0
-        self._sums.append(last + np.cumsum(Z @ weighted, axis=0))
+        sums = self._sum + np.cumsum(Z @ weighted, axis=0)
+        self._sum = sums[-1]
+        self._sums.append(sums[(len(self.rows) + np.arange(1, len(rows) + 1)) % self._step == 0])
         self.rows += [(i, int(n)) for n in rows]
 
     def splits(self, C: Array, *, related: bool) -> Iterator[_Split]:
-        """Yield all splits with enough rows on either side.
+        """Yield all splits with enough rows on either side; of very many, evenly so many as are tried.
 
         What is known between targets holds for one of the halves; for ``related`` targets either is tried.
         """
-        sums = np.concatenate(self._sums[1:]) if self.rows else np.zeros((0, len(self.columns), len(C) + 1))
-        tried = sums[_LEAST_ROWS - 1 : -_LEAST_ROWS]
-        for later, of_half in ((True, sums[-1:] - tried), (False, tried)) if related else ((False, tried),):
+        before = self._step * np.arange(1, len(self.rows) // self._step + 1)
+        enough = (before >= _LEAST_ROWS) & (before <= len(self.rows) - _LEAST_ROWS)
+        if not enough.any():
+            return
+        tried = np.concatenate(self._sums)[enough]
+        for later, of_half in ((True, self._sum - tried), (False, tried)) if related else ((False, tried),):
             S, g = of_half[:, :, :-1], of_half[:, :, -1]
             values, V = np.linalg.eigh(S[:, :, self.columns] - S @ C @ np.swapaxes(S, -1, -2))
             can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
             u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
             gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
             for k, gain in enumerate(gains.tolist()):
-                yield _Split(k + _LEAST_ROWS, S[k], g[k], later, gain)
+                yield _Split(int(before[enough][k]), S[k], g[k], later, gain)
 
 
 def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
@@ -139,7 +147,10 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
     that has moved bends the machine, and makes others seem to have moved.
     """
     sets = residue.fit.measurements
-    runs = {name: _Run(columns) for name, columns in _target_columns(residue.fit.parameters).items()}
+    runs = {
+        name: _Run(columns, sum(int(_of_target(data, name).sum()) for data in sets))
+        for name, columns in _target_columns(residue.fit.parameters).items()
+    }
     for block in residue.blocks() if runs else ():
         data, weighted = sets[block.measurements], block.weighted
         for name, run in runs.items():
