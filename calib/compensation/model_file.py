@@ -1,6 +1,5 @@
 """``model.json``: the calibrated machine, whole, for programs that want more than a URDF can hold."""
 
-import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertain
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import read_bytes, recover_folder
+from calib.foundations.files import read_bytes, reading_folder
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -254,9 +253,11 @@ def load_model(folder: str | Path) -> CalibratedModel:
     Raises OutputError when the folder holds no readable model.
     """
     folder = Path(folder)
-    with contextlib.suppress(OSError, ValueError):  # what cannot be recovered cannot be read either, and that is said
-        if not folder.exists():
-            recover_folder(folder.resolve())
+    with reading_folder(folder):
+        return _loaded(folder)
+
+
+def _loaded(folder: Path) -> CalibratedModel:
     path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
         source = read_bytes(path, JobError)
