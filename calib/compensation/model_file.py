@@ -16,7 +16,8 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertain
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import read_bytes, reading_folder
+from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder
+from calib.foundations.json_text import NotJsonError, parse_json
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -25,7 +26,7 @@ from calib.robot.joint_terms import with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.transmission import JointTerm, TermKind
-from calib.robot.urdf import parse_urdf
+from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
@@ -35,6 +36,8 @@ GAUSSIAN_FILE: Final = "gaussian.npz"
 ResidualFile = Literal["grid.npz", "gaussian.npz"]
 
 
+# In m, rad and kg, as in a URDF: beyond any machine.
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 # Quaternions are written to the last digit; anything farther off was edited by hand.
 _NORM_TOLERANCE = 1e-6
 
@@ -53,8 +56,8 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 class PoseEntry(_Strict):
     """A pose: position in m, quaternion in the order w, x, y, z."""
 
-    position: tuple[float, float, float]
-    quaternion: Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
+    position: tuple[Number, Number, Number]
+    quaternion: Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 
     @classmethod
     def of(cls, T: Array) -> "PoseEntry":
@@ -74,8 +77,8 @@ class JointEntry(_Strict):
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
-    deviation: tuple[float, float, float, float, float, float]
-    offset: float | None
+    deviation: tuple[Number, Number, Number, Number, Number, Number]
+    offset: Number | None
 
     @model_validator(mode="after")
     def _has_an_offset_if_it_moves(self) -> "JointEntry":
@@ -97,8 +100,8 @@ class DriverEntry(_Strict):
     """A joint coupled to several drivers, as the job says."""
 
     joint: str
-    drivers: dict[str, float]
-    offset: float
+    drivers: dict[str, Number]
+    offset: Number
 
 
 class LoopEntry(_Strict):
@@ -116,7 +119,7 @@ class TermEntry(_Strict):
     reading: str
     kind: TermKind
     order: int = Field(ge=0)
-    amount: float
+    amount: Number
 
     @model_validator(mode="after")
     def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
@@ -128,8 +131,8 @@ class TermEntry(_Strict):
 class PayloadEntry(_Strict):
     """What the tip link carries: kg, and m in its frame."""
 
-    mass: float = Field(ge=0.0)
-    position: tuple[float, float, float]
+    mass: Number = Field(ge=0.0)
+    position: tuple[Number, Number, Number]
 
 
 class ModelFile(_Strict):
@@ -147,7 +150,7 @@ class ModelFile(_Strict):
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
     terms: tuple[TermEntry, ...] = ()
-    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: PayloadEntry | None = None
 
 
@@ -260,13 +263,13 @@ def load_model(folder: str | Path) -> CalibratedModel:
 def _loaded(folder: Path) -> CalibratedModel:
     path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
-        source = read_bytes(path, JobError)
+        source = read_bytes(path, JobError, LARGEST_JSON)
     except JobError as e:
         raise OutputError(str(e)) from e
     model = _parsed(source, path)
     try:
         robot = load_robot(
-            parse_urdf(read_bytes(urdf, RobotError), str(urdf)),
+            parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
             couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
@@ -314,7 +317,10 @@ def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> Se
 def _parsed(source: bytes, path: Path) -> ModelFile:
     """Return the contents of a model file, or raise OutputError with the place of the first thing that is wrong."""
     try:
+        parse_json(source)  # pydantic takes the last of two values under one name
         return ModelFile.model_validate_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
         first = e.errors(include_url=False)[0]
         if first["type"] == "json_invalid":

@@ -1,6 +1,5 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
-import difflib
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
+from calib.foundations.words import near
 from calib.identification.joint_terms import ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
@@ -349,8 +349,8 @@ def _select(selection: Selection, names: Sequence[str], what: str) -> list[str]:
         found = fnmatch.filter(names, pattern)
         if not found:
             stem = pattern.removesuffix(".*")
-            near = difflib.get_close_matches(stem, [*names, *(n.rpartition(".")[0] for n in names)], 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:8])}, ..."
+            likest = near(stem, [*names, *(n.rpartition(".")[0] for n in names)], 1)
+            hint = f"did you mean {likest[0]!r}?" if likest else f"there are {', '.join(names[:8])}, ..."
             raise JobError(f"{what}: {stem!r} matches no joint of the arm; {hint}")
         chosen.update(found)
     return [name for name in names if name in chosen]

@@ -8,11 +8,11 @@ from pydantic import AfterValidator, BeforeValidator
 
 from calib.foundations.errors import JobError
 from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.words import shortened
 from calib.identification.joint_terms import HIGHEST_ORDER
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
-LONGEST_SHOWN = 60
 _MOST_ITERATIONS = 1000
 
 
@@ -160,6 +160,5 @@ def shown(value: object) -> str:
         return f"[{', '.join(map(shown, value[:5]))}{', ...' if len(value) > 5 else ''}]"
     if isinstance(value, bool):
         return str(value).lower()
-    text = str(value)
-    text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    text = shortened(str(value))
     return repr(text) if isinstance(value, str) else text

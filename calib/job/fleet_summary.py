@@ -3,14 +3,13 @@
 It holds neither times nor which jobs were run anew: the same jobs give the same bytes.
 """
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
@@ -66,10 +65,8 @@ def summary_json(lines: Sequence[JobLine]) -> str:
 
 def summary_csv(lines: Sequence[JobLine]) -> str:
     """Return ``summary.csv``: a row for every job and quantity, in mm, degrees and pixels."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     figures = ("data", "error", "n", "before", "after", "largest", "unit")
-    writer.writerow(["job", "file", "verdict", *figures, "rank", "parameters", "outliers", "report", "why"])
+    rows: list[list[object]] = [["job", "file", "verdict", *figures, "rank", "parameters", "outliers", "report", "why"]]
     for line in lines:
         errors: tuple[QuantityError | None, ...] = line.errors or (None,)
         for error in errors:
@@ -79,8 +76,8 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
                 values = (f"{value * factor:.6f}" for value in (error.before, error.after, error.largest))
                 shown = (line.data, error.quantity, error.n, *values, unit)
             rest = (line.rank, line.parameters, line.outliers, line.report, " ".join(line.why))
-            writer.writerow([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
-    return text.getvalue()
+            rows.append([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
+    return csv_text(rows)
 
 
 def write_summary(lines: Sequence[JobLine], out: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +26,8 @@ _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
 _LARGEST_FILE = 200_000_000
 # What the readers were seen to raise on damaged files; they have no exception of their own.
 _DAMAGED = (
-    *(ArithmeticError, AttributeError, LookupError, MemoryError),
-    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
+    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, OSError),
+    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error, expat.ExpatError),
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
@@ -104,6 +105,8 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
         return None
     try:
         data = read_bytes(path, RobotError, _LARGEST_FILE)
+        if path.suffix.lower() == ".dae":
+            _refuse_doctype(data)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=None)
@@ -120,6 +123,17 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
         bool(parts) and all(np.isfinite(part.vertices).all() for part in parts) and any(len(p.faces) for p in parts)
     )
     return joined(parts) if usable else None
+
+
+def _refuse_doctype(data: bytes) -> None:
+    """Raise ValueError for XML with a document type, whose entities may grow without end or name other files."""
+
+    def refuse(*_: object) -> None:
+        raise ValueError("has a document type")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
