@@ -85,6 +85,14 @@ class Problem:
         """Return the machine at parameter values x (p,)."""
         return machine(self.model.robot, self.parameters, self.reference, x, self.held)
 
+    def residuals(self, x: Array) -> tuple[Array, ...]:
+        """Return the residuals (N, d) of every set at parameter values x (p,)."""
+        return residuals(self.model.robot, self.measurements, self.machine(x))
+
+    def evaluate(self, sigmas: Sequence[Array], x: Array) -> "Evaluation":
+        """Return :func:`evaluate` of this problem."""
+        return evaluate(self, sigmas, x)
+
 
 class Block(NamedTuple):
     """Rows of one set: residuals with derivatives by twists, and their Jacobian (n, d, p).
