@@ -36,8 +36,9 @@ def export_ros(model: CalibratedModel) -> Export:
             "joint": term.reading,
             "kind": term.kind,
             "order": term.order,
+            **({"body": term.body} if term.body else {}),
             "amount": float(amount),
-            "unit": term.unit(dimensions[term.reading]),
+            "unit": term.unit(dimensions.get(term.reading, "angle")),
         }
         for term, amount in zip(robot.terms, d.terms, strict=True)
     ]
