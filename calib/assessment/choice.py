@@ -93,9 +93,9 @@ class Choice:
         robot = self.geometric.robot
         names = [*(reading.name for reading in robot.readings), *(joint.name for joint in robot.chain), ""]
 
-        def place(term: JointTerm) -> tuple[bool, int, int, str, int]:
-            body = names.index(term.body)
-            return term.of_link, names.index(term.reading), term.order, term.kind, body
+        def place(term: JointTerm) -> tuple[bool, int, int, str, int, str]:
+            carrier, _, what = term.body.rpartition(".")
+            return term.of_link, names.index(term.reading), term.order, term.kind, names.index(carrier), what
 
         return tuple(sorted(chosen, key=place))
 

@@ -186,8 +186,8 @@ def error_model(
     measurements. ``moments`` in the place of ``elastic``, for robots without masses: compliances times masses at a few
     joints. ``bending``: "all" moving joints, "none", or names and globs of joints, the links before which bend under
     gravity. ``expansion``: likewise the links that grow as it gets warmer, or "arm", all of them by one coefficient.
-    Neither goes with ``dh``. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the reading
-    turns, rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
+    Neither goes with ``dh``. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the
+    reading turns, rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
     nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for

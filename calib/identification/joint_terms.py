@@ -12,7 +12,8 @@ from calib.robot.transmission import JointTerm, TermKind, TermUnit
 HIGHEST_ORDER = 1000
 
 # Amounts that surprise nobody, in SI units: a per mille of scale, 20'' of a harmonic, 100 Nm that wind a drive up by a
-# milliradian, 10 kN that press a spindle in by a millimetre, ten kilograms on either, what 10 K do to a zero, steel.
+# milliradian, 10 kN that press a spindle in by a millimetre, ten kilograms (or kilogram metres) on either, what 10 K do
+# to a zero, steel.
 _ORDINARY: Mapping[TermUnit, float] = MappingProxyType(
     {
         "1": 1e-3,
@@ -21,7 +22,9 @@ _ORDINARY: Mapping[TermUnit, float] = MappingProxyType(
         "rad/Nm": 1e-5,
         "m/N": 1e-7,
         "kg rad/Nm": 1e-4,
+        "kg m rad/Nm": 1e-4,
         "kg m/N": 1e-6,
+        "kg m2/N": 1e-6,
         "rad/K": 1e-5,
         "m/K": 1e-5,
         "1/K": 1e-5,

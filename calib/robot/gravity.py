@@ -6,14 +6,13 @@ virtual work ``(dq/du)^T g(q)``, with the gravity torques g of the tree of joint
 joints, passive ones too, follow the coordinates.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.robot.flexures import Mechanism
-from calib.robot.kinematics import Kinematics, Mass
+from calib.robot.kinematics import Frame, Kinematics, Mass
 from calib.robot.loops import Closure, passive_joints
 from calib.robot.skeleton import Skeleton, end_frame, skeleton
 
@@ -32,14 +31,14 @@ class Payload:
 class Weights:
     """A nominal machine with masses. ``bodies``: chain joint that carries it, mass in kg, centre (3,) in its link in m.
 
-    ``points``: names of places where a mass may be, with the chain joint that carries each and the place (3,) in its
-    link in m. ``gravity`` (3,) in m/s^2, in the base link.
+    ``units``: masses that nobody knows, by name: the chain joint that carries one, and (4,) its first moment in kg m in
+    that joint's frame, then its mass in kg. ``gravity`` (3,) in m/s^2, in the base link.
     """
 
     mechanism: Mechanism
     bodies: tuple[tuple[int, float, Array], ...]
     gravity: Array
-    points: tuple[tuple[str, int, Array], ...] = ()
+    units: tuple[tuple[str, int, Array], ...] = ()
 
 
 class Holding:
@@ -50,20 +49,35 @@ class Holding:
         s = skeleton(m.segments, np.zeros((len(m.segments), 6)))
         self._weights, self._passive = weights, passive_joints(m.loops)
         self._closure = Closure(s, m.loops) if m.loops else None
-        self._machine = _tree(s, weights, weights.bodies)
-        self._units = [_tree(s, weights, [(joint, 1.0, place)]) for _, joint, place in weights.points]
-        self.points = {name: k for k, (name, _, _) in enumerate(weights.points)}
+        carried = sorted({joint for _, joint, _ in weights.units})
+        self._frames = {joint: k for k, joint in enumerate(carried)}
+        self._kinematics = Kinematics(
+            s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried], _masses(s, weights)
+        )
+        self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
 
     def __call__(self, readings: Array) -> Array:
         """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr)."""
         q, follow = self._posed(readings)
-        return _by_virtual_work(self._machine.holding(q, self._weights.gravity), follow)
+        return _by_virtual_work(self._kinematics.holding(q, self._weights.gravity), follow)
 
-    def of_points(self, readings: Array) -> Array:
-        """Return what a kilogram at each of the ``points`` alone would have coordinates hold (points, N, c)."""
+    def of_units(self, readings: Array) -> Array:
+        """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr).
+
+        A first moment h in a frame R has the energy -g . R h, and a turn w of the frame in itself changes it by
+        -(h x R^T g) . w; a mass m, moved by v, by -m R^T g . v.
+        """
         q, follow = self._posed(readings)
-        found = [_by_virtual_work(unit.holding(q, self._weights.gravity), follow) for unit in self._units]
-        return np.array(found).reshape(len(found), len(q), follow.shape[-1])
+        types = self._weights.mechanism.types
+        regressors = self._kinematics.regressors(q)
+        found = np.empty((len(self._weights.units), len(q), follow.shape[-1]))
+        for k, (_, joint, unit) in enumerate(self._weights.units):
+            frame = regressors[self._frames[joint]]
+            g = self._weights.gravity @ frame.placement[:, :3, :3]
+            twists = frame.by_joint(types, range(len(types)))
+            slopes = np.concatenate([unit[3] * g, np.cross(unit[:3], g)], axis=1)
+            found[k] = _by_virtual_work(-(slopes[:, None] @ twists)[:, 0], follow)
+        return found
 
     def _posed(self, readings: Array) -> tuple[Array, Array]:
         """Return joint positions (N, nj), and the rates (nj, c) or (N, nj, c) at which they follow the coordinates."""
@@ -81,12 +95,15 @@ def _by_virtual_work(g: Array, follow: Array) -> Array:
     return np.asarray(g @ follow if follow.ndim == 2 else np.einsum("nj,njr->nr", g, follow))
 
 
-def _tree(s: Skeleton, weights: Weights, bodies: Sequence[tuple[int, float, Array]]) -> Kinematics:
-    """Return the tree of joints with bodies on it."""
-    carrying = weights.mechanism.carrying
-    frames = [end_frame(s, int(carrying[joint])) for joint, _, _ in bodies]
-    masses = [
+def _frame(s: Skeleton, segment: int) -> Frame:
+    """Return the frame that moves with a joint, whose z is its axis."""
+    joint, T = end_frame(s, segment)
+    return Frame(joint, T @ s.segments[segment].frame)
+
+
+def _masses(s: Skeleton, weights: Weights) -> list[Mass]:
+    frames = [end_frame(s, int(weights.mechanism.carrying[joint])) for joint, _, _ in weights.bodies]
+    return [
         Mass(joint, mass, T[:3, :3] @ centre + T[:3, 3])
-        for (joint, T), (_, mass, centre) in zip(frames, bodies, strict=True)
+        for (joint, T), (_, mass, centre) in zip(frames, weights.bodies, strict=True)
     ]
-    return Kinematics(s.tree, [], masses)

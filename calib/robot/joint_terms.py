@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
-from calib.robot.flexures import SHORTEST, length
+from calib.robot.flexures import length
 from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
@@ -23,13 +23,13 @@ def with_joint_terms(robot: Robot, terms: Sequence[JointTerm]) -> Robot:
     """Return the robot with these terms in the place of its own. ``robot`` is in the frames of its URDF.
 
     Raises RobotError when a term needs masses that the URDF does not state, or says in a way that cannot be used; or is
-    of a link, or of a mass at a joint, that the robot does not have.
+    of a link, or of a moment of mass, that the robot does not have.
     """
     equipped = replace(robot, terms=tuple(terms), weights=None)
     bodies = _bodies(robot) if any(term.kind in ("elastic", "bending") for term in terms) else ()
-    places = dict.fromkeys(term.body for term in terms if term.kind == "moment")
-    if bodies or places:
-        equipped = replace(equipped, weights=_weights(equipped, bodies, tuple(places)))
+    units = dict.fromkeys(term.body for term in terms if term.kind == "moment")
+    if bodies or units:
+        equipped = replace(equipped, weights=_weights(equipped, bodies, tuple(units)))
     return equipped
 
 
@@ -43,48 +43,51 @@ def weights_of(robot: Robot) -> Weights:
 
 
 def is_term_of(robot: Robot, term: JointTerm) -> bool:
-    """Return whether a term names what the robot has: a reading and a place for masses, or a link with a length."""
+    """Return whether a term names what the robot has: a reading and a moment of mass, or a link with a length."""
     if term.of_link:
         named = (length(s) for s, joint in zip(segments(robot), robot.chain, strict=True) if joint.name == term.reading)
         return next(named, 0.0) > 0.0 or (term.kind == "expansion" and not term.reading)
     return any(reading.name == term.reading for reading in robot.readings) and (
-        term.kind != "moment" or term.body in _places(robot)
+        term.kind != "moment" or term.body in _units(robot)
     )
 
 
 def moments(robot: Robot) -> tuple[JointTerm, ...]:
-    """Return wind-up by masses that nobody knows: of every reading, at the fewest places that tell all torques apart.
+    """Return wind-up by masses that nobody knows: of every reading, the first moments that make its torques differ.
 
-    A mass at the origin of a joint's frame, or of the tip link, stands for what is carried between them. A place is
-    left out where masses nearer to the base do to a reading what one there would, in all poses.
+    What gravity makes a reading hold is linear in mass and first moment of every link that it moves (W. Khalil, E.
+    Dombre, *Modeling, identification and control of robots*, 2002, chapter 9). Outwards from the base, one is left out
+    where those before it do the same to the reading in all poses: what is left is as few as tell all masses apart.
     """
-    readings = random_readings(robot, _POSES)
-    each = Holding(_weights(robot, (), tuple(_places(robot)))).of_points(readings)
-    most = float(np.linalg.norm(robot.gravity)) * max(robot.reach, SHORTEST) * np.sqrt(_POSES)
+    readings, units = random_readings(robot, _POSES), _units(robot)
+    each = Holding(_weights(robot, (), tuple(units))).of_units(readings)
+    least = _TOLD_APART * float(np.linalg.norm(robot.gravity)) * np.sqrt(_POSES)
     found: list[JointTerm] = []
     for k, reading in enumerate(robot.readings):
         kept = np.zeros((_POSES, 0))
-        for place, torques in zip(_places(robot), each[:, :, k], strict=True):
+        for name, torques in zip(units, each[:, :, k], strict=True):
             left = torques - kept @ (kept.T @ torques)
-            if np.linalg.norm(left) > _TOLD_APART * most:
-                kept = np.column_stack([kept, left / np.linalg.norm(left)])
-                found.append(JointTerm(reading.name, "moment", body=place))
+            if np.linalg.norm(left) > least:
+                kept = np.linalg.qr(np.column_stack([kept, left]))[0]
+                found.append(JointTerm(reading.name, "moment", body=name))
     return tuple(found)
 
 
-def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], places: Sequence[str]) -> Weights:
-    known = _places(robot)
-    if unknown := next((place for place in places if place not in known), None):
-        raise RobotError(f"{robot.urdf.where}: no mass can be at {unknown!r}; allowed is {', '.join(known)}.")
-    points = tuple((place, known[place], read_only(np.zeros(3))) for place in places)
-    return Weights(robot.mechanism, tuple(bodies), read_only(robot.gravity), points)
+def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Sequence[str]) -> Weights:
+    known = _units(robot)
+    if unknown := next((name for name in names if name not in known), None):
+        raise RobotError(f"{robot.urdf.where}: the robot has no moment of mass {unknown!r}.")
+    units = tuple((name, *known[name]) for name in names)
+    return Weights(robot.mechanism, tuple(bodies), read_only(robot.gravity), units)
 
 
-def _places(robot: Robot) -> dict[str, int]:
-    """Return where masses may be, outwards: joints that move and the tip link, with the joint that carries each."""
-    found = {robot.chain[i].name: i for i in robot.moving}
-    found.setdefault(robot.tip, robot.tip_joint)
-    return found
+def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
+    """Return moments of mass by name, outwards, as :class:`Weights` has them: of every joint that moves x, y, z, mass.
+
+    What fixed joints carry belongs to the joint that moves it.
+    """
+    what = dict(zip(("x", "y", "z", "mass"), np.eye(4), strict=True))
+    return {f"{robot.chain[i].name}.{name}": (i, read_only(unit)) for i in robot.moving for name, unit in what.items()}
 
 
 def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:

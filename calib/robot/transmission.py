@@ -6,7 +6,7 @@ joints. The bases depend on the row alone and not on what is identified, so that
     gain     u                         the reading's scale
     cos_k    cos k u,  sin_k  sin k u  encoder eccentricity (k = 1, 2), gear teeth and wave generators (more)
     elastic  -tau                      the drive gives way to what it holds against gravity, at nominal geometry
-    moment   -tau of 1 kg at a place   the same where masses are not known: compliance times mass
+    moment   -tau of 1 kg m of a link  the same where masses are not known: compliance times first moment of mass
     torque   -tau, as measured         the same by what the drive says that it holds
     backlash the side of approach      half the gap of the gears, on which side the reading was reached from
     thermal  T - 20 degC               the zero wanders as the machine warms up
@@ -31,7 +31,9 @@ from calib.robot.gravity import Holding
 from calib.robot.skeleton import Segment
 
 TermKind = Literal["gain", "cos", "sin", "elastic", "moment", "torque", "backlash", "thermal", "bending", "expansion"]
-TermUnit = Literal["rad", "m", "1", "rad/Nm", "m/N", "kg rad/Nm", "kg m/N", "rad/K", "m/K", "1/K"]
+TermUnit = Literal[
+    "rad", "m", "1", "rad/Nm", "m/N", "kg rad/Nm", "kg m rad/Nm", "kg m/N", "kg m2/N", "rad/K", "m/K", "1/K"
+]
 
 WHOLE_ARM = "arm"
 
@@ -40,8 +42,8 @@ WHOLE_ARM = "arm"
 class JointTerm:
     """One term of one reading; of bending and expansion: of the link before the joint that ``reading`` names.
 
-    ``order``: periods of a harmonic in a turn of the reading, 0 for all other kinds. ``body``: joint, or tip link, at
-    whose origin a mass is, of moments; "" for all other kinds.
+    ``order``: periods of a harmonic in a turn of the reading, 0 for all other kinds. ``body``: of a moment, the joint
+    that carries it and its axis in the joint's frame, as ``joint_4.x``, or ``joint_4.mass``; "" for all other kinds.
     """
 
     reading: str
@@ -51,7 +53,7 @@ class JointTerm:
 
     @property
     def name(self) -> str:
-        """Name of its amount among parameters: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4``."""
+        """Name of its amount among parameters: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4.x``."""
         what = self.order or self.body
         return f"{self.reading or WHOLE_ARM}.{self.kind}_{what}" if what else f"{self.reading or WHOLE_ARM}.{self.kind}"
 
@@ -66,7 +68,9 @@ class JointTerm:
         if self.kind in ("elastic", "torque", "bending"):
             return "rad/Nm" if angle or self.of_link else "m/N"
         if self.kind == "moment":
-            return "kg rad/Nm" if angle else "kg m/N"
+            if self.body.endswith(".mass"):
+                return "kg rad/Nm" if angle else "kg m/N"
+            return "kg m rad/Nm" if angle else "kg m2/N"
         if self.kind == "expansion":
             return "1/K"
         if self.kind == "thermal":
@@ -154,8 +158,8 @@ class Transmission:
         ]
         self._terms, self._readings = tuple(terms), tuple(readings)
         self._holding = holding
-        self._points = np.array(
-            [holding.points[term.body] for term in shares if term.kind == "moment" and holding is not None],
+        self._units = np.array(
+            [holding.units[term.body] for term in shares if term.kind == "moment" and holding is not None],
             dtype=np.intp,
         )
 
@@ -173,8 +177,8 @@ class Transmission:
             for own, compliance in self._beams:
                 found[:, own] = -tau[:, self._coordinate[own]] @ compliance
         if moment.any():
-            each = self._weighed().of_points(readings)
-            found[:, moment] = -each[self._points, :, self._coordinate[moment]].T
+            each = self._weighed().of_units(readings)
+            found[:, moment] = -each[self._units, :, self._coordinate[moment]].T
         if conditions.approach is not None:
             found[:, self._of["backlash"]] = conditions.approach[:, self._reading[self._of["backlash"]]]
         if conditions.torque is not None:

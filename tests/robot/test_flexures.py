@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.gravity import Holding, Payload
+from calib.robot.gravity import Holding, Payload, Weights
 from calib.robot.joint_terms import is_term_of, moments, weights_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
@@ -264,16 +264,23 @@ def test_lengths_grow_with_the_temperature(name: str) -> None:
 
 
 @pytest.mark.parametrize(("source", "tip"), [(UR10, "tool0"), (PANDA, "panda_hand_tcp")])
-def test_masses_anywhere_on_joints_are_sums_of_moments(source: str, tip: str) -> None:
-    """What nine kilograms at the tip hold, by the energy of an independent walk, and what they hold by moments."""
-    empty, loaded = (load_robot(source, tip, gravity=DOWN, payload=p) for p in (None, Payload(9.0)))
+def test_moments_are_the_slopes_of_the_energy_of_a_mass(source: str, tip: str) -> None:
+    """What nine kilograms beside the tip hold, by an independent walk, and by their first moment and mass."""
+    empty, loaded = (load_robot(source, tip, gravity=DOWN, payload=p) for p in (None, Payload(9.0, (0.1, 0.2, -0.3))))
+    assert loaded.payload is not None
     names = [reading.name for reading in empty.readings]
-    terms = moments(empty)
-    robot = with_joint_terms(empty, terms)
+    i = empty.moving[-1] if source == UR10 else [joint.name for joint in empty.chain].index("panda_joint7")
+    last = empty.chain[i]
+    bodies = [f"{last.name}.{what}" for what in ("x", "y", "z", "mass")]
+    robot = with_joint_terms(empty, [JointTerm(names[1], "moment", body=body) for body in bodies])
     assert robot.weights is not None
+    # The payload in the frame of the last joint: what lies between never moves.
+    T = np.linalg.inv(last.frame)
+    for joint in empty.chain[i + 1 : empty.tip_joint + 1]:
+        T = T @ _origin(source, joint.name)
+    place = (T @ [*loaded.payload.position, 1.0])[:3]
     u = np.random.default_rng(7).uniform(-1.5, 1.5, (3, len(names)))
-    holding = Holding(robot.weights)
-    each, at_tip = holding.of_points(u), holding.points[tip]
+    torques = np.einsum("knc,k->nc", Holding(robot.weights).of_units(u), 9.0 * np.array([*place, 1.0]))
     h = 1e-4
     for n in range(len(u)):
         for k in range(len(names)):
@@ -282,22 +289,49 @@ def test_masses_anywhere_on_joints_are_sums_of_moments(source: str, tip: str) ->
                 [potential(source, dict(q), payload, tip) for q in at] for payload in (loaded.payload, None)
             )
             slope = (np.subtract(*with_mass) - np.subtract(*without)) / (2.0 * h)
-            assert 9.0 * each[at_tip, n, k] == pytest.approx(slope, abs=1e-5)
+            assert torques[n, k] == pytest.approx(slope, abs=1e-5)
+    assert np.abs(torques).max() > 10.0
 
 
-def test_places_of_masses_are_those_that_torques_tell_apart() -> None:
+def _origin(source: str, joint: str) -> Array:
+    origin = machines.read(source).joint_map[joint].origin
+    return np.eye(4) if origin is None else np.asarray(origin)
+
+
+@pytest.mark.parametrize("name", ["ur10", "skew", "irb2400"])
+def test_moments_make_up_whatever_masses_there_are(name: str) -> None:
+    """Masses anywhere on every link: what any reading holds is a sum of its moments, no one of which is spare."""
+    rng = np.random.default_rng(9)
+    robot = load_robot(machines.load(machines.INLINE[name], "tip").urdf, "tip") if name == "skew" else robot_of(name)
+    robot = replace(robot, gravity=(0.0, 0.0, -9.81))
+    bodies = tuple((i, rng.uniform(1.0, 5.0), rng.normal(scale=0.3, size=3)) for i in robot.moving)
+    u = rng.uniform(-0.4, 0.4, (200, len(robot.readings)))
+    torques = Holding(Weights(robot.mechanism, bodies, np.array(robot.gravity)))(u)
+    terms = moments(robot)
+    equipped = with_joint_terms(robot, terms)
+    assert equipped.weights is not None
+    holding = Holding(equipped.weights)
+    each = holding.of_units(u)
+    for k, reading in enumerate(robot.readings):
+        own = [holding.units[term.body] for term in terms if term.reading == reading.name]
+        A = each[own, :, k].T
+        left = torques[:, k] - A @ np.linalg.lstsq(A, torques[:, k], rcond=None)[0] if own else torques[:, k]
+        assert np.abs(left).max() < 1e-9
+        assert np.linalg.matrix_rank(A, 1e-6) == len(own)
+
+
+def test_as_few_moments_as_tell_masses_apart() -> None:
     found = [term.name for term in moments(load_robot(UR10, "tool0"))]
-    # The pan lifts nothing, wrist 2 turns beside the lift's plane like wrist 1, the last wrist's axis holds the tip.
-    assert [name for name in found if name.startswith("shoulder")] == [
-        f"shoulder_lift_joint.moment_{place}" for place in ("elbow_joint", "wrist_1_joint", "wrist_3_joint", "tool0")
-    ]
-    assert not [name for name in found if "pan" in name or name.startswith("wrist_3")]
+    lift = [name.removeprefix("shoulder_lift_joint.moment_") for name in found if name.startswith("shoulder_lift")]
+    joints = ("shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    # What stands along an axis is carried as by the link before, and so is the mass itself.
+    assert lift == [f"{joint}_joint.{axis}" for joint in joints for axis in "xy"]
+    assert not [name for name in found if name.startswith("shoulder_pan")]
     irb = [term.name for term in moments(load_robot(IRB, "tool0", loops=[LOOP]))]
     # On a parallelogram the lower arm holds all that its end carries, wherever the upper arm stands.
-    assert [name for name in irb if name.startswith("joint_2")] == ["joint_2.moment_elbow_cancel"]
-    # Gravity along the first axis is why; with the base on a wall the first joint lifts as well.
-    wall = moments(load_robot(UR10, "tool0", gravity=(9.81, 0.0, 0.0)))
-    assert "shoulder_pan_joint" in {term.reading for term in wall}
+    assert [name for name in irb if name.startswith("joint_2")] == [f"joint_2.moment_joint_2.{axis}" for axis in "xy"]
+    # Gravity along the first axis is why the pan lifts nothing: on a wall it does.
+    assert "shoulder_pan_joint" in {term.reading for term in moments(load_robot(UR10, "tool0", gravity=(9.81, 0, 0)))}
 
 
 def test_a_robot_without_such_terms_is_what_it_was() -> None:
@@ -317,8 +351,8 @@ def test_what_the_robot_does_not_have_is_refused() -> None:
     for term, sentence in (
         (JointTerm("world_joint", "bending"), "there is no link before 'world_joint'"),
         (
-            JointTerm("shoulder_lift_joint", "moment", body="elbow"),
-            "no mass can be at 'elbow'; allowed is shoulder_pan",
+            JointTerm("shoulder_lift_joint", "moment", body="elbow.x"),
+            "the robot has no moment of mass 'elbow.x'",
         ),
     ):
         assert not is_term_of(robot, term)
@@ -331,11 +365,18 @@ def test_what_the_robot_does_not_have_is_refused() -> None:
 
 def test_names_and_units() -> None:
     terms = [
-        JointTerm("a", "moment", body="b"),
+        JointTerm("a", "moment", body="b.x"),
+        JointTerm("a", "moment", body="b.mass"),
         JointTerm("a", "bending"),
         JointTerm("a", "expansion"),
         JointTerm("", "expansion"),
     ]
-    assert [term.name for term in terms] == ["a.moment_b", "a.bending", "a.expansion", "arm.expansion"]
-    assert [term.unit("angle") for term in terms] == ["kg rad/Nm", "rad/Nm", "1/K", "1/K"]
-    assert [term.unit("length") for term in terms[:2]] == ["kg m/N", "rad/Nm"]
+    assert [term.name for term in terms] == [
+        "a.moment_b.x",
+        "a.moment_b.mass",
+        "a.bending",
+        "a.expansion",
+        "arm.expansion",
+    ]
+    assert [term.unit("angle") for term in terms] == ["kg m rad/Nm", "kg rad/Nm", "rad/Nm", "1/K", "1/K"]
+    assert [term.unit("length") for term in terms[:3]] == ["kg m2/N", "kg m/N", "rad/Nm"]
