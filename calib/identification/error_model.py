@@ -380,7 +380,11 @@ def _select(selection: Selection, names: Sequence[str], what: str, *words: str) 
 def _select_links(robot: Robot, selection: Selection, what: str, *words: str) -> list[str]:
     """Return the chosen links with a length, by the joint that each one ends in; all are those before moving joints."""
     every = isinstance(selection, str)
-    return _select(selection, links(robot, moving=every), what, *words)
+    known = links(robot, moving=every)
+    joints = {joint.name for joint in robot.chain} - set(known)
+    if not every and (short := next((name for name in selection if name in joints), None)):
+        raise JobError(f"{what}: there is no link before {short!r}, which stands where the joint before it does.")
+    return _select(selection, known, what, *words)
 
 
 def _given_pose(value: npt.ArrayLike, where: str) -> Array:

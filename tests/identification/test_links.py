@@ -267,7 +267,7 @@ def test_what_nobody_can_mean_is_refused() -> None:
     robot = calib.load_robot(*UR10)
     for options, sentence in (
         ({"bending": ["elbow"]}, "bending: 'elbow' matches no joint of the arm; did you mean 'elbow_joint'"),
-        ({"bending": ["world_joint"]}, "bending: 'world_joint' matches no joint"),
+        ({"bending": ["world_joint"]}, "bending: there is no link before 'world_joint', which stands where"),
         ({"bending": "arm"}, 'bending: \'arm\' is not "all", "none" or a list of names'),
         ({"expansion": "some"}, 'expansion: \'some\' is not "arm", "all", "none" or a list of names'),
         ({"moments": ["shoulder_pan_joint"]}, "moments: 'shoulder_pan_joint' holds no mass against gravity"),
