@@ -12,6 +12,7 @@ from calib.presentation.console import show_error
 
 # In the order in which the help lists their commands.
 from calib.cli import commands as commands  # isort: skip
+from calib.cli import fleet as fleet  # isort: skip
 from calib.cli import models as models  # isort: skip
 from calib.cli import plan as plan  # isort: skip
 from calib.cli import acceptance as acceptance  # isort: skip

@@ -40,19 +40,12 @@ from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.identification.observability import observability
+from calib.job.calibrate import STEPS_OF_LOADING
+from calib.job.calibrate import calibrate as calibrate_job
 from calib.job.example import copy_example
 from calib.job.inputs import load
 from calib.job.report import report_of
-from calib.job.results import (
-    REPORT_FILE,
-    SCENE_FILE,
-    refuse_folder,
-    result_json,
-    robot_errors,
-    steps_after_loading,
-    write_results,
-)
-from calib.job.run import run
+from calib.job.results import REPORT_FILE, SCENE_FILE, result_json, robot_errors
 from calib.presentation.cell_scene import cell_scene
 from calib.presentation.console import brief, literal, progress, sentence, show, warning, write
 from calib.presentation.live import serve
@@ -65,8 +58,6 @@ from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot
 
-_STEPS_OF_LOADING = 3
-
 
 @app.command()
 def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet = False) -> None:
@@ -75,12 +66,8 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
     The folder holds the calibrated URDF, the model, the figures, the residuals and a 3D scene. Exit codes: 0 good,
     1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
     """
-    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING) as say:
-        inputs = load(job, say)
-        refuse_folder(out, inputs)
-        say.expect(steps_after_loading(inputs))
-        outcome = run(inputs, say)
-        write_results(outcome, out, say)
+    with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING) as say:
+        outcome = calibrate_job(job, out, say, say.expect)
     if as_json:
         write(result_json(outcome))
     elif not quiet:
@@ -98,7 +85,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
-    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING + 1) as say:
+    with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
@@ -237,7 +224,7 @@ def sensitivity(
     At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
     the tip error when one kind of identified errors is ten times as large, and a tenth.
     """
-    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING + 1) as say:
+    with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")
         readings = np.concatenate([data.readings for data in inputs.identify])

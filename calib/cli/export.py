@@ -13,7 +13,7 @@ from calib.cli.options import Json, Quiet, ResultFolder, app
 from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import reading_folder, write_atomically
 from calib.job.results import DH_FILE
 from calib.presentation.console import sentence, show, warning, write
 from calib.robot import dh
@@ -46,13 +46,12 @@ def export_command(
     """
     if out.exists():
         raise OutputError(f"{out}: is there already; choose another name.")
-    model = load_model(results)
-    corrected = results / DH_FILE
+    with reading_folder(results):
+        model = load_model(results)
+        corrected = results / DH_FILE
+        table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:
-        if to == "dh":
-            found = export_dh(model, dh.read_dh(corrected) if corrected.is_file() else None)
-        else:
-            found = _EXPORTS[to](model)
+        found = export_dh(model, table) if to == "dh" else _EXPORTS[to](model)
     except CalibError as e:
         raise OutputError(f"{results}: cannot be exported to {to}: {e}") from e
     write_atomically(out, found.text)

@@ -9,12 +9,11 @@ from calib.assessment.comparison import OWN, TERMS, compare_models, nested_model
 from calib.assessment.validation import FOLDS
 from calib.cli.options import JobFile, Json, Quiet, app
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.job.calibrate import STEPS_OF_LOADING
 from calib.job.inputs import load, term_priors
 from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
 from calib.presentation.console import progress, sentence, show, warning, write
 from calib.presentation.tables import sheet_table
-
-_STEPS_OF_LOADING = 3
 
 
 @app.command()
@@ -37,7 +36,7 @@ def models(
     """
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
-    with progress(shown=not (quiet or as_json), steps=_STEPS_OF_LOADING) as say:
+    with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING) as say:
 
         def told(text: str, left: int) -> None:
             say.expect(left)

@@ -1,6 +1,5 @@
 """``model.json``: the calibrated machine, whole, for programs that want more than a URDF can hold."""
 
-import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.gaussian import GaussianResiduals, load_gaussian
@@ -17,13 +25,13 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertain
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import LARGEST_JSON, read_bytes, recover_folder
+from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
-from calib.robot.joint_terms import with_joint_terms
+from calib.robot.joint_terms import is_term_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.transmission import JointTerm, TermKind
@@ -115,18 +123,31 @@ class LoopEntry(_Strict):
 
 
 class TermEntry(_Strict):
-    """A joint term: the reading moves on by ``amount`` (SI) times what its kind and order say."""
+    """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
 
     reading: str
     kind: TermKind
     order: int = Field(ge=0)
+    body: str = ""
     amount: Number
 
     @model_validator(mode="after")
     def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
         if (self.order > 0) != (self.kind in ("cos", "sin")):
             raise ValueError("a term has an order if, and only if, it is a harmonic")
+        if bool(self.body) != (self.kind == "moment"):
+            raise ValueError("a term has a body if, and only if, it is a moment")
         return self
+
+    @property
+    def term(self) -> JointTerm:
+        """What it is, without its amount."""
+        return JointTerm(self.reading, self.kind, self.order, self.body)
+
+    @model_serializer(mode="wrap")
+    def _without_an_empty_body(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # As files had it before masses could be at joints.
+        return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
 
 
 class PayloadEntry(_Strict):
@@ -227,7 +248,7 @@ def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
             for loop in robot.closed_loops
         ),
         terms=tuple(
-            TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
+            TermEntry(reading=term.reading, kind=term.kind, order=term.order, body=term.body, amount=float(amount))
             for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
         gravity=robot.gravity,
@@ -257,9 +278,11 @@ def load_model(folder: str | Path) -> CalibratedModel:
     Raises OutputError when the folder holds no readable model.
     """
     folder = Path(folder)
-    with contextlib.suppress(OSError, ValueError):  # what cannot be recovered cannot be read either, and that is said
-        if not folder.exists():
-            recover_folder(folder.resolve())
+    with reading_folder(folder):
+        return _loaded(folder)
+
+
+def _loaded(folder: Path) -> CalibratedModel:
     path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
         source = read_bytes(path, JobError, LARGEST_JSON)
@@ -276,9 +299,8 @@ def load_model(folder: str | Path) -> CalibratedModel:
             gravity=model.gravity,
             payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
         )
-        names = [reading.name for reading in robot.readings]
-        terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
-        if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+        terms = tuple(entry.term for entry in model.terms)
+        if len(set(terms)) < len(terms) or not all(is_term_of(robot, term) for term in terms):
             raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
         equipped = with_joint_terms(robot, terms)
     except RobotError as e:

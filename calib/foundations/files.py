@@ -1,12 +1,21 @@
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all.
+
+A folder cannot take another's place in one step everywhere, so it is done in two: the old one steps aside to
+``.<name>.previous``, and the new one, complete and on the disk, becomes ``<name>``. Killed before, the old one is
+there; killed after, the new one; killed between, the next reader or writer puts the old one back. A lock on the folder
+above, which the system frees however a process ends, keeps others from seeing the moment between.
+"""
 
 import contextlib
+import fcntl
 import hashlib
 import os
+import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from calib.foundations.errors import CalibError, OutputError
@@ -15,6 +24,9 @@ from calib.foundations.errors import CalibError, OutputError
 LARGEST_INPUT = 2_000_000_000
 # JSON takes some twenty times its size while it is read.
 LARGEST_JSON = 100_000_000
+# How long to wait for another run to read or write beside a folder, in s: it takes moments.
+_PATIENCE = 30.0
+_LOOK = 0.02
 
 
 def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT) -> bytes:
@@ -74,7 +86,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         temporary.chmod(0o644)
         temporary.replace(path)
         temporary = None
-        _sync_folder(path.parent)
+        _sync(path.parent)
     except OSError as e:
         raise OutputError(f"{path}: cannot be written ({e.strerror}).") from e
     finally:
@@ -83,52 +95,93 @@ def write_atomically(path: Path, data: bytes | str) -> None:
 
 
 @contextlib.contextmanager
-def replace_folder(path: Path) -> Iterator[Path]:
+def replace_folder(path: Path, ours: Collection[str] | None = None) -> Iterator[Path]:
     """Give a new empty folder beside ``path`` that takes the place of ``path`` when the block ends well.
 
-    The old folder is moved aside to ``.<name>.previous`` for the moment of the exchange and then removed, so that at
-    every instant one whole folder exists; :func:`recover_folder` puts it back. When the block raises, ``path`` is
-    untouched.
+    When the block raises, ``path`` is untouched and nothing is left. Of the old folder, what is called as one of
+    ``ours`` is removed (all, where that is None); anything else, which somebody has put there, is moved to the new one.
+    Raises OutputError when the disk is full, the folder read-only, or another run keeps it for too long.
     """
     path = path.resolve()  # a link to a folder stays a link: what it points to is replaced
-    new = None
+    made: list[Path] = []
     try:
-        recover_folder(path)
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, and the results need a folder.")
+        made = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        new = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent))
-        yield new
-        for file in new.rglob("*"):
-            if file.is_file():
-                _sync_file(file)
-        _sync_folder(new)
-        new.chmod(0o755)
-        previous = previous_folder(path)
-        if path.exists():
-            path.rename(previous)
-        new.rename(path)
-        new = None
-        _sync_folder(path.parent)
-        shutil.rmtree(previous, ignore_errors=True)
+        with _locked(path, fcntl.LOCK_EX) as alone:
+            _put_back(path)
+            if alone:  # then what is half written was left by a run that was killed
+                half_written = re.compile(rf"\.{re.escape(path.name)}\.\w{{8}}\.new")
+                for stale in path.parent.iterdir():
+                    if half_written.fullmatch(stale.name):
+                        shutil.rmtree(stale, ignore_errors=True)
+            _remove_previous(path, ours)
+            new = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent))
+            try:
+                yield new
+                for entry in new.rglob("*"):
+                    _sync(entry)
+                new.chmod(0o755)
+                _sync(new)
+                if path.exists():
+                    path.rename(previous_folder(path))
+                new.rename(path)
+            except BaseException:
+                shutil.rmtree(new, ignore_errors=True)
+                _put_back(path)
+                raise
+            made = []
+            _sync(path.parent)
+            _remove_previous(path, ours)
     except OSError as e:
         if isinstance(e, CalibError):
             raise
         raise OutputError(f"{path}: the results cannot be written ({e.strerror or e}).") from e
     finally:
-        if new is not None:
-            shutil.rmtree(new, ignore_errors=True)
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def reading_folder(path: Path) -> Iterator[None]:
+    """Keep a folder as it is while the block reads it: another run waits before it replaces it.
+
+    What a killed run left is put right first. Whether there is such a folder, the block finds out. Raises OutputError
+    when what was left cannot be put right, or another run keeps the folder for too long.
+    """
+    try:
+        path = path.resolve()
+        there = path.parent.is_dir()
+    except (OSError, RuntimeError, ValueError):  # what no path leads to, the block cannot read, and says so
+        there = False
+    if not there:
+        yield
+        return
+    while True:
+        with _locked(path, fcntl.LOCK_SH):
+            if path.exists() or not previous_folder(path).is_dir():
+                yield
+                return
+        recover_folder(path)
 
 
 def recover_folder(path: Path) -> None:
-    """Finish what a killed run left: where only ``.<name>.previous`` is there, it becomes ``path`` again."""
+    """Put right what a killed run left: where only ``.<name>.previous`` is there, it becomes ``path`` again.
+
+    Raises OutputError when that is not possible.
+    """
     path = path.resolve()
-    previous = previous_folder(path)
-    if previous.is_dir():
-        if path.exists():
-            shutil.rmtree(previous, ignore_errors=True)
-        else:
-            previous.rename(path)
+    try:
+        if not path.parent.is_dir():
+            return
+        with _locked(path, fcntl.LOCK_EX):
+            _put_back(path)
+    except OSError as e:
+        if isinstance(e, CalibError):
+            raise
+        raise OutputError(f"{path}: what an interrupted run left cannot be put right ({e.strerror}).") from e
 
 
 def previous_folder(path: Path) -> Path:
@@ -136,12 +189,68 @@ def previous_folder(path: Path) -> Path:
     return path.with_name(f".{path.name}.previous")
 
 
-def _sync_file(path: Path) -> None:
+def _put_back(path: Path) -> None:
+    """Let the old folder be ``path`` again, where no other is."""
+    previous = previous_folder(path)
+    if previous.is_dir() and not path.exists():
+        previous.rename(path)
+
+
+def _remove_previous(path: Path, ours: Collection[str] | None) -> None:
+    """Remove the old folder beside its successor, but nothing that is not ours."""
+    previous = previous_folder(path)
+    if not previous.is_dir():
+        return
+    with contextlib.suppress(OSError):  # what stays does no harm, and the next run comes back to it
+        for entry in list(previous.iterdir()):
+            if ours is None or entry.name in ours:
+                _remove(entry)
+            elif not (path / entry.name).exists():
+                entry.rename(path / entry.name)
+        previous.rmdir()
+
+
+def _remove(entry: Path) -> None:
+    if entry.is_dir() and not entry.is_symlink():
+        shutil.rmtree(entry)
+    else:
+        entry.unlink()
+
+
+@contextlib.contextmanager
+def _locked(path: Path, kind: int) -> Iterator[bool]:
+    """Hold a lock on the folder that ``path`` is in, and give whether there is one.
+
+    The folder itself is locked: nothing is left behind, and readers need not write. A file system that has no such
+    locks does without. Raises OutputError when another run holds it for too long.
+    """
+    with contextlib.ExitStack() as closing:
+        had: bool | None = False
+        with contextlib.suppress(PermissionError):  # a folder whose names may not be listed cannot be locked either
+            handle = os.open(path.parent, os.O_RDONLY)
+            closing.callback(os.close, handle)
+            until = time.monotonic() + _PATIENCE
+            while (had := _had(handle, kind)) is None:
+                if time.monotonic() > until:
+                    raise OutputError(f"{path}: another run is busy with it or beside it; try again when it has ended.")
+                time.sleep(_LOOK)
+        yield bool(had)
+
+
+def _had(handle: int, kind: int) -> bool | None:
+    """Return whether a lock was got, or None where another process holds it."""
+    try:
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return None
+    except OSError:  # some network file systems
+        return False
+    return True
+
+
+def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-_sync_folder = _sync_file

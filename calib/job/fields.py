@@ -1,5 +1,6 @@
 """What stands in a field of a job. Each kind says itself what is wrong: pydantic's own words are for programmers."""
 
+import json
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -71,11 +72,18 @@ def _share(value: object) -> object:
     return value
 
 
-def _selection(value: object) -> object:
-    names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
-    if not names and value not in ("all", "none"):
-        raise ValueError(f"""{shown(value)} is not "all", "none" or a list of names.""")
-    return value
+def _selection(*words: str) -> Callable[[object], object]:
+    """Return a validator of names, or of one of these words in their place."""
+
+    def checked(value: object) -> object:
+        names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+        if not names and value not in words:
+            raise ValueError(
+                f"{shown(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
+            )
+        return value
+
+    return checked
 
 
 def _not_empty(text: str) -> str:
@@ -149,7 +157,10 @@ Direction = Annotated[
     tuple[float, float, float], BeforeValidator(list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
 ]
 Share = Annotated[float, BeforeValidator(_share)]
-Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
+Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection("all", "none"))]
+LinkSelection = Annotated[
+    Literal["arm", "all", "none"] | tuple[str, ...], BeforeValidator(_selection("arm", "all", "none"))
+]
 
 
 def shown(value: object) -> str:

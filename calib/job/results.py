@@ -29,7 +29,7 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_js
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import LARGEST_JSON, encoded, previous_folder, read_bytes, replace_folder
+from calib.foundations.files import LARGEST_JSON, encoded, previous_folder, read_bytes, reading_folder, replace_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
@@ -53,9 +53,9 @@ SCENE_FILE = "scene.html"
 REPORT_FILE = "report.html"
 MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
-_ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
-_TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
-_RESULTS = (*_ALWAYS, *_TO_BE_SEEN, DH_FILE, GRID_FILE, GAUSSIAN_FILE)
+ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
+TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
+_RESULTS = (*ALWAYS, *TO_BE_SEEN, DH_FILE, GRID_FILE, GAUSSIAN_FILE)
 _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
 _OF_PIXELS = ("u [px]", "v [px]")
@@ -138,7 +138,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         **_residual_model(outcome),
     }
     progress("writing the results")
-    with replace_folder(out) as folder:
+    with replace_folder(out, (*_RESULTS, *_LEFT_BEHIND)) as folder:
         for name, contents in files.items():
             (folder / name).write_bytes(encoded(contents) if isinstance(contents, str) else contents)
 
@@ -168,7 +168,8 @@ def robot_errors(folder: Path) -> dict[str, float]:
     Raises OutputError when the folder holds no readable result.
     """
     path = folder / RESULT_FILE
-    source = read_bytes(path, OutputError, LARGEST_JSON)
+    with reading_folder(folder):
+        source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
         records = parse_json(source)["parameters"]
         found = {str(record["name"]): float(record["value"]) for record in records}

@@ -1,12 +1,14 @@
 """The terminal: text of at most 80 columns, colours and progress only where a person looks."""
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
+from calib.foundations.errors import OutputError
 from calib.presentation.report.document import Prose, Report
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
@@ -21,10 +23,20 @@ def show(*renderables: RenderableType) -> None:
 
 
 def write(text: str) -> None:
-    """Write text to standard output as it is; what its encoding lacks is written as an escape."""
+    """Write text to standard output as it is; what its encoding lacks is written as an escape.
+
+    Raises OutputError when it cannot be written, such as to a file on a full disk.
+    """
     encoding = sys.stdout.encoding or "utf-8"
-    sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
-    sys.stdout.flush()
+    try:
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever was reading has had enough
+        raise
+    except OSError as e:
+        # What is still to be written is dropped, or the interpreter would try, and fail, once more as it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise OutputError(f"standard output: cannot be written ({e.strerror}).") from e
 
 
 def brief(report: Report) -> list[RenderableType]:

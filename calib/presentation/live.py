@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError, PoseError
+from calib.foundations.files import reading_folder
 from calib.foundations.units import UNITS
 from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
@@ -61,8 +62,10 @@ async def _run(
     class Page(RequestHandler):
         def get(self, name: str) -> None:
             try:
-                self.finish((folder / (name or pages[0])).read_bytes())
-            except OSError:  # a page that older results have not, or the moment in which results are exchanged
+                with reading_folder(folder):
+                    contents = (folder / (name or pages[0])).read_bytes()
+                self.finish(contents)
+            except OSError:  # a page that older results have not
                 self.send_error(404)
 
         def set_default_headers(self) -> None:

@@ -10,7 +10,7 @@ import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -148,7 +148,8 @@ def render_scene(scene: Scene) -> str:
     T_base_world = inverse(scene.calibrated.root)
     rows = _shown_rows(scene)
     measured, before, after = (_moved(x[rows], T_base_world) for x in (scene.measured, scene.before, scene.after))
-    first = {name: T[0] for name, T in link_placements(scene.urdf, scene.calibrated).items()}
+    at_first = replace(scene.calibrated, positions=scene.calibrated.positions[:1])
+    first = {name: T[0] for name, T in link_placements(scene.urdf, at_first).items()}
     links = _links(scene, first)
 
     points = [link.T[:3, 3] for link in links]

@@ -130,10 +130,13 @@ def test_what_a_killed_exchange_left_is_put_right(tmp_path: Path) -> None:
     recover_folder(out)  # killed between the two renames
     assert (out / "a").read_text() == "old"
     previous.mkdir()
-    recover_folder(out)  # killed before the old one was removed
+    (previous / "a").write_text("older")
+    recover_folder(out)  # killed before the old one was removed, which the next writer does
+    assert (out / "a").read_text() == "old"
+    with replace_folder(out) as new:
+        (new / "a").write_text("new")
     assert names(tmp_path) == ["out"]
-    recover_folder(out)
-    assert names(tmp_path) == ["out"]
+    assert (out / "a").read_text() == "new"
 
 
 def test_every_error_is_a_calib_error() -> None:

@@ -10,16 +10,23 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of a sheet. ``strong``: what the reader looks for; ``ends_group``: a gap follows."""
+    """One row of a sheet. ``strong``: what the reader looks for; ``ends_group``: a gap follows.
+
+    ``link``: a page beside this one that the first cell leads to, as a URL.
+    """
 
     cells: tuple[str, ...]
     strong: bool = False
     ends_group: bool = False
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A table. ``numbers``: the columns that are set to the right. ``brief``: the terminal shows it too."""
+    """A table. ``numbers``: the columns that are set to the right. ``brief``: the terminal shows it too.
+
+    ``sortable``: on a page, the head of a column sorts the rows by it.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -27,6 +34,7 @@ class Sheet:
     rows: tuple[Row, ...]
     caption: str = ""
     brief: bool = False
+    sortable: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from calib.presentation.report.document import Block, Prose, Report, Sheet
+from calib.presentation.report.document import Block, Prose, Report, Row, Sheet
 
 # What Markdown or HTML in it would take for its own; an underscore inside a word is a letter.
 _SPECIAL = re.compile(r"([\\`*\[\]<>|#]|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z]))")
@@ -26,7 +26,7 @@ def _block(block: Block, above: str) -> Iterator[str]:
         if block.title != above:
             yield f"**{_plain(block.title)}**"
         rulers = ["--:" if name in block.numbers else "---" for name in block.columns]
-        cells = [map(_plain, block.columns), rulers, *(map(_plain, row.cells) for row in block.rows)]
+        cells = [map(_plain, block.columns), rulers, *(_cells(row) for row in block.rows)]
         yield "\n".join(f"| {' | '.join(row)} |" for row in cells)
         if block.caption:
             yield _plain(block.caption)
@@ -39,6 +39,11 @@ def _block(block: Block, above: str) -> Iterator[str]:
         yield "\n".join(f"- {_plain(sentence)}" for sentence in block.sentences)
     else:
         yield " ".join(map(_plain, block.sentences))
+
+
+def _cells(row: Row) -> list[str]:
+    cells = [*map(_plain, row.cells)]
+    return [f"[{cells[0]}]({row.link})", *cells[1:]] if row.link else cells
 
 
 def _plain(text: str) -> str:

@@ -1,0 +1,65 @@
+"""``calib fleet``: many jobs at once."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import BAD_INPUT, NOT_TRUSTED, Json, Quiet, app
+from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
+from calib.job.fleet_summary import fleet_lines, summary_json, write_summary
+from calib.presentation.console import progress, sentence, show, show_error, warning, write
+from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
+from calib.presentation.tables import sheet_table
+
+_INTERRUPTED = 130
+
+JobFiles = Annotated[list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False)]
+
+
+@app.command()
+def fleet(
+    jobs: JobFiles,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder of all results: one in it for every job.")
+    ] = Path("fleet"),
+    workers: Annotated[
+        int | None, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.  [default: one for every core]")
+    ] = None,
+    dask: Annotated[
+        str | None, typer.Option("--dask", metavar="ADDRESS", help="Of a Dask scheduler, as tcp://host:8786.")
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate many jobs at once.
+
+    Each as calib calibrate would do it, into a folder of its name, with one table and one page for all. A bad job does
+    not stop the others, and a job that was done, with the same inputs and versions, is not done again: after Ctrl-C the
+    same command goes on. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
+    """
+    chosen = fleet_jobs(jobs, out)
+    try:
+        with progress(shown=not (quiet or as_json), steps=len(chosen)) as say:
+            finished = run_fleet(chosen, workers, dask, say, again=again)
+    except KeyboardInterrupt:
+        show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
+        raise typer.Exit(_INTERRUPTED) from None
+    lines = fleet_lines(finished)
+    write_summary(lines, out)
+    if as_json:
+        write(summary_json(lines))
+    elif not quiet:
+        earlier = sum(done.earlier for done in finished)
+        show(
+            sheet_table(fleet_sheet(lines)),
+            *(warning(f"{line.name}: {line.word}: {' '.join(line.why)}") for line in lines if line.word != "trusted"),
+            sentence(fleet_sentence(lines) + (f" Unchanged and not run again: {earlier}." if earlier else "")),
+            sentence(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
+        )
+    words = {line.word for line in lines}
+    if "failed" in words:
+        raise typer.Exit(BAD_INPUT)
+    if "not trusted" in words:
+        raise typer.Exit(NOT_TRUSTED)

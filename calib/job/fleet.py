@@ -1,0 +1,266 @@
+"""Many jobs over many processes, here or on a Dask cluster: each as if it ran alone, and none in the way of another."""
+
+import os
+import re
+import signal
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.foundations.errors import CalibError, JobError, OutputError
+from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder, sha256
+from calib.foundations.json_text import NotJsonError, parse_json
+from calib.job.calibrate import calibrate
+from calib.job.inputs import Progress
+from calib.job.results import ALWAYS, RESULT_FILE, TO_BE_SEEN
+from calib.job.versions import versions
+from calib.robot.sources import EXAMPLE, resolve
+
+# How long a cluster may take to answer, in s.
+_PATIENCE = 20
+# A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
+_USUAL = re.compile(r"calibration(?![^_.-])")
+SUMMARY_JSON = "summary.json"
+SUMMARY_CSV = "summary.csv"
+PAGE = "fleet.html"
+SUMMARIES = (SUMMARY_JSON, SUMMARY_CSV, PAGE)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetJob:
+    """A job of a fleet: its file, what it is called, and the folder that its results belong in."""
+
+    path: Path
+    name: str
+    out: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What has become of a job. ``failure``: why it has no results, in a sentence.
+
+    ``earlier``: an earlier run made its results, of the very same inputs by the very same versions.
+    """
+
+    job: FleetJob
+    failure: str | None = None
+    earlier: bool = False
+
+
+def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
+    """Return the jobs of a fleet whose results go to folders of their names in ``out``.
+
+    A job is called as its file; of ``calibration.toml`` or ``calibration_fast.toml`` in the folder ``ur10`` that is
+    ``ur10`` and ``ur10_fast``. Raises JobError when a job has no usable name or two would be written to one folder,
+    OutputError when ``out`` cannot take the summary.
+    """
+    found: dict[str, FleetJob] = {name: FleetJob(out / name, name, out / name) for name in SUMMARIES}
+    for path in paths:
+        name = path.stem
+        if usual := _USUAL.match(name):
+            name = path.absolute().parent.name + name[usual.end() :]
+        if not name or name.startswith("."):
+            raise JobError(f"{path}: {name!r} is no name for a folder of results; rename it.")
+        key = name.casefold()  # some file systems know no capitals
+        if key in SUMMARIES:
+            raise JobError(f"{path}: its results would be written to {out / name}, where a summary belongs; rename it.")
+        if key in found:
+            raise JobError(f"{found[key].path} and {path}: both would be written to {out / name}; rename one of them.")
+        found[key] = FleetJob(path, name, out / name)
+    _refuse_fleet(out)
+    return tuple(found.values())[len(SUMMARIES) :]
+
+
+def _refuse_fleet(out: Path) -> None:
+    """Refuse a folder that is none, is read-only, or in which the summary would take the place of somebody's file."""
+    try:
+        there = [name for name in SUMMARIES if (out / name).exists()]
+        if out.exists() and not out.is_dir():
+            raise OutputError(f"{out}: is a file, and a fleet needs a folder.")
+        above = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+        writable = os.access(above, os.W_OK | os.X_OK)
+    except OSError as e:
+        if isinstance(e, OutputError):
+            raise
+        raise OutputError(f"{out}: cannot hold the results ({e.strerror}).") from e
+    if not writable:
+        raise OutputError(f"{out}: cannot be written, as {above} is read-only.")
+    if there and not _is_summary(out / SUMMARY_JSON):
+        raise OutputError(f"{out / there[0]}: is no summary of a fleet, and would be replaced by one; choose a folder.")
+
+
+def _is_summary(path: Path) -> bool:
+    try:
+        contents = parse_json(read_bytes(path, OutputError, LARGEST_JSON))
+        return isinstance(contents, dict) and isinstance(contents.get("fleet"), list)
+    except (OutputError, NotJsonError):
+        return False
+
+
+def unchanged(job: FleetJob) -> bool:
+    """Return whether a job's folder holds whole results of its very inputs, byte by byte, made by these versions."""
+    try:
+        with reading_folder(job.out):
+            there = {entry.name for entry in job.out.iterdir()}
+            result = read_result(job)
+        return (
+            there.issuperset((*ALWAYS, *TO_BE_SEEN))
+            and result["versions"] == versions()
+            and job.path.name in result["inputs"]
+            and all(_hash(job, name) == known for name, known in result["inputs"].items())
+        )
+    except (CalibError, OSError, TypeError, KeyError, ValueError, AttributeError):
+        return False
+
+
+def _hash(job: FleetJob, name: str) -> str:
+    """Return the hash of an input by its name in the result. While the job is the same, it names the same inputs."""
+    path = job.path if name == job.path.name else job.path.parent / name
+    return sha256(read_bytes(resolve(name) if name.startswith(EXAMPLE) else path, JobError))
+
+
+def read_result(job: FleetJob) -> dict[str, Any]:
+    """Return ``result.json`` of a job. Raises OutputError when its folder holds no readable one."""
+    path = job.out / RESULT_FILE
+    with reading_folder(job.out):
+        source = read_bytes(path, OutputError, LARGEST_JSON)
+    try:
+        contents = parse_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
+    if not isinstance(contents, dict):
+        raise OutputError(f"{path}: is not a result of this tool.")
+    return contents
+
+
+def run_fleet(
+    jobs: Sequence[FleetJob],
+    workers: int | None = None,
+    dask: str | None = None,
+    progress: Progress = lambda _: None,
+    *,
+    again: bool = False,
+) -> tuple[Done, ...]:
+    """Calibrate every job and return what has become of each, in their order.
+
+    ``workers``: processes on this machine, one for every core when None; each has one thread of linear algebra. Or
+    ``dask``: the address of a scheduler whose workers see the same files. A job that fails, or whose process dies,
+    does not stop the others. A job whose results are :func:`unchanged` is not run, unless ``again``. ``progress`` is
+    told of every job that has ended. Raises JobError when the cluster cannot be reached.
+    """
+    done = {job.name: Done(job, earlier=True) for job in jobs if not again and unchanged(job)}
+    waiting = [job for job in jobs if job.name not in done]
+    if waiting:
+        with _crew(workers, dask) as crew, closing(_run(crew, waiting)) as finished:
+            for one in finished:
+                done[one.job.name] = one
+                progress(f"{len(done)} of {len(jobs)} jobs: {one.job.name}")
+    return tuple(done[job.name] for job in jobs)
+
+
+@dataclass(frozen=True, slots=True)
+class _Crew:
+    """What runs tasks at the same time, and the errors that tell that a process died under one of them."""
+
+    together: Callable[[Iterable[Any]], Iterable[Done]]
+    died: tuple[type[Exception], ...]
+
+
+def _run(crew: _Crew, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
+    """Yield what has become of jobs, as they end."""
+    import joblib  # noqa: PLC0415 - calib must not load it on import
+
+    waiting, folder = list(jobs), str(Path.cwd())
+
+    def tasks(chosen: Iterable[FleetJob], begun: list[FleetJob]) -> Iterator[Any]:
+        for job in chosen:
+            begun.append(job)
+            yield joblib.delayed(_one)(job, folder)
+
+    while waiting:
+        begun: list[FleetJob] = []
+        try:
+            for done in crew.together(tasks(tuple(waiting), begun)):
+                waiting.remove(done.job)
+                yield done
+        except crew.died:
+            # Which of those that had begun it was, only each by itself tells; the rest then goes on together.
+            for job in [job for job in begun if job in waiting]:
+                try:
+                    (done,) = crew.together(tasks((job,), []))
+                except crew.died:
+                    done = Done(job, f"{job.path}: its process died; the memory may not suffice.")
+                waiting.remove(job)
+                yield done
+
+
+def _one(job: FleetJob, folder: str) -> Done:
+    """Calibrate one job in a process that may be anywhere; ``folder``: where the paths of the fleet begin."""
+    try:
+        os.chdir(folder)  # files are then named as in a run of the job alone
+    except OSError as e:
+        return Done(job, f"{job.path}: its process does not see {folder} ({e.strerror}); workers need the same files.")
+    try:
+        calibrate(job.path, job.out)
+    except CalibError as e:
+        return Done(job, str(e))
+    except Exception as e:  # noqa: BLE001 - a fault of this program in one job is not to cost the others
+        return Done(
+            job, f"{job.path}: met a fault of this program ({type(e).__name__}: {e}); calib calibrate shows it."
+        )
+    return Done(job)
+
+
+@contextmanager
+def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
+    import joblib  # noqa: PLC0415 - calib must not load it on import
+
+    with ExitStack() as ending:
+        died: tuple[type[Exception], ...] = (BrokenProcessPool,)
+        if dask is None:
+            count = joblib.cpu_count() if workers is None else workers
+            ending.enter_context(
+                joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, initializer=_leave_ctrl_c)
+            )
+            ending.callback(_end_workers)
+        else:
+            client, killed = _client(dask)
+            ending.enter_context(client)
+            ending.enter_context(joblib.parallel_config("dask", client=client, wait_for_workers_timeout=_PATIENCE))
+            died = (*died, killed)
+
+        def together(tasks: Iterable[Any]) -> Iterable[Done]:
+            parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
+            found: Iterable[Done] = parallel(tasks)
+            return found
+
+        try:
+            yield _Crew(together, died)
+        except TimeoutError as e:
+            raise JobError(f"{dask}: the Dask cluster has no worker.") from e
+
+
+def _leave_ctrl_c() -> None:
+    """Let Ctrl-C, which every process of a terminal gets, be the business of the one that asked for the work."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _end_workers() -> None:
+    from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - calib must not load it on import
+
+    get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+
+
+def _client(address: str) -> tuple[AbstractContextManager[Any], type[Exception]]:
+    """Return a client of a Dask cluster, and the error that tells that a worker died."""
+    try:
+        from distributed import Client, KilledWorker  # noqa: PLC0415 - an optional dependency
+    except ImportError as e:
+        raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
+    try:
+        return Client(address, timeout=_PATIENCE, set_as_default=False), KilledWorker
+    except (OSError, ValueError) as e:
+        raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e

@@ -1,0 +1,94 @@
+"""The summary of a fleet: one table, one JSON document and one page, from the results of every job.
+
+It holds neither times nor which jobs were run anew: the same jobs give the same bytes.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from calib.foundations.csv_text import csv_text
+from calib.foundations.errors import OutputError
+from calib.foundations.files import write_atomically
+from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
+from calib.job.results import REPORT_FILE
+from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
+from calib.presentation.report.page import render_page
+from calib.presentation.sheets import SHOWN
+
+
+def fleet_lines(finished: Sequence[Done]) -> tuple[JobLine, ...]:
+    """Return what has become of every job, with the figures of its result."""
+    return tuple(_line(done) for done in finished)
+
+
+def _line(done: Done) -> JobLine:
+    job = done.job
+    file = job.path.as_posix()
+    if done.failure is not None:
+        return JobLine(job.name, file, "failed", (done.failure,))
+    try:
+        return _calibrated(job.name, file, read_result(job))
+    except OutputError as e:
+        return JobLine(job.name, file, "failed", (str(e),))
+    except (KeyError, TypeError, AttributeError):  # somebody else writes to this folder
+        return JobLine(job.name, file, "failed", (f"{job.out}: holds no whole result of this version.",))
+
+
+def _calibrated(name: str, file: str, result: dict[str, Any]) -> JobLine:
+    data = "validation" if "validation" in result["metrics"] else "identification"
+    before, after = (result["metrics"][data][when] for when in ("before", "after"))
+    errors = tuple(
+        QuantityError(quantity, m["unit"], m["n"], before[quantity]["rms"], m["rms"], m["max"])
+        for quantity, m in after.items()
+    )
+    return JobLine(
+        name,
+        file,
+        "trusted" if result["trusted"] else "not trusted",
+        tuple(result["doubts"]),
+        data,
+        errors,
+        result["rank"],
+        len(result["parameters"]),
+        sum(one["told"] for every in result["outliers"].values() for one in every),
+        f"{name}/{REPORT_FILE}",
+    )
+
+
+def summary_json(lines: Sequence[JobLine]) -> str:
+    """Return ``summary.json``, schema 1: lengths in m, angles in rad."""
+    return json.dumps({"schema": 1, "fleet": [asdict(line) for line in lines]}, indent=2, allow_nan=False) + "\n"
+
+
+def summary_csv(lines: Sequence[JobLine]) -> str:
+    """Return ``summary.csv``: a row for every job and quantity, in mm, degrees and pixels."""
+    figures = ("data", "error", "n", "before", "after", "largest", "unit")
+    rows: list[list[object]] = [["job", "file", "verdict", *figures, "rank", "parameters", "outliers", "report", "why"]]
+    for line in lines:
+        errors: tuple[QuantityError | None, ...] = line.errors or (None,)
+        for error in errors:
+            shown: tuple[object, ...] = ("",) * len(figures)
+            if error is not None:
+                factor, unit = SHOWN[error.unit]
+                values = (f"{value * factor:.6f}" for value in (error.before, error.after, error.largest))
+                shown = (line.data, error.quantity, error.n, *values, unit)
+            rest = (line.rank, line.parameters, line.outliers, line.report, " ".join(line.why))
+            rows.append([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
+    return csv_text(rows)
+
+
+def write_summary(lines: Sequence[JobLine], out: Path) -> None:
+    """Write the page and both summaries of a fleet into its folder. Raises OutputError as ``write_atomically`` does."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise OutputError(f"{out}: cannot be made ({e.strerror}).") from e
+    for name, contents in (
+        (SUMMARY_JSON, summary_json(lines)),
+        (SUMMARY_CSV, summary_csv(lines)),
+        (PAGE, render_page(fleet_report(lines))),
+    ):
+        write_atomically(out / name, contents)

@@ -1,0 +1,258 @@
+"""Killed at every single filesystem operation, a folder is the old one or the new one, and nobody loses a file."""
+
+import ast
+import errno
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from calib.foundations import files
+from calib.foundations.errors import OutputError
+from calib.foundations.files import reading_folder, recover_folder, replace_folder
+
+OURS = ("model.json", "result.json", "report.html")
+
+# A process with one thread, that can be forked: every fork does a thing and is gone at its n-th operation, which the
+# interpreter's audit hooks tell beforehand. Writing and syncing are not told, and counted by hand.
+KILLER = '''
+import os, sys, types
+from pathlib import Path
+
+# The package without what it imports: a small process forks fast.
+sys.modules["calib"] = types.ModuleType("calib")
+sys.modules["calib"].__path__ = [sys.argv[2]]
+from calib.foundations.files import reading_folder, recover_folder, replace_folder
+
+OURS = ("model.json", "result.json", "report.html")
+root = Path(sys.argv[1])
+os.fsync = lambda handle: None  # no disk is lost here
+
+
+def contents(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def write(word):
+    with replace_folder(root / "out", OURS) as new:
+        for name in OURS[:2] if word == "new" else OURS:
+            (new / name).write_text(word)
+
+
+def killed_at(n, what):
+    """Do a thing in a fork that is gone at its n-th operation; return whether it was."""
+    pid = os.fork()
+    if pid == 0:
+        left = [n]
+
+        def count(event="", arguments=()):
+            if event == "" or event.startswith(("os.", "shutil.", "tempfile.", "fcntl.")) or event == "open":
+                left[0] -= 1
+                if left[0] < 0:
+                    os._exit(9)
+
+        os.fsync = lambda handle: count()
+        sys.addaudithook(count)
+        what()
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 9
+
+
+def read():
+    with reading_folder(root / "out"):
+        return contents(root / "out")
+
+
+old = dict.fromkeys(OURS, "old")
+new = dict.fromkeys(OURS[:2], "new")
+mine = {"notes.txt": "mine"}
+
+
+def judge(expected):
+    found = read()
+    kept = {name: text for name, text in found.items() if name not in mine}
+    assert kept in expected, found
+    return found
+
+
+seen = {"old": 0, "new": 0, "put right": 0, "killed twice": 0}
+total = 0
+for late in (False, True):
+    n = 0
+    while True:
+        write("old")
+        if late:
+            (root / "out" / "notes.txt").write_text("mine")
+        if not killed_at(n, lambda: write("new")):
+            break
+        if not (root / "out").exists():
+            seen["put right"] += 1
+            # Killed once more, at every operation of whoever puts it right.
+            m = 0
+            while killed_at(m, read):
+                seen["killed twice"] += 1
+                m += 1
+        seen["new" if judge([old, new]).get("model.json") == "new" else "old"] += 1
+        m = 0
+        while not late and killed_at(m, lambda: write("new")):
+            judge([old, new])
+            m += 5
+        write("new")
+        assert sorted(os.listdir(root)) == ["out"], os.listdir(root)
+        assert read() == (new | mine if late else new), (n, read())
+        (root / "out" / "notes.txt").unlink(missing_ok=True)
+        n += 1
+    assert read() == (new | mine if late else new)
+    (root / "out" / "notes.txt").unlink(missing_ok=True)
+    total += n
+print(total, seen)
+'''
+
+
+def test_killed_at_every_operation(tmp_path: Path) -> None:
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-W", "error", "-c", KILLER, str(tmp_path), str(Path(files.__file__).parents[1])]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    operations, seen = done.stdout.split(" ", 1)
+    assert int(operations) > 40
+    counted = ast.literal_eval(seen)
+    assert all(count > 0 for count in counted.values()), counted
+    assert counted["old"] + counted["new"] == int(operations)
+
+
+# Two at once. -----------------------------------------------------------------------------------------------------
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def hold(folder: Path, write: bool) -> tuple[threading.Thread, threading.Event]:
+    """Hold a folder of results in a thread, as another run would, until the event is set."""
+    held, enough = threading.Event(), threading.Event()
+
+    def run() -> None:
+        with replace_folder(folder) if write else reading_folder(folder):
+            held.set()
+            enough.wait()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    held.wait()
+    return thread, enough
+
+
+@pytest.mark.parametrize("write", [True, False], ids=["a writer", "a reader"])
+def test_a_second_writer_waits_or_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: bool) -> None:
+    out = tmp_path / "out"
+    with replace_folder(out) as new:
+        (new / "a").write_text("old")
+    other, enough = hold(out, write)
+    monkeypatch.setattr(files, "_PATIENCE", 0.05)
+    with pytest.raises(OutputError) as caught, replace_folder(out):
+        pass
+    assert str(caught.value) == f"{out}: another run is busy with it or beside it; try again when it has ended."
+    monkeypatch.undo()
+    waiting = threading.Timer(0.1, enough.set)
+    waiting.start()
+    with replace_folder(out) as new:
+        assert enough.is_set()
+        (new / "a").write_text("new")
+    other.join()
+    assert (out / "a").read_text() == "new"
+    assert names(tmp_path) == ["out"]
+
+
+def test_readers_do_not_wait_for_one_another_but_for_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(files, "_PATIENCE", 0.05)
+    reader, enough = hold(out, write=False)
+    with reading_folder(out), reading_folder(tmp_path / "other"):
+        pass
+    enough.set()
+    reader.join()
+    writer, enough = hold(out, write=True)
+    with pytest.raises(OutputError, match="another run is busy"), reading_folder(out):
+        pass
+    enough.set()
+    writer.join()
+
+
+def test_where_no_lock_is_to_be_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    left = tmp_path / ".out.abcd1234.new"
+    left.mkdir()
+    with replace_folder(tmp_path / "out") as new:
+        (new / "a").write_text("new")
+    with reading_folder(tmp_path / "out"):
+        assert (tmp_path / "out" / "a").read_text() == "new"
+    assert left.is_dir()  # it may be another run's
+    monkeypatch.undo()
+    with replace_folder(tmp_path / "out"):
+        pass
+    assert names(tmp_path) == ["out"]
+
+
+# What cannot be written. ------------------------------------------------------------------------------------------
+
+
+def failing(number: int) -> Callable[..., None]:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EIO], ids=errno.errorcode.get)
+@pytest.mark.parametrize("operation", ["tempfile.mkdtemp", "os.fsync", "pathlib.Path.chmod", "pathlib.Path.rename"])
+def test_a_disk_that_fails_costs_neither_the_old_nor_a_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, operation: str, number: int
+) -> None:
+    out = tmp_path / "out"
+    with replace_folder(out) as new:
+        (new / "a").write_text("old")
+    for folder in (out, tmp_path / "deep" / "er" / "out"):
+        with monkeypatch.context() as broken:
+            broken.setattr(operation, failing(number))
+            with pytest.raises(OutputError) as caught, replace_folder(folder) as new:
+                (new / "a").write_text("new")
+        assert str(caught.value) == f"{folder}: the results cannot be written ({os.strerror(number)})."
+        assert (out / "a").read_text() == "old"
+        assert names(tmp_path) == ["out"]
+
+
+def test_the_second_of_the_two_renames_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    with replace_folder(out) as new:
+        (new / "a").write_text("old")
+    rename = Path.rename
+
+    def fail_once(self: Path, target: Path) -> Path:
+        if self.name.endswith(".new"):
+            failing(errno.EIO)()
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", fail_once)
+    with pytest.raises(OutputError, match="Input/output error"), replace_folder(out) as new:
+        (new / "a").write_text("new")
+    assert (out / "a").read_text() == "old"
+    assert names(tmp_path) == ["out"]
+
+
+def test_what_cannot_be_put_right_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / ".out.previous").mkdir()
+    monkeypatch.setattr(Path, "rename", failing(errno.EROFS))
+    for reading in (lambda: recover_folder(tmp_path / "out"), lambda: reading_folder(tmp_path / "out").__enter__()):
+        with pytest.raises(OutputError) as caught:
+            reading()
+        assert str(caught.value) == (
+            f"{tmp_path / 'out'}: what an interrupted run left cannot be put right (Read-only file system)."
+        )

@@ -1,0 +1,304 @@
+"""Many jobs at once: the bytes of single runs, whatever becomes of the others."""
+
+import csv
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import psutil
+import pytest
+
+from calib.foundations.errors import JobError, OutputError
+from calib.job import fleet as fleets
+from calib.job.fleet import Done, FleetJob, fleet_jobs, run_fleet, unchanged
+from calib.job.fleet_summary import fleet_lines
+from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report, fleet_sheet
+from calib.presentation.report.markdown import render_markdown
+from calib.presentation.report.page import render_page
+from calib.presentation.tables import plain, sheet_table
+from tests.job.cases import JOB, TABLE, copy_case, edit, run, tree
+from tests.test_cli import by_another_machine
+
+MAIN = "from calib.cli import main; main()"
+GOOD = ("plain.toml", "fewer.toml")
+BAD = 'jobs/bad.toml: error_model.offsets: \'al\' is not "all", "none" or a list of names.'
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two jobs that succeed and one that does not."""
+    jobs = tmp_path / "jobs"
+    copy_case(jobs).rename(jobs / "plain.toml")
+    text = (jobs / "plain.toml").read_text(encoding="utf-8")
+    for name, offsets in (("fewer", '["joint_2", "joint_3"]'), ("bad", '"al"')):
+        (jobs / f"{name}.toml").write_text(text.replace('offsets = "all"', f"offsets = {offsets}"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def jobs(*names: str) -> list[str]:
+    return [f"jobs/{name}" for name in names]
+
+
+def moments(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_ino for path in folder.iterdir() if path.is_dir()}
+
+
+def test_the_same_bytes_as_single_runs_and_a_bad_job_stops_nobody(folder: Path) -> None:
+    said = run("fleet", *jobs("bad.toml", *GOOD), "--jobs", "2")
+    assert (said.code, said.err) == (1, "")
+    text = " ".join(said.out.split())
+    assert f"Warning: bad: failed: {BAD} 3 jobs: 2 trusted, 1 failed. The fleet is in fleet: fleet.html," in text
+    assert re.search(r"plain position \[mm\] 31\.0533 0\.0370 27/45 trusted", text)
+    for name in GOOD:
+        stem = name.removesuffix(".toml")
+        assert run("calibrate", f"jobs/{name}", "-o", f"single/{stem}", "-q").code == 0
+        assert tree(folder / "fleet" / stem) == tree(folder / "single" / stem)
+    summaries = ["fleet.html", "summary.csv", "summary.json"]
+    assert sorted(path.name for path in (folder / "fleet").iterdir()) == [
+        "fewer",
+        *summaries[:1],
+        "plain",
+        *summaries[1:],
+    ]
+    contents = json.loads((folder / "fleet/summary.json").read_text(encoding="utf-8"))["fleet"]
+    result = json.loads((folder / "fleet/plain/result.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in contents] == ["bad", "plain", "fewer"]
+    (error,) = contents[1]["errors"]
+    judged = result["metrics"]["validation"]
+    assert (error["before"], error["after"]) == (
+        judged["before"]["position"]["rms"],
+        judged["after"]["position"]["rms"],
+    )
+    rows = list(csv.DictReader(io.StringIO((folder / "fleet/summary.csv").read_text(encoding="utf-8"))))
+    assert [(row["job"], row["verdict"], row["unit"]) for row in rows] == [
+        ("bad", "failed", ""),
+        ("plain", "trusted", "mm"),
+        ("fewer", "trusted", "mm"),
+    ]
+    assert float(rows[1]["after"]) == pytest.approx(error["after"] * 1e3, abs=1e-6)
+    assert (rows[0]["why"], rows[2]["report"]) == (BAD, "fewer/report.html")
+
+
+def test_what_has_not_changed_is_not_run_again(folder: Path) -> None:
+    assert run("fleet", *jobs(*GOOD), "-o", "all", "-j", "1", "-q") == (0, "", "")
+    first, made = tree(folder / "all"), moments(folder / "all")
+    said = run("fleet", *jobs("bad.toml", *GOOD), "-o", "all", "-j", "1")
+    assert said.code == 1
+    assert "2 trusted, 1 failed. Unchanged and not run again: 2." in " ".join(said.out.split())
+    assert moments(folder / "all") == made
+    # An input, the job itself, the results and the versions: each decides.
+    job, other = fleet_jobs([Path("jobs/plain.toml"), Path("jobs/fewer.toml")], Path("all"))
+    assert unchanged(job)
+    for name in (TABLE, "plain.toml"):
+        before = (folder / "jobs" / name).read_bytes()
+        (folder / "jobs" / name).write_bytes(before + b"\n")
+        assert not unchanged(job)
+        assert unchanged(other) == (name != TABLE)
+        (folder / "jobs" / name).write_bytes(before)
+    assert unchanged(job)
+    edit("all/plain/result.json", (f'"calib": "{result_version(folder)}"', '"calib": "0.0.0"'))(folder)
+    assert not unchanged(job)
+    (folder / "all/fewer/report.html").unlink()
+    assert not unchanged(other)
+    assert run("fleet", *jobs(*GOOD), "-o", "all", "-j", "1", "-q").code == 0
+    assert tree(folder / "all") == first
+    assert not moments(folder / "all").items() & made.items()
+
+
+def result_version(folder: Path) -> str:
+    return str(json.loads((folder / "all/plain/result.json").read_text(encoding="utf-8"))["versions"]["calib"])
+
+
+def test_json_and_doubts(folder: Path) -> None:
+    (folder / "jobs/plain.toml").rename(folder / "jobs" / JOB)
+    by_another_machine(folder / "jobs")
+    said = run("fleet", f"jobs/{JOB}", "-j", "1", "--json")
+    assert (said.code, said.err) == (3, "")
+    assert said.out == (folder / "fleet/summary.json").read_text(encoding="utf-8")
+    (one,) = json.loads(said.out)["fleet"]
+    assert (one["name"], one["word"]) == ("jobs", "not trusted")
+    assert one["why"] == ["On data that the fit never saw the position error is no smaller than before calibration."]
+
+
+# Before anything runs. --------------------------------------------------------------------------------------------
+
+
+def test_names_and_folders(tmp_path: Path) -> None:
+    given = ("a/calibration.toml", "b/calibration.toml", "b/calibration_fast.toml", "c/x.toml", "c/calibrations.toml")
+    found = fleet_jobs([Path(path) for path in given], tmp_path)
+    names = ("a", "b", "b_fast", "x", "calibrations")
+    assert [(job.name, job.out) for job in found] == [(name, tmp_path / name) for name in names]
+
+
+REFUSED = [
+    (
+        ("jobs/plain.toml", "jobs/plain.toml"),
+        "jobs/plain.toml and jobs/plain.toml: both would be written to fleet/plain; ",
+    ),
+    (("a/x.toml", "b/X.toml"), "a/x.toml and b/X.toml: both would be written to fleet/X; rename one of them."),
+    (("jobs/.toml",), "jobs/.toml: '.toml' is no name for a folder of results; rename it."),
+    (("summary.csv.toml",), "summary.csv.toml: its results would be written to fleet/summary.csv, where a summary "),
+]
+
+
+@pytest.mark.parametrize(("paths", "why"), REFUSED, ids=lambda x: "" if isinstance(x, tuple) else x[:20])
+def test_two_jobs_with_one_folder_are_refused(folder: Path, paths: tuple[str, ...], why: str) -> None:
+    said = run("fleet", *paths)
+    assert (said.code, said.out) == (1, "")
+    assert said.err.startswith(f"Error: {why}")
+    assert said.err.count("\n") == 1
+    assert not (folder / "fleet").exists()
+
+
+def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "mine").mkdir()
+    (folder / "mine/summary.csv").write_text("mine")
+    (folder / "file").write_text("mine")
+    for out, why in (
+        ("mine", "mine/summary.csv: is no summary of a fleet, and would be replaced by one; choose a folder."),
+        ("file", "file: is a file, and a fleet needs a folder."),
+        ("x" * 300, f"{'x' * 300}: cannot hold the results (File name too long)."),
+    ):
+        assert run("fleet", "jobs/plain.toml", "-o", out) == (1, "", f"Error: {why}\n")
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(OutputError, match="read-only"):
+        fleet_jobs([], folder / "a/b")
+
+
+# When something dies. ---------------------------------------------------------------------------------------------
+
+
+def test_a_process_that_dies_costs_no_job(folder: Path) -> None:
+    killed: list[int] = []
+
+    def kill(_: str) -> None:
+        if not killed:
+            workers = [p for p in psutil.Process().children(recursive=True) if "loky" in " ".join(p.cmdline())]
+            killed.extend(p.pid for p in workers if "resource_tracker" not in " ".join(p.cmdline()))
+            for pid in killed:
+                os.kill(pid, signal.SIGKILL)
+
+    chosen = fleet_jobs([Path(f"jobs/{name}") for name in ("bad.toml", *GOOD)], Path("all"))
+    found = run_fleet(chosen, workers=2, progress=kill)
+    assert killed
+    assert [done.failure for done in found] == [BAD, None, None]
+
+
+def test_a_job_whose_process_dies_is_told_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Died(Exception):  # noqa: N818
+        pass
+
+    def together(tasks):  # type: ignore[no-untyped-def]
+        for _, (job, _), _ in list(tasks):
+            if job.name == "b":
+                raise Died
+            yield Done(job)
+
+    chosen = [FleetJob(Path(name), name, Path(name)) for name in "abcd"]
+    found = {done.job.name: done.failure for done in fleets._run(fleets._Crew(together, (Died,)), chosen)}
+    assert found == {"a": None, "b": "b: its process died; the memory may not suffice.", "c": None, "d": None}
+
+
+def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleets, "calibrate", lambda *_: 1 / 0)
+    (done,) = run_fleet(fleet_jobs([Path("jobs/plain.toml")], Path("all")), workers=1)
+    assert done.failure == (
+        "jobs/plain.toml: met a fault of this program (ZeroDivisionError: division by zero); calib calibrate shows it."
+    )
+    (line,) = fleet_lines([done])
+    assert (line.word, line.report) == ("failed", None)
+    missing = Done(FleetJob(Path("x.toml"), "x", folder / "x"))
+    assert fleet_lines([missing])[0].why == (f"{folder}/x/result.json: there is no such file.",)
+    assert fleets._one(missing.job, "/no/such/folder").failure == (
+        "x.toml: its process does not see /no/such/folder (No such file or directory); workers need the same files."
+    )
+
+
+def test_ctrl_c_keeps_what_is_finished_and_stops_the_workers(folder: Path) -> None:
+    many = [f"job_{k}.toml" for k in range(12)]
+    for name in many:
+        (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
+    command = [sys.executable, "-W", "error", "-c", MAIN, "fleet", *jobs(*many), "-j", "2"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    while running.poll() is None and not list(folder.glob("fleet/job_*/result.json")):
+        time.sleep(0.01)
+    workers = psutil.Process(running.pid).children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does
+    out, err = running.communicate()
+    said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
+    assert (running.returncode, out, err) == (130, "", said)
+    psutil.wait_procs(workers, timeout=20)
+    assert not any(worker.is_running() and worker.status() != psutil.STATUS_ZOMBIE for worker in workers)
+    chosen = fleet_jobs([Path(f"jobs/{name}") for name in many], Path("fleet"))
+    assert 1 <= sum(map(unchanged, chosen)) < len(many)
+
+
+# A cluster. -------------------------------------------------------------------------------------------------------
+
+
+def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        warnings.catch_warnings(),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+        ) as cluster,
+    ):
+        said = run("fleet", *jobs("bad.toml", *GOOD), "--dask", cluster.scheduler_address)
+        assert (said.code, said.err) == (1, "")
+    for name in ("plain", "fewer"):
+        assert run("calibrate", f"jobs/{name}.toml", "-o", f"single/{name}", "-q").code == 0
+        assert tree(folder / "fleet" / name) == tree(folder / "single" / name)
+
+
+def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(fleets, "_PATIENCE", 1)
+    chosen = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
+    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+        with pytest.raises(JobError, match="no Dask scheduler answers there"):
+            run_fleet(chosen, dask=address)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(JobError) as caught:
+        run_fleet(chosen, dask="tcp://127.0.0.1:1")
+    assert str(caught.value) == "--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'."
+
+
+# What is shown. ---------------------------------------------------------------------------------------------------
+
+POSE = (
+    QuantityError("position", "m", 20, 0.002, 0.0001, 0.0003),
+    QuantityError("orientation", "rad", 20, 0.01, 0.001, 0.002),
+)
+LINES = (
+    JobLine("a <b>", "jobs/a.toml", "trusted", (), "validation", POSE, 30, 36, 2, "a <b>/report.html"),
+    JobLine("c", "jobs/c.toml", "not trusted", ("It is worse.",), "validation", POSE[:1], 27, 36, 0, "c/report.html"),
+    JobLine("d", "jobs/d.toml", "failed", ("d.toml: there is no such file.",)),
+)
+
+
+def test_page_has_every_figure_once_and_leads_to_the_reports() -> None:
+    page = render_page(fleet_report(LINES))
+    assert page.count("<a href=") == 3 + 2  # two rows of one job, one of another, and the sections
+    assert 'href="a%20%3Cb%3E/report.html"' in page
+    assert "<b>" not in page
+    for figure in ("2.0000", "0.1000", "0.5730", "0.0573", "30/36"):
+        assert figure in page
+    assert "c: not trusted. It is worse." in page
+    assert page.count("<script>") == 1
+    assert "[a \\<b\\>](a%20%3Cb%3E/report.html)" in render_markdown(fleet_report(LINES))
+
+
+def test_terminal_table_fits() -> None:
+    text = plain(sheet_table(fleet_sheet(LINES)))
+    assert max(map(len, text.splitlines())) <= 80
+    assert re.search(r"orientation \[deg\] +0\.5730 +0\.0573", text)
+    assert "outliers: a <b> 2\n" in text
