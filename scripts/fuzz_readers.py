@@ -27,18 +27,21 @@ from calib.compensation.model_file import CalibratedModel, load_model, model_jso
 from calib.compensation.targets import targets
 from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import CalibError
-from calib.identification.fit import Fit
 from calib.identification.observability import observability
+from calib.job.fleet import Done, FleetJob
+from calib.job.fleet_summary import fleet_lines, summary_csv, summary_json
 from calib.job.inputs import load
 from calib.job.read import read_job
-from calib.job.results import robot_errors
-from calib.job.run import run
+from calib.job.results import result, robot_errors
+from calib.job.run import Outcome, run
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.table import read_table
+from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
 from calib.presentation.meshes import primitive, read_mesh
+from calib.presentation.report.page import render_page
 from calib.presentation.visuals import visuals
 from calib.robot import dh
 from calib.robot.collision import self_collision
@@ -197,6 +200,14 @@ def _result(data: bytes) -> None:
         assert np.isfinite(value), "an error that is no number"
 
 
+def _fleet(data: bytes) -> None:
+    out = _file("fleet/result.json", data).parent
+    lines = fleet_lines([Done(FleetJob(Path("job.toml"), "job", out))])
+    json.loads(summary_json(lines))
+    summary_csv(lines)
+    render_page(fleet_report(lines))
+
+
 def _model_file(data: bytes) -> None:
     _file("model/nominal.urdf", _results()["nominal.urdf"])
     model = load_model(_file("model/model.json", data).parent)
@@ -266,18 +277,25 @@ def _mesh(data: bytes) -> None:
 
 
 @functools.cache
-def _fit() -> Fit:
-    return run(load(ROBOTS / "arm_cmm" / "calibration.toml")).fit
+def _outcome() -> Outcome:
+    return run(load(ROBOTS / "arm_cmm" / "calibration.toml"))
+
+
+def _short_result() -> dict[str, Any]:
+    whole = result(_outcome())
+    kept = ("trusted", "doubts", "metrics", "rank", "outliers")
+    return {name: whole[name] for name in kept} | {"parameters": whole["parameters"][:2]}
 
 
 @functools.cache
 def _results() -> Files:
-    fit = _fit()
+    fit = _outcome().fit
     return {
         "nominal.urdf": fit.robot.urdf.source,
         "model.json": model_json(fit).encode(),
         "uncertainty.json": uncertainty_json(uncertainty_of(fit)).encode(),
         "result.json": json.dumps({"schema": 1, "parameters": fit.records()[:5]}).encode(),
+        "fleet.json": json.dumps(_short_result()).encode(),
     }
 
 
@@ -440,6 +458,7 @@ READERS: dict[str, Reader] = {
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "result": Reader(_result, lambda: [_results()["result.json"]], _NUMBERS + _ODD + _JSON),
+    "fleet": Reader(_fleet, lambda: [_results()["fleet.json"]], _NUMBERS + _ODD + _JSON),
     "model": Reader(_model_file, lambda: [_results()["model.json"]], _NUMBERS + _ODD + _JSON),
     "uncertainty": Reader(
         _uncertainty, lambda: [_results()["uncertainty.json"]], _NUMBERS + _ODD + _JSON, largest=80_000

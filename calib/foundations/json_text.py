@@ -1,6 +1,7 @@
 """JSON that anybody may have written: strict, and no two values under one name."""
 
 import json
+import math
 from typing import Any, NoReturn
 
 from calib.foundations.words import shown
@@ -13,11 +14,13 @@ class NotJsonError(ValueError):
 def parse_json(source: bytes) -> Any:
     """Return the plain data of a JSON document in UTF-8.
 
-    Raises NotJsonError for what is none: also for NaN and infinity, a name that comes twice in one object, numbers of
-    thousands of digits, and endless nesting.
+    Raises NotJsonError for what is none: also for NaN and infinity, numbers beyond all doubles or of thousands of
+    digits, a name that comes twice in one object, and endless nesting.
     """
     try:
-        return json.loads(source.decode("utf-8-sig"), parse_constant=_refuse_constant, object_pairs_hook=_object)
+        return json.loads(
+            source.decode("utf-8-sig"), parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_object
+        )
     except NotJsonError:
         raise
     except RecursionError as e:
@@ -28,6 +31,13 @@ def parse_json(source: bytes) -> Any:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise NotJsonError(f"is not JSON, which has no {name}")
+
+
+def _finite(number: str) -> float:
+    value = float(number)
+    if not math.isfinite(value):
+        raise NotJsonError(f"is not JSON that can be read: {shown(number)} is not a finite number")
+    return value
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
 
+# Of rows and parameters, and of errors in m and rad: beyond all results.
+_MOST, _LARGEST = 10**9, 1e9
+
 
 def fleet_lines(finished: Sequence[Done]) -> tuple[JobLine, ...]:
     """Return what has become of every job, with the figures of its result."""
@@ -41,21 +44,52 @@ def _calibrated(name: str, file: str, result: dict[str, Any]) -> JobLine:
     data = "validation" if "validation" in result["metrics"] else "identification"
     before, after = (result["metrics"][data][when] for when in ("before", "after"))
     errors = tuple(
-        QuantityError(quantity, m["unit"], m["n"], before[quantity]["rms"], m["rms"], m["max"])
+        QuantityError(
+            quantity,
+            _unit(m["unit"]),
+            _whole(m["n"]),
+            *(_number(figure) for figure in (before[quantity]["rms"], m["rms"], m["max"])),
+        )
         for quantity, m in after.items()
     )
     return JobLine(
         name,
         file,
         "trusted" if result["trusted"] else "not trusted",
-        tuple(result["doubts"]),
+        tuple(_word(doubt) for doubt in result["doubts"]),
         data,
         errors,
-        result["rank"],
+        _whole(result["rank"]),
         len(result["parameters"]),
-        sum(one["told"] for every in result["outliers"].values() for one in every),
+        sum(one["told"] is True for every in result["outliers"].values() for one in every),
         f"{name}/{REPORT_FILE}",
     )
+
+
+# What a file says may be of any kind; these raise TypeError or KeyError for another one.
+
+
+def _unit(value: Any) -> str:
+    SHOWN[value]
+    return _word(value)
+
+
+def _word(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return value
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int or not 0 <= value <= _MOST:
+        raise TypeError("not a number of things")
+    return value
+
+
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not 0.0 <= value <= _LARGEST:
+        raise TypeError("not an error")
+    return float(value)
 
 
 def summary_json(lines: Sequence[JobLine]) -> str:
