@@ -239,8 +239,10 @@ def test_what_flexures_hold_is_the_slope_of_the_energy_on_the_parallelogram() ->
     assert np.abs(found[:, 6:]).max() > 100.0
 
 
-@pytest.mark.parametrize("name", ["ur10", "panda"])
-def test_lengths_grow_with_the_temperature(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "joint"), [("ur10", "shoulder_lift_joint"), ("panda", "panda_joint5"), ("irb2400", "rod_length")]
+)
+def test_lengths_grow_with_the_temperature(name: str, joint: str) -> None:
     """The whole arm at once is the arm scaled; one link alone moves what it carries along itself."""
     rng = np.random.default_rng(6)
     plain = robot_of(name)
@@ -251,7 +253,6 @@ def test_lengths_grow_with_the_temperature(name: str) -> None:
     expected = plain.tips(u)
     expected[:, :3, 3] *= 1.0 + strain[:, None]
     np.testing.assert_allclose(grown, expected, rtol=0, atol=1e-13)
-    joint = robot.chain[2].name if name == "ur10" else "panda_joint5"
     one = with_joint_terms(plain, [JointTerm(joint, "expansion")])
     for n in range(len(u)):
         i = [j.name for j in plain.chain].index(joint)
