@@ -70,15 +70,19 @@ def _identify(
 
     aligned = posed_problem.reference
     before = replace(posed_problem, parameters=tuple(p for p in posed_problem.parameters if not p.of_robot))
-    start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
-    nominal = before.machine(np.zeros(0) if start is None else start.x)
+    x0 = values_at(model.robot, before.parameters, aligned)
+    # Of positions that weigh alike the aligned frames are the least-squares fit already.
+    alike = len(sets) == 1 and sets[0].kind == "position" and np.all(sets[0].sigma == sets[0].sigma[0, 0])
+    nominal = before.machine(x0 if alike or not before.parameters else solve(before, x0, variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(posed_problem, parameters=parameters, reference=reference, held=deviations)
     _refuse_losses(losses, sets)
     if losses is not None:
         problem = replace(problem, given_losses=tuple(losses))
-    found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
+    before_fit = residuals(model.robot, sets, nominal)
+    x0 = values_at(model.robot, parameters, reference, deviations)
+    found = solve(problem, x0, variances, at_start=before_fit if begin is None else None)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
     kept, directions = identifiability.told(found.start, usable, parameters)
@@ -112,7 +116,7 @@ def _identify(
         machine=machine,
         nominal=nominal,
         residuals=tuple(read_only(r) for r in after),
-        nominal_residuals=tuple(read_only(r) for r in residuals(model.robot, sets, nominal)),
+        nominal_residuals=tuple(read_only(r) for r in before_fit),
         evaluations=found.evaluations,
         step=found.step,
         converged=found.converged,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from calib.foundations import linear
 from calib.foundations.arrays import Array
@@ -56,8 +56,16 @@ class Solution(NamedTuple):
     converged: bool
 
 
-def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+def solve(
+    problem: Problem,
+    x0: Array,
+    variances: Sequence[float | None] | None = None,
+    *,
+    at_start: Sequence[Array] | None = None,
+) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
+
+    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
 
     Raises IdentificationError when there are no more rows and priors than the rank.
     """
@@ -68,7 +76,7 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    v = _keep(fixed, weights.mean_squares(problem, x0))
+    v = _keep(fixed, weights.mean_squares(problem, x0, at_start))
     evaluator = _Evaluator(problem, s)
     sigmas = first_sigmas = weights.sigmas_of(problem, v)
     first = evaluator(z0, sigmas)
@@ -192,20 +200,20 @@ def _levenberg_marquardt(
     def jacobian(z: Array) -> Array:
         return rows(z)[:, :-1]
 
-    # lm and not trf: its first step is not held back, which saves half of the evaluations on nearly linear problems.
-    # The columns are scaled already; SciPy's own scaling, its default since 1.16, would hold the first step back.
-    result = least_squares(
+    # MINPACK's lmder, whose first step is not held back: that saves half of the evaluations on nearly linear problems.
+    # The columns are scaled already, and MINPACK's own scaling would hold the first step back.
+    found = leastsq(
         residual,
         z0,
-        jac=jacobian,
-        method="lm",
-        x_scale=1.0,
+        Dfun=jacobian,
+        diag=np.ones(len(z0)),
         ftol=_ROUGH,
         xtol=_ROUGH,
         gtol=_ROUGH,
-        max_nfev=_MOST_STEPS,
+        maxfev=_MOST_STEPS,
+        full_output=True,
     )
-    return np.asarray(result.x)
+    return np.asarray(found[0])
 
 
 def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, estimated: bool) -> Array:
