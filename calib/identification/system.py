@@ -27,7 +27,7 @@ from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
-BLOCK = 1536
+BLOCK = 384
 
 
 class Component(NamedTuple):
