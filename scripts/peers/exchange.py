@@ -29,8 +29,8 @@ class Case(NamedTuple):
 
     ``readings`` (n, 6), ``measured`` (n, 3) in the instrument's frame, ``sigma`` (n, 3) of the instrument; ``unseen``
     (m, 6): readings to predict. ``base`` (4, 4) of the robot's base in the instrument's frame and ``tool`` (3,) in the
-    tip link: guesses. ``points`` and ``directions`` (6, 3): the nominal axes at zero, in the base link; ``home`` (4, 4):
-    the nominal tip at zero.
+    tip link: guesses. ``points`` and ``directions`` (6, 3): the nominal axes at zero, in the base link; ``home``
+    (4, 4): the nominal tip at zero.
     """
 
     readings: Array

@@ -7,6 +7,7 @@ positions in their place, which is not its own doing but the best that its robot
 imitate exactly are held, as its example advises. Lengths in mm, as it has them.
 """
 
+from itertools import pairwise
 from pathlib import Path
 
 import exchange
@@ -77,7 +78,7 @@ def axis_frames(points: Array, directions: Array) -> Array:
 def modified_dh(frames: Array) -> Array:
     """Return rows (n, 4) of alpha, a, theta, d; of the first, which the base takes up, zeros."""
     rows = [np.zeros(4)]
-    for one, other in zip(frames[:-1], frames[1:], strict=True):
+    for one, other in pairwise(frames):
         T = np.linalg.inv(one) @ other
         alpha, theta = np.arctan2(-T[1, 2], T[2, 2]), np.arctan2(-T[0, 1], T[0, 0])
         rows.append(np.array([alpha, T[0, 3], theta, np.array([0.0, -np.sin(alpha), np.cos(alpha)]) @ T[:3, 3]]))

@@ -1,9 +1,9 @@
 """robotkinecal in the race of scripts/benchmark_peers.py.
 
-It reads URDF through the Robotics Toolbox and takes every axis for a z axis, which those of a UR10 are not; so a URDF of
-the same nominal axes is written here in the form that it wants, with the guessed tool as its last link. (Its other way,
-a PoERobot, fails: it counts base and end as joints.) It has no unknown base: measurements are brought into the base by
-the guess, and what is left of it goes into the axes, which may move freely.
+It reads URDF through the Robotics Toolbox and takes every axis for a z axis, which those of a UR10 are not; so a URDF
+of the same nominal axes is written here in the form that it wants, with the guessed tool as its last link. (Its other
+way, a PoERobot, fails: it counts base and end as joints.) It has no unknown base: measurements are brought into the
+base by the guess, and what is left of it goes into the axes, which may move freely.
 """
 
 import contextlib
