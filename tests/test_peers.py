@@ -34,7 +34,7 @@ def line(script: Any, program: str, *runs: tuple[float, float], converged: bool 
     return script.Line(entry, tuple(made))
 
 
-def FAILED(script: Any) -> Any:
+def failed(script: Any) -> Any:
     return script.Run(failure="stopped after 10 min")
 
 

@@ -45,7 +45,7 @@ def _plain_sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, 
 
 
 def mean_squares(problem: Problem, x: Array, known: Sequence[Array] | None = None) -> tuple[float, ...]:
-    """Return the mean squared residual of every component at parameter values x (p,); ``known``: the residuals there."""
+    """Return the mean squared residual of every component at x (p,); ``known``: the residuals there."""
     r = residuals(problem.model.robot, problem.measurements, problem.machine(x)) if known is None else known
     return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
 
