@@ -1,7 +1,7 @@
 """The race: figaroh, robotkinecal, pybotics and calib on the same data, side by side.
 
     python scripts/benchmark_peers.py [--environments FOLDER] [--dataset <ur10_leica folder>] [--runs 3] [--limit 600]
-        [--only PROGRAM ...] [--markdown FILE] [--figure FILE]
+        [--only PROGRAM ...] [--results FILE ...] [--markdown FILE] [--figure FILE]
 
 Each program gets an environment of its own (a venv in --environments, by default one in the folder for temporary files,
 kept for the next time) with pinned versions from PyPI; calib runs in the environment of this script. Each is started
@@ -17,13 +17,15 @@ import argparse
 import json
 import os
 import platform
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
 import venv
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -49,7 +51,7 @@ SPREAD_LENGTH, SPREAD_ANGLE, SPREAD_ZERO = 0.5e-3, 1e-3, 5e-3
 # many times what the truth itself misses them by. Where the truth is unknown, the best peer stands for it.
 AT_THE_FLOOR = 1.05
 # What takes longer than this is run once: its ratio does not hang on a few percent.
-ONCE = 120.0
+ONCE = 60.0
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")}
 
 PINS = {
@@ -250,8 +252,8 @@ def held_out(predicted: Array, measured: Array) -> float:
 class Run:
     """One run: seconds, error in mm; or ``failure``."""
 
-    wall: float = float("nan")
-    cpu: float = float("nan")
+    wall: float = 0.0
+    cpu: float = 0.0
     error: float = float("inf")
     parameters: int = 0
     converged: bool = False
@@ -312,6 +314,27 @@ def ratio(line: Line, ours: Line) -> float:
 
 # ---- running
 
+Known = dict[str, list[Run]]
+
+
+def key(race: Race, entry: Entry) -> str:
+    return f"{race.name}, {entry.program}, {entry.setting}"
+
+
+def known_from(files: Sequence[Path]) -> Known:
+    """Return the runs that files hold; one that is not there holds none."""
+    found: Known = {}
+    for file in files:
+        if file.is_file():
+            for name, runs in json.loads(file.read_text(encoding="utf-8")).items():
+                found.setdefault(name, []).extend(Run(**one) for one in runs)
+    return found
+
+
+def keep(file: Path, known: Known) -> None:
+    records = {name: [asdict(one) for one in runs] for name, runs in known.items() if runs}
+    file.write_text(json.dumps(records, indent=1), encoding="utf-8")
+
 
 def interpreter(program: str, environments: Path) -> Path:
     """Return the interpreter of a program's environment, which is made if it is not there."""
@@ -337,10 +360,11 @@ def run(entry: Entry, python: Path, folder: Path, race: Race, limit: float) -> R
         environment["PYTHONPATH"] = str(ROOT)
     else:
         environment.pop("PYTHONPATH", None)
-    try:
-        ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=limit, check=False)
-    except subprocess.TimeoutExpired:
-        return Run(failure=f"stopped after {limit / 60.0:g} min")
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, preexec_fn=lambda: hold(limit)
+    )
+    if -ended.returncode in (signal.SIGXCPU, signal.SIGKILL):
+        return Run(failure=f"stopped after {limit / 60.0:g} min of process time")
     if ended.returncode != 0:
         return Run(failure=f"ended with an error: {(ended.stderr.strip().splitlines() or ['no word'])[-1][:300]}")
     record = json.loads(stem.with_suffix(".json").read_text(encoding="utf-8"))
@@ -348,18 +372,24 @@ def run(entry: Entry, python: Path, folder: Path, race: Race, limit: float) -> R
         return Run(**record, error=held_out(found["predicted"], race.measured))
 
 
+def hold(limit: float) -> None:
+    """Let this process have no more than so many seconds on any core: a busy machine takes nothing from anybody."""
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5))
+
+
 def lines_of(
-    race: Race, entries: Sequence[Entry], pythons: dict[str, Path], runs: int, limit: float
+    race: Race, entries: Sequence[Entry], pythons: dict[str, Path], runs: int, limit: float, known: Known
 ) -> tuple[Line, ...]:
-    """Run all entries of a case in turn, so that a busy machine slows all alike."""
-    found: dict[Entry, list[Run]] = {entry: [] for entry in entries if entry.simulated or race.name != "simulated"}
+    """Run all entries of a case in turn, so that a busy machine slows all alike; what is ``known`` is not run again."""
+    part = [entry for entry in entries if entry.simulated or race.name != "simulated"]
+    found = {entry: known.setdefault(key(race, entry), []) for entry in part}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         exchange.save_case(folder, race.case)
         (folder / exchange.ROBOT).write_bytes(resolve(URDF).read_bytes())
         for k in range(runs):
             for entry, own in found.items():
-                if k > 0 and (own[0].failure or own[0].wall > ONCE):
+                if k < len(own) or (own and (own[0].failure or own[0].cpu > ONCE)):
                     continue
                 one = run(entry, pythons[entry.program], folder, race, limit)
                 own.append(one)
@@ -374,7 +404,7 @@ def lines_of(
 PAGE = """# The race against the peers
 
 Made by `python scripts/benchmark_peers.py --dataset <ur10_leica folder> --markdown docs/peers.md --figure
-docs/figures/peers.svg` on {machine}; {runs} runs of each in turn, medians; what takes minutes is run once.
+docs/figures/peers.svg` on {machine}; {runs} runs of each in turn, medians; what takes more than {once:g} s is run once.
 
 Times are seconds of solving, measured inside each program's process, importing and reading excluded; every run in a
 process just started, one BLAS thread for all. *Process* is processor time, and all ratios are of it; *clock* is what
@@ -391,7 +421,7 @@ its own test and at the floor.
 
 def page(races: Sequence[tuple[Race, Sequence[Line]]], machine: str, runs: int, figure: str | None = None) -> str:
     """Return the page: a table for each case, what the ratio is, and what is to be said of each program."""
-    parts = [PAGE.format(machine=machine, runs=runs)]
+    parts = [PAGE.format(machine=machine, runs=runs, once=ONCE)]
     if figure is not None:
         parts.append(f"![Held-out error over solver time]({figure})\n")
     for race, lines in races:
@@ -515,7 +545,14 @@ def main() -> int:
         "--dataset", type=Path, help="ur10_leica folder (default: in CALIB_DATASETS; else simulated only)"
     )
     parser.add_argument("--runs", type=int, default=3, help="of each (default: 3)")
-    parser.add_argument("--limit", type=float, default=600.0, help="seconds until a run is stopped (default: 600)")
+    parser.add_argument("--limit", type=float, default=600.0, help="seconds of process time for a run (default: 600)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="runs in these files are not made again; all are kept in the first",
+    )
     parser.add_argument("--only", nargs="+", choices=(OURS, *PINS), help="run these programs only")
     parser.add_argument("--cases", nargs="+", choices=("simulated", "real"), default=["simulated", "real"])
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to FILE")
@@ -536,7 +573,11 @@ def main() -> int:
     programs = arguments.only or (OURS, *PINS)
     entries = [entry for entry in ENTRIES if entry.program in programs]
     pythons = {program: interpreter(program, arguments.environments) for program in programs}
-    found = [(race, lines_of(race, entries, pythons, arguments.runs, arguments.limit)) for race in races]
+    known, found = known_from(arguments.results or []), []
+    for race in races:
+        found.append((race, lines_of(race, entries, pythons, arguments.runs, arguments.limit, known)))
+        if arguments.results:
+            keep(arguments.results[0], known)
     for race, lines in found:
         print(f"\n{race.title}\n\n{table(race, lines)}\n{verdict(race, lines)}")
     if arguments.figure is not None:

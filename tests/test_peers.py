@@ -136,3 +136,11 @@ def test_the_page_says_who_is_at_the_floor_how_many_times_longer_and_what_failed
     assert columns == {9}
     without = script.page([(race, [lines[0], lines[3]])], "a machine", 1)
     assert "No peer reaches the floor; calib is at 0.0855 mm." in without
+
+
+def test_runs_that_are_kept_are_read_again_from_several_files(script: Any, tmp_path: Path) -> None:
+    one, two = line(script, "figaroh", (2.0, 0.1), (3.0, 0.2)).runs, line(script, "pybotics", (-1.0, 0.0)).runs
+    script.keep(tmp_path / "a.json", {"real, figaroh, map": list(one), "real, figaroh, none": []})
+    script.keep(tmp_path / "b.json", {"real, pybotics, distances": list(two)})
+    files = [tmp_path / "a.json", tmp_path / "b.json", tmp_path / "missing.json"]
+    assert script.known_from(files) == {"real, figaroh, map": list(one), "real, pybotics, distances": list(two)}
