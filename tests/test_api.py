@@ -15,7 +15,7 @@ from tests.job.cases import CASE, TABLE
 
 HEAVY = (
     "sklearn",
-    "yourdfpy",
+    "trimesh",
     "meshcat",
     "matplotlib",
     "trimesh",

@@ -23,7 +23,7 @@ from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, 
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.identify import identify
-from calib.identification.joint_terms import harmonic
+from calib.identification.joint_terms import harmonic, links
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
@@ -33,9 +33,9 @@ from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
-from calib.robot.joint_terms import weights_of
+from calib.robot.joint_terms import moments, weights_of
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import JointTerm
+from calib.robot.transmission import WHOLE_ARM, JointTerm
 
 # A harmonic drive wobbles up to the fortieth order: on a real UR10 orders above 12 halve what is left.
 ORDERS = tuple(range(1, 41))
@@ -51,7 +51,8 @@ class Candidate:
     def name(self) -> str:
         """Name for tables."""
         first = self.terms[0]
-        return f"{first.reading}: harmonic {first.order}" if first.order else f"{first.reading}: {first.kind}"
+        what = f"harmonic {first.order}" if first.order else f"{first.kind} {first.body}".rstrip()
+        return f"{first.reading or WHOLE_ARM}: {what}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +87,17 @@ class Choice:
 
     @property
     def terms(self) -> tuple[JointTerm, ...]:
-        """The chosen terms, in the order of the robot's readings."""
+        """The chosen terms, in the order of the robot's readings; those of links come last."""
         entered = [step.added for step in self.steps[: self.taken + 1] if step.added is not None]
         chosen = [term for candidate in entered for term in candidate.terms]
-        names = [reading.name for reading in self.geometric.robot.readings]
-        return tuple(sorted(chosen, key=lambda term: (names.index(term.reading), term.order, term.kind)))
+        robot = self.geometric.robot
+        names = [*(reading.name for reading in robot.readings), *(joint.name for joint in robot.chain), ""]
+
+        def place(term: JointTerm) -> tuple[bool, int, int, str, int, str]:
+            carrier, _, what = term.body.rpartition("_")
+            return term.of_link, names.index(term.reading), term.order, term.kind, names.index(carrier), what
+
+        return tuple(sorted(chosen, key=place))
 
     def records(self) -> list[dict[str, object]]:
         """Return one plain record for every step, in SI units."""
@@ -111,16 +118,18 @@ def candidates(
 ) -> tuple[Candidate, ...]:
     """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
 
-    Beside these the gap of its gears where it was reached from both sides in ``measurements``, and what it owes to the
-    temperature and to measured torques where these are told and change. Masses that the URDF states in a way that
-    cannot be used are as good as none.
+    Where masses are not known, its compliance times masses at a few joints. Beside these the gap of its gears where it
+    was reached from both sides in ``measurements``, and what it owes to the temperature and to measured torques where
+    these are told and change. Last, for the links: how they bend where masses are known, and how the whole arm expands
+    where the temperature changes. Masses that the URDF states in a way that cannot be used are as good as none.
     """
     found: list[Candidate] = []
-    weighed = True
+    weighed, guessed = True, tuple[JointTerm, ...]()
     try:
         weights_of(robot)
     except RobotError:
         weighed = False
+        guessed = moments(robot)
     told = joined([data.conditions for data in measurements])
     warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
     for k, reading in enumerate(robot.readings):
@@ -133,8 +142,13 @@ def candidates(
             found.append(Candidate((JointTerm(reading.name, "backlash"),)))
         if weighed:
             found.append(Candidate((JointTerm(reading.name, "elastic"),)))
+        found += [Candidate((term,)) for term in guessed if term.reading == reading.name]
         if reading.dimension == "angle":
             found += [Candidate(harmonic(reading.name, order)) for order in orders]
+    if weighed:
+        found += [Candidate((JointTerm(joint, "bending"),)) for joint in links(robot, moving=True)]
+    if warms:
+        found.append(Candidate((JointTerm("", "expansion"),)))
     return tuple(found)
 
 
@@ -151,7 +165,8 @@ def choose_terms(
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
-    ``offered``: those to choose from, by default :func:`candidates` of the robot. ``priors`` of
+    ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH table but those of links.
+    ``priors`` of
     amounts, where they are known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
     errors this raises, and MeasurementError when all rows are of one group.
     """
@@ -160,7 +175,7 @@ def choose_terms(
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         group = groups(geometric.measurements)
         fold = folds(group, count)
-        chosen_from = candidates(model.urdf_robot, geometric.measurements) if offered is None else tuple(offered)
+        chosen_from = _offered(model, geometric.measurements) if offered is None else tuple(offered)
         system = _System(geometric, chosen_from, priors, losses)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)
@@ -178,6 +193,12 @@ def choose_terms(
         for k, figure in enumerate(figures)
     )
     return Choice(steps, one_standard_error(figures), geometric, priors)
+
+
+def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Candidate, ...]:
+    """Return all candidates for a model: links do not give way in frames of a DH table."""
+    every = candidates(model.urdf_robot, measurements)
+    return every if model.dh is None else tuple(one for one in every if not one.terms[0].of_link)
 
 
 def _with_priors(model: ErrorModel, terms: Sequence[JointTerm], priors: TermPriors) -> ErrorModel:

@@ -15,13 +15,14 @@ though little; a stated noise says what matters.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.assessment.influence import ALONE, Influence, Residue
 from calib.foundations import linear
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.identification.identifiability import RANK_TOLERANCE, USABLE
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.kinds import WITH_TARGET
@@ -29,6 +30,9 @@ from calib.measurement.measurements import Measurements
 
 # On either side of a jump there are two rows; what one row does is its own.
 _LEAST_ROWS = 2
+# Of a target with more rows than these not every place is tried.
+_MOST_SPLITS = 10_000
+_MOST_WORDS = 1000
 
 GroupKind = Literal["target", "group", "file"]
 
@@ -99,35 +103,41 @@ class _Split(NamedTuple):
 
 
 class _Run:
-    """Walks along the rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
+    """Walks along the ``number`` rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
 
-    def __init__(self, columns: Sequence[int]) -> None:
+    def __init__(self, columns: Sequence[int], number: int) -> None:
         self.columns = list(columns)
         self.rows: list[tuple[int, int]] = []
-        self._sums = [np.zeros((1, len(columns), 0))]
+        self._step = -(-number // _MOST_SPLITS)
+        self._sum: Array | float = 0.0
+        self._sums: list[Array] = []
 
     def add(self, i: int, rows: Array, weighted: Array) -> None:
         """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, p + 1)."""
         Z = np.swapaxes(weighted[:, :, self.columns], -1, -2)
-        last = self._sums[-1][-1] if self.rows else 0.0
-        self._sums.append(last + np.cumsum(Z @ weighted, axis=0))
+        sums = self._sum + np.cumsum(Z @ weighted, axis=0)
+        self._sum = sums[-1]
+        self._sums.append(sums[(len(self.rows) + np.arange(1, len(rows) + 1)) % self._step == 0])
         self.rows += [(i, int(n)) for n in rows]
 
     def splits(self, C: Array, *, related: bool) -> Iterator[_Split]:
-        """Yield all splits with enough rows on either side.
+        """Yield all splits with enough rows on either side; of very many, evenly so many as are tried.
 
         What is known between targets holds for one of the halves; for ``related`` targets either is tried.
         """
-        sums = np.concatenate(self._sums[1:]) if self.rows else np.zeros((0, len(self.columns), len(C) + 1))
-        tried = sums[_LEAST_ROWS - 1 : -_LEAST_ROWS]
-        for later, of_half in ((True, sums[-1:] - tried), (False, tried)) if related else ((False, tried),):
+        before = self._step * np.arange(1, len(self.rows) // self._step + 1)
+        enough = (before >= _LEAST_ROWS) & (before <= len(self.rows) - _LEAST_ROWS)
+        if not enough.any():
+            return
+        tried = np.concatenate(self._sums)[enough]
+        for later, of_half in ((True, self._sum - tried), (False, tried)) if related else ((False, tried),):
             S, g = of_half[:, :, :-1], of_half[:, :, -1]
             values, V = np.linalg.eigh(S[:, :, self.columns] - S @ C @ np.swapaxes(S, -1, -2))
             can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
             u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
             gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
             for k, gain in enumerate(gains.tolist()):
-                yield _Split(k + _LEAST_ROWS, S[k], g[k], later, gain)
+                yield _Split(int(before[enough][k]), S[k], g[k], later, gain)
 
 
 def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
@@ -137,8 +147,11 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
     that has moved bends the machine, and makes others seem to have moved.
     """
     sets = residue.fit.measurements
-    runs = {name: _Run(columns) for name, columns in _target_columns(residue.fit.parameters).items()}
-    for block in residue.blocks():
+    runs = {
+        name: _Run(columns, sum(int(_of_target(data, name).sum()) for data in sets))
+        for name, columns in _target_columns(residue.fit.parameters).items()
+    }
+    for block in residue.blocks() if runs else ():
         data, weighted = sets[block.measurements], block.weighted
         for name, run in runs.items():
             own = np.flatnonzero(_of_target(data, name)[block.rows])
@@ -167,8 +180,8 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
         name = max(at, key=lambda name: (float(g[at[name]] @ shifts[name]) / len(shifts[name]), name))
         place, shift = at.pop(name), shifts[name]
         raw, d = float(g[place] @ shift), len(shift)
-        gain = raw / residue.scatter(gained + raw, freedom + d)
-        p = residue.probability(gain, d)
+        gain = raw / float(residue.scatter(gained + raw, freedom + d))
+        p = float(residue.probability(gain, d))
         found.append(_jump(residue, runs[name], name, best[name], shift, gain, p, min(1.0, number * p)))
         if found[-1].is_told(level):
             gained, freedom = gained + raw, freedom + d
@@ -221,16 +234,25 @@ def _of_target(data: Measurements, name: str) -> BoolArray:
 
 
 def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
-    """Return all groups of rows that are not all rows, the least likely to agree with the rest first."""
+    """Return all groups of rows that are not all rows, the least likely to agree with the rest first.
+
+    A column of more than a thousand words names rows rather than groups, and is passed over.
+    """
     members = _members(residue)
     columns = len(residue.C) + 1
     triangles = {key: np.zeros((0, columns)) for key in members}
-    for block in residue.blocks():
+    # Of every set, the groups that every row is in.
+    keys = list(members)
+    groups_of_row = [np.full((len(data), len(get_args(GroupKind))), -1) for data in residue.fit.measurements]
+    for number, ((kind, _), of_set) in enumerate(members.items()):
+        for i, rows in of_set.items():
+            groups_of_row[i][rows, get_args(GroupKind).index(kind)] = number
+    for block in residue.blocks() if members else ():
         weighted = block.weighted
-        for key, of_set in members.items():
-            own = weighted[of_set[block.measurements][block.rows]]
-            if len(own):
-                triangles[key] = linear.triangle(np.concatenate([triangles[key], own.reshape(-1, columns)]))
+        for of_kind in groups_of_row[block.measurements][block.rows].T:
+            for number in np.unique(of_kind[of_kind >= 0]).tolist():
+                own = weighted[of_kind == number].reshape(-1, columns)
+                triangles[keys[number]] = linear.triangle(np.concatenate([triangles[keys[number]], own]))
     things = _things(residue.fit.parameters)
     found = [
         _group(residue, kind, name, members[kind, name], triangle, things, len(members))
@@ -239,27 +261,38 @@ def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
     return tuple(sorted(found, key=lambda group: (np.nan_to_num(group.p, nan=1.0), group.kind, group.name)))
 
 
-def _members(residue: Residue) -> Mapping[tuple[GroupKind, str], list[BoolArray]]:
-    """Return masks of every set for every group; of groups with the same rows the first, and none with all rows."""
+def _members(residue: Residue) -> Mapping[tuple[GroupKind, str], Mapping[int, IntArray]]:
+    """Return the rows of every group, by set; of groups with the same rows the first, and none with all rows."""
     sets = residue.fit.measurements
-    found: dict[tuple[GroupKind, str], list[BoolArray]] = {}
+    found: dict[tuple[GroupKind, str], dict[int, IntArray]] = {}
 
-    def add(kind: GroupKind, name: str, i: int, mask: BoolArray) -> None:
-        none = [np.zeros(len(data), dtype=np.bool_) for data in sets]
-        found.setdefault((kind, name), none)[i] |= mask
+    def add(kind: GroupKind, name: str, i: int, rows: IntArray) -> None:
+        of_set = found.setdefault((kind, name), {})
+        of_set[i] = np.union1d(of_set.get(i, rows), rows)
 
+    words = len({word for data in sets for word in data.group or ()})
     for i, data in enumerate(sets):
-        add("file", residue.name(data), i, np.ones(len(data), dtype=np.bool_))
-        for word in dict.fromkeys(data.group or ()):
-            add("group", word, i, np.array([own == word for own in data.group or ()]))
-        for t in dict.fromkeys(data.target.tolist() if data.kind in WITH_TARGET else ()):
-            add("target", data.targets[t], i, np.asarray(data.target == t))
-    kept: dict[bytes, tuple[GroupKind, str]] = {}
-    for key, masks in found.items():
-        whole = np.concatenate(masks)
-        if not whole.all():
-            kept.setdefault(whole.tobytes(), key)
+        add("file", residue.name(data), i, np.arange(len(data)))
+        if data.group is not None and words <= _MOST_WORDS:
+            for word, rows in _rows_of(np.array(data.group)):
+                add("group", str(word), i, rows)
+        if data.kind in WITH_TARGET:
+            for t, rows in _rows_of(data.target):
+                add("target", data.targets[t], i, rows)
+    whole = sum(map(len, sets))
+    kept: dict[tuple[tuple[int, bytes], ...], tuple[GroupKind, str]] = {}
+    for key, of_set in found.items():
+        if sum(map(len, of_set.values())) < whole:
+            kept.setdefault(tuple((i, rows.tobytes()) for i, rows in of_set.items()), key)
     return {key: found[key] for key in kept.values()}
+
+
+def _rows_of(labels: npt.NDArray[Any]) -> Iterator[tuple[Any, IntArray]]:
+    """Yield every label, in order of appearance, and its rows."""
+    names, first, number = np.unique(labels, return_index=True, return_inverse=True)
+    rows = np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
+    for k in np.argsort(first):
+        yield names[k], rows[k]
 
 
 def _things(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
@@ -276,7 +309,7 @@ def _group(
     residue: Residue,
     kind: GroupKind,
     name: str,
-    masks: Sequence[BoolArray],
+    members: Mapping[int, IntArray],
     triangle: Array,
     things: Mapping[str, list[int]],
     number: int,
@@ -293,23 +326,23 @@ def _group(
     u = (W.T @ c)[both]
     left = 1.0 - h[both]
     q, freedom = float(np.sum(u**2 / left)), int(both.sum())
-    scatter = max(residue.scatter(q, freedom), 1.0)
-    p = residue.probability(q / scatter, freedom)
+    scatter = max(float(residue.scatter(q, freedom)), 1.0)
+    p = float(residue.probability(q / scatter, freedom))
     # Leaving the group out also takes away the scatter about its own machine.
-    rows = [mask.sum() * sigma.shape[1] for mask, sigma in zip(masks, residue.sigma, strict=True)]
+    numbers = sum(len(rows) * residue.sigma[i].shape[1] for i, rows in members.items())
     alone = len(h) - freedom
     all_squares = q + float(r @ r - c @ c)
-    after = residue.scatter(all_squares, float(sum(rows)) - alone)
+    after = float(residue.scatter(all_squares, float(numbers) - alone))
     best, gain = max(_gains(residue.C, J, r, things), key=lambda found: found[1], default=("", 0.0))
     return OutlyingGroup(
         kind,
         name,
-        int(sum(mask.sum() for mask in masks)),
+        sum(map(len, members.values())),
         q / scatter,
         freedom,
         p,
         min(1.0, number * p) if np.isfinite(p) else float("nan"),
-        float(np.sqrt(after / residue.scatter(0.0, 0.0))),
+        float(np.sqrt(after / float(residue.scatter(0.0, 0.0)))),
         best,
         gain / scatter,
         residue.influence(CR @ (W[:, both] @ (u / left))),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.identification import losses, weights
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
@@ -131,34 +131,45 @@ class Residue:
                     i, block.rows, block.observed.residual / sigma, block.J / sigma[:, :, None], self.w[i][block.rows]
                 )
 
-    def scatter(self, without: float, freedom: float, i: int | None = None) -> float:
+    def scatter(self, without: Array | float, freedom: Array | float, i: int | None = None) -> Array:
         """Return the variance, as a share of the fit's, that is seen in set i (or in all) when something is left out.
 
-        ``without`` and ``freedom``: by how much that lowers the sum of squares and the degrees of freedom; nan where
-        nothing is left.
+        ``without`` and ``freedom`` (...): by how much that lowers the sum of squares and the degrees of freedom; nan
+        where nothing is left.
         """
         chosen = slice(None) if i is None else slice(i, i + 1)
-        left = float(self.freedom[chosen].sum()) - freedom
+        left = np.asarray(self.freedom[chosen].sum() - freedom, dtype=np.float64)
         least = max((_ROUNDING / float(sigma.min())) ** 2 for sigma in self.sigma[chosen])
-        return max((float(self.squares[chosen].sum()) - without) / left, least) if left > 0.0 else float("nan")
+        squares = self.squares[chosen].sum() - without
+        share = np.divide(squares, left, out=np.full_like(left, np.nan), where=left > 0.0)
+        return np.asarray(np.maximum(share, least))
 
-    def probability(self, q: float, d: int, i: int | None = None) -> float:
-        """Return how probable a chi-squared of q or more by d numbers is, against the scatter of set i (or of all)."""
+    def probability(self, q: Array | float, d: IntArray | int, i: int | None = None) -> Array:
+        """Return how probable a chi-squared of q or more by d numbers is, against the scatter of set i (or of all).
+
+        ``q`` and ``d`` (...); nan where nothing is tested or left.
+        """
         chosen = slice(None) if i is None else slice(i, i + 1)
-        left = float(self.freedom[chosen].sum()) - d
+        left = np.asarray(self.freedom[chosen].sum() - d, dtype=np.float64)
         # With d equal to 0 there is nothing to test.
-        return float(stats.f.sf(q / d, d, left)) if d and left > 0.0 else float("nan")
+        tested = (np.asarray(d) > 0) & (left > 0.0)
+        return np.where(tested, stats.f.sf(q / np.maximum(d, 1), np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
+
+    def influences(self, steps: Array) -> tuple[IntArray, Array, Array]:
+        """Return the influence of rows without which the parameters are off by ``steps`` (n, p), scaled.
+
+        As in :class:`Influence`, all (n,): the number of the parameter that changes most, its change, the prediction's.
+        """
+        sigmas = np.sqrt(np.maximum(np.diag(self.C), 0.0))
+        by_sigma = np.divide(steps, sigmas, out=np.zeros_like(steps), where=sigmas > 0.0)
+        k = np.argmax(np.abs(by_sigma), axis=1)
+        predicted = np.sqrt(np.maximum(np.sum(steps @ self.predicted * steps, axis=1), 0.0))
+        return k, np.take_along_axis(by_sigma, k[:, None], axis=1)[:, 0], predicted
 
     def influence(self, step: Array) -> Influence:
-        """Return the influence of rows without which the parameters (p,) are off by ``step``, scaled."""
-        sigmas = np.sqrt(np.maximum(np.diag(self.C), 0.0))
-        by_sigma = np.divide(step, sigmas, out=np.zeros_like(step), where=sigmas > 0.0)
-        k = int(np.argmax(np.abs(by_sigma)))
-        return Influence(
-            self.fit.parameters[k].name,
-            float(by_sigma[k]),
-            float(np.sqrt(np.maximum(step @ self.predicted @ step, 0.0))),
-        )
+        """Return the influence of something without which the parameters (p,) are off by ``step``, scaled."""
+        (k,), (change,), (prediction,) = self.influences(step[None])
+        return Influence(self.fit.parameters[k].name, float(change), float(prediction))
 
 
 def _range(columns: slice) -> range:

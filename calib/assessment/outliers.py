@@ -1,18 +1,22 @@
 """Which rows, targets and groups do not go with the rest, and what becomes of a calibration without them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.disagreement import Jump, OutlyingGroup, groups_of, jumps_of
 from calib.assessment.influence import ALONE, Influence, Residue, Rows
 from calib.foundations import linear
+from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
 from calib.measurement.kinds import WITH_TARGET
 
 # What is found by chance in one of a hundred calibrations is told.
 LEVEL = 0.01
+# Of more rows only these, the least likely, are kept: what is told of them is 1e-4 of it or less.
+_MOST_ROWS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +67,10 @@ class Outliers:
 
 
 def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
-    """Return all rows, targets and groups of a fit with what becomes of it without them, the least likely first.
+    """Return rows, targets and groups of a fit with what becomes of it without them, the least likely first.
+
+    Of more than ten thousand rows the least likely are returned.
+
 
     ``files``: what the tables are called, by where they came from; so, when None.
 
@@ -73,19 +80,29 @@ def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
     """
     with linear.one_thread():
         residue = Residue.of(fit, files or {})
-        number = sum(map(len, fit.measurements))
-        rows = [row for block in residue.blocks() for row in _judged(residue, block, number)]
-        return Outliers(
-            tuple(sorted(rows, key=lambda row: (np.nan_to_num(row.p, nan=1.0), row.file, row.line))),
-            jumps_of(residue, LEVEL),
-            groups_of(residue),
-        )
+        judged = [_judged(residue, block) for block in residue.blocks()]
+        return Outliers(_least_likely(residue, judged), jumps_of(residue, LEVEL), groups_of(residue))
 
 
-def _judged(residue: Residue, block: Rows, number: int) -> Iterator[OutlyingRow]:
-    """Yield the rows of a block, of ``number`` rows in all."""
+class _Judged(NamedTuple):
+    """Some rows of set ``measurements``, from row ``first`` on, all (n,): figures as in OutlyingRow.
+
+    ``parameter``, ``change`` and ``prediction``: what becomes of the result without each.
+    """
+
+    measurements: int
+    first: int
+    leverage: Array
+    studentised: Array
+    p: Array
+    parameter: IntArray
+    change: Array
+    prediction: Array
+
+
+def _judged(residue: Residue, block: Rows) -> _Judged:
+    """Judge the rows of a block."""
     i, w = block.measurements, block.w[:, None]
-    data = residue.fit.measurements[i]
     CJ = residue.C @ np.swapaxes(block.J, -1, -2)
     h, U = np.linalg.eigh(block.J @ CJ)
     u = (np.swapaxes(U, -1, -2) @ block.r[:, :, None])[:, :, 0]
@@ -95,18 +112,39 @@ def _judged(residue: Residue, block: Rows, number: int) -> Iterator[OutlyingRow]
     # Without the row its residual is u / left, of variance (1 + (1 - w) h) / left.
     q = np.sum(u**2 / left / (1.0 + (1.0 - w) * h), axis=1)
     steps = (CJ @ (U @ (w * u / left)[:, :, None]))[:, :, 0]
-    for n, d in enumerate(map(int, tested.sum(axis=1))):
-        row = block.rows.start + n
-        scatter = residue.scatter(float(block.w[n] * q[n]), d, i)
-        found = float(q[n]) / scatter
-        p = residue.probability(found, d, i)
-        yield OutlyingRow(
-            residue.name(data),
-            int(data.lines[row]),
-            data.targets[data.target[row]] if data.kind in WITH_TARGET else None,
-            float(np.mean(w[n] * h[n])),
-            float(np.sqrt(found / d)) if d else float("nan"),
-            p,
-            min(1.0, number * p) if np.isfinite(p) else float("nan"),
-            residue.influence(steps[n]),
-        )
+    d = tested.sum(axis=1)
+    found = q / residue.scatter(block.w * q, d, i)
+    distance = np.sqrt(np.divide(found, d, out=np.full_like(q, np.nan), where=d > 0))
+    return _Judged(
+        i,
+        block.rows.start,
+        np.mean(w * h, axis=1),
+        distance,
+        residue.probability(found, d, i),
+        *residue.influences(steps),
+    )
+
+
+def _least_likely(residue: Residue, judged: Sequence[_Judged]) -> tuple[OutlyingRow, ...]:
+    """Return the rows, the least likely first, those of large data that are quite ordinary left out."""
+    sets, parameters = residue.fit.measurements, residue.fit.parameters
+    p = np.concatenate([np.nan_to_num(block.p, nan=1.0) for block in judged])
+    limit = np.partition(p, _MOST_ROWS)[_MOST_ROWS] if len(p) > _MOST_ROWS else 1.0
+    found = []
+    for block in judged:
+        data = sets[block.measurements]
+        for n in np.flatnonzero(np.nan_to_num(block.p, nan=1.0) <= limit).tolist():
+            row, own = block.first + n, float(block.p[n])
+            found.append(
+                OutlyingRow(
+                    residue.name(data),
+                    int(data.lines[row]),
+                    data.targets[data.target[row]] if data.kind in WITH_TARGET else None,
+                    float(block.leverage[n]),
+                    float(block.studentised[n]),
+                    own,
+                    min(1.0, len(p) * own) if np.isfinite(own) else float("nan"),
+                    Influence(parameters[block.parameter[n]].name, float(block.change[n]), float(block.prediction[n])),
+                )
+            )
+    return tuple(sorted(found, key=lambda row: (np.nan_to_num(row.p, nan=1.0), row.file, row.line)))

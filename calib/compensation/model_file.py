@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from calib.assessment.uncertainty import Uncertainty
 from calib.compensation.gaussian import GaussianResiduals, load_gaussian
@@ -16,16 +25,17 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertain
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import read_bytes, reading_folder
+from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder
+from calib.foundations.json_text import NotJsonError, parse_json
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
-from calib.robot.joint_terms import with_joint_terms
+from calib.robot.joint_terms import is_term_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.transmission import JointTerm, TermKind
-from calib.robot.urdf import parse_urdf
+from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
@@ -35,6 +45,8 @@ GAUSSIAN_FILE: Final = "gaussian.npz"
 ResidualFile = Literal["grid.npz", "gaussian.npz"]
 
 
+# In m, rad and kg, as in a URDF: beyond any machine.
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 # Quaternions are written to the last digit; anything farther off was edited by hand.
 _NORM_TOLERANCE = 1e-6
 
@@ -53,8 +65,8 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 class PoseEntry(_Strict):
     """A pose: position in m, quaternion in the order w, x, y, z."""
 
-    position: tuple[float, float, float]
-    quaternion: Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
+    position: tuple[Number, Number, Number]
+    quaternion: Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 
     @classmethod
     def of(cls, T: Array) -> "PoseEntry":
@@ -74,8 +86,8 @@ class JointEntry(_Strict):
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
-    deviation: tuple[float, float, float, float, float, float]
-    offset: float | None
+    deviation: tuple[Number, Number, Number, Number, Number, Number]
+    offset: Number | None
 
     @model_validator(mode="after")
     def _has_an_offset_if_it_moves(self) -> "JointEntry":
@@ -97,8 +109,8 @@ class DriverEntry(_Strict):
     """A joint coupled to several drivers, as the job says."""
 
     joint: str
-    drivers: dict[str, float]
-    offset: float
+    drivers: dict[str, Number]
+    offset: Number
 
 
 class LoopEntry(_Strict):
@@ -111,25 +123,38 @@ class LoopEntry(_Strict):
 
 
 class TermEntry(_Strict):
-    """A joint term: the reading moves on by ``amount`` (SI) times what its kind and order say."""
+    """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
 
     reading: str
     kind: TermKind
     order: int = Field(ge=0)
-    amount: float
+    body: str = ""
+    amount: Number
 
     @model_validator(mode="after")
     def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
         if (self.order > 0) != (self.kind in ("cos", "sin")):
             raise ValueError("a term has an order if, and only if, it is a harmonic")
+        if bool(self.body) != (self.kind == "moment"):
+            raise ValueError("a term has a body if, and only if, it is a moment")
         return self
+
+    @property
+    def term(self) -> JointTerm:
+        """What it is, without its amount."""
+        return JointTerm(self.reading, self.kind, self.order, self.body)
+
+    @model_serializer(mode="wrap")
+    def _without_an_empty_body(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # As files had it before masses could be at joints.
+        return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
 
 
 class PayloadEntry(_Strict):
     """What the tip link carries: kg, and m in its frame."""
 
-    mass: float = Field(ge=0.0)
-    position: tuple[float, float, float]
+    mass: Number = Field(ge=0.0)
+    position: tuple[Number, Number, Number]
 
 
 class ModelFile(_Strict):
@@ -147,7 +172,7 @@ class ModelFile(_Strict):
     couplings: tuple[DriverEntry, ...] = ()
     loops: tuple[LoopEntry, ...] = ()
     terms: tuple[TermEntry, ...] = ()
-    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: PayloadEntry | None = None
 
 
@@ -223,7 +248,7 @@ def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
             for loop in robot.closed_loops
         ),
         terms=tuple(
-            TermEntry(reading=term.reading, kind=term.kind, order=term.order, amount=float(amount))
+            TermEntry(reading=term.reading, kind=term.kind, order=term.order, body=term.body, amount=float(amount))
             for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
         gravity=robot.gravity,
@@ -260,13 +285,13 @@ def load_model(folder: str | Path) -> CalibratedModel:
 def _loaded(folder: Path) -> CalibratedModel:
     path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
-        source = read_bytes(path, JobError)
+        source = read_bytes(path, JobError, LARGEST_JSON)
     except JobError as e:
         raise OutputError(str(e)) from e
     model = _parsed(source, path)
     try:
         robot = load_robot(
-            parse_urdf(read_bytes(urdf, RobotError), str(urdf)),
+            parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
             couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
@@ -274,9 +299,8 @@ def _loaded(folder: Path) -> CalibratedModel:
             gravity=model.gravity,
             payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
         )
-        names = [reading.name for reading in robot.readings]
-        terms = tuple(JointTerm(term.reading, term.kind, term.order) for term in model.terms)
-        if len(set(terms)) < len(terms) or any(term.reading not in names for term in terms):
+        terms = tuple(entry.term for entry in model.terms)
+        if len(set(terms)) < len(terms) or not all(is_term_of(robot, term) for term in terms):
             raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
         equipped = with_joint_terms(robot, terms)
     except RobotError as e:
@@ -314,7 +338,10 @@ def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> Se
 def _parsed(source: bytes, path: Path) -> ModelFile:
     """Return the contents of a model file, or raise OutputError with the place of the first thing that is wrong."""
     try:
+        parse_json(source)  # pydantic takes the last of two values under one name
         return ModelFile.model_validate_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
         first = e.errors(include_url=False)[0]
         if first["type"] == "json_invalid":

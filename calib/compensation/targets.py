@@ -1,7 +1,5 @@
 """Targets of a calibrated machine as tables: joint targets, poses or positions in, corrected commands out."""
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -12,6 +10,7 @@ from calib.compensation.commands import Corrections, PoseFrame, ResidualModel, W
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
 from calib.measurement.columns import orientations, stacked
@@ -146,13 +145,11 @@ def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -
     titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
     titles |= {name: column.unit for name, column in table.columns.items()}
     turned = not np.isnan(found.orientation_error).all()
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     header = [
         name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
     ]
     errors = ["remaining_error [mm]", *(["remaining_turn [mrad]"] if turned else [])]
-    writer.writerow([*header, *errors, "reached", "reason"])
+    rows = [[*header, *errors, "reached", "reason"]]
     for n in range(len(found)):
         cells: list[str] = []
         for name, unit in titles.items():
@@ -165,8 +162,8 @@ def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -
         cells.append(_cell(found.position_error[n] * 1e3, ".6f"))
         if turned:
             cells.append(_cell(found.orientation_error[n] * 1e3, ".6f"))
-        writer.writerow([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
-    return text.getvalue()
+        rows.append([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
+    return csv_text(rows)
 
 
 def _cell(value: float, how: str) -> str:

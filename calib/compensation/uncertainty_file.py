@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -10,11 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calib.assessment.uncertainty import NoiseLevel, Uncertainty, placed_machine
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
-from calib.foundations.files import read_bytes
+from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.identification.machine import Frames, Layout
 from calib.robot.robot import Deviations, Robot
 
 UNCERTAINTY_FILE = "uncertainty.json"
+
+
+_Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 
 
 class _Strict(BaseModel):
@@ -24,9 +27,9 @@ class _Strict(BaseModel):
 class NoiseEntry(_Strict):
     """A noise level; ``degrees_of_freedom`` is null where nothing was estimated."""
 
-    model: float
-    total: float
-    degrees_of_freedom: float | None
+    model: _Number
+    total: _Number
+    degrees_of_freedom: _Number | None
 
     @classmethod
     def of(cls, level: NoiseLevel | None) -> "NoiseEntry | None":
@@ -51,11 +54,11 @@ class UncertaintyFile(_Strict):
     """
 
     schema_: Literal[1] = Field(alias="schema")
-    identified: dict[str, tuple[float, float]]
+    identified: dict[str, tuple[_Number, _Number]]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
-    factor: tuple[tuple[float, ...], ...]
-    unseen: tuple[tuple[float, ...], ...]
+    factor: tuple[tuple[_Number, ...], ...]
+    unseen: tuple[tuple[_Number, ...], ...]
 
 
 def uncertainty_json(uncertainty: Uncertainty) -> str:
@@ -85,7 +88,7 @@ def load_uncertainty(
 ) -> Uncertainty:
     """Read the doubts about the machine of ``model.json``. Raises OutputError when the file does not belong to it."""
     try:
-        found = UncertaintyFile.model_validate_json(read_bytes(path, OutputError))
+        found = UncertaintyFile.model_validate_json(read_bytes(path, OutputError, LARGEST_JSON))
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e

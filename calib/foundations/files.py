@@ -12,6 +12,7 @@ import hashlib
 import os
 import re
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Collection, Iterator
@@ -21,25 +22,41 @@ from calib.foundations.errors import CalibError, OutputError
 
 # Far above any input this toolkit meets, and low enough that a wrong path gives a sentence, not a full memory.
 LARGEST_INPUT = 2_000_000_000
+# JSON takes some twenty times its size while it is read.
+LARGEST_JSON = 100_000_000
 # How long to wait for another run to read or write beside a folder, in s: it takes moments.
 _PATIENCE = 30.0
 _LOOK = 0.02
 
 
 def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT) -> bytes:
-    """Return the contents of a regular file, or raise ``error`` with a sentence that says why it cannot be read."""
+    """Return the contents of a regular file, or raise ``error`` with a sentence that says why it cannot be read.
+
+    What is not regular (a folder, a device, a pipe) is not opened; nor waited for, if it took the file's place since.
+    """
     try:
         if not path.exists():
             raise error(f"{path}: there is no such file.")
         if not path.is_file():
             raise error(f"{path}: is not a regular file.")
-        if path.stat().st_size > largest:
-            raise error(f"{path}: is larger than {largest} bytes.")
-        return path.read_bytes()
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as file:
+            found = os.fstat(handle)
+            if not stat.S_ISREG(found.st_mode):
+                raise error(f"{path}: is not a regular file.")
+            # Some files of the system say that they are empty, and others grow: what is read counts as well.
+            data = b"" if found.st_size > largest else file.read(largest + 1)
+            if max(len(data), found.st_size) > largest:
+                raise error(f"{path}: is larger than {largest} bytes.")
+            return data
     except OSError as e:
         if isinstance(e, CalibError):
             raise
         raise error(f"{path}: cannot be read ({e.strerror}).") from e
+    except ValueError as e:  # such as a zero byte in the name
+        if isinstance(e, CalibError):
+            raise
+        raise error(f"{str(path)!r}: is not the name of a file.") from e
 
 
 def sha256(data: bytes) -> str:
@@ -47,12 +64,17 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def encoded(text: str) -> bytes:
+    """Return text as UTF-8; what cannot be, the bytes of a file's name that are no text, as escapes."""
+    return text.encode(errors="backslashreplace")
+
+
 def write_atomically(path: Path, data: bytes | str) -> None:
     """Write a file so that a reader sees the old contents or the new ones, never a part.
 
     Raises OutputError when the folder is missing, read-only or full; the old file is then untouched.
     """
-    data = data.encode() if isinstance(data, str) else data
+    data = encoded(data) if isinstance(data, str) else data
     temporary = None
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)

@@ -1,6 +1,5 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
-import difflib
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,8 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
-from calib.identification.joint_terms import ordinary, terms_of
+from calib.foundations.words import near
+from calib.identification.joint_terms import links, moments_of, ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind
 from calib.identification.relations import Relation
@@ -110,7 +110,7 @@ class ErrorModel:
         dimensions = {reading.name: reading.dimension for reading in self.robot.readings}
         for t, term in enumerate(self.robot.terms):
             if term.name in self.terms:
-                unit = term.unit(dimensions[term.reading])
+                unit = term.unit(dimensions.get(term.reading, "angle"))
                 prior = self.term_priors.get(term.name)
                 found.append(Parameter(term.name, unit, "term", ((layout.terms + t, 1.0),), prior, ordinary(unit)))
         if self.base == "pose":
@@ -154,6 +154,9 @@ def error_model(
     torque: Selection = "none",
     backlash: Selection = "none",
     thermal: Selection = "none",
+    moments: Selection = "none",
+    bending: Selection = "none",
+    expansion: Selection | Literal["arm"] = "none",
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
     prior_length: float | None = None,
@@ -180,8 +183,11 @@ def error_model(
     globs of readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity or
     under measured torques, whose half gap by the side of approach, whose zero by temperature is unknown. Masses are
     those of the URDF, and RobotError says what is wrong with them; torques, sides and temperatures are columns of the
-    measurements. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the reading turns,
-    rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
+    measurements. ``moments`` in the place of ``elastic``, for robots without masses: compliances times masses at a few
+    joints. ``bending``: "all" moving joints, "none", or names and globs of joints, the links before which bend under
+    gravity. ``expansion``: likewise the links that grow as it gets warmer, or "arm", all of them by one coefficient.
+    Neither goes with ``dh``. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the
+    reading turns, rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
     nothing is measured in an instrument's frame, it stays at ``base_pose``.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
@@ -247,17 +253,25 @@ def error_model(
         freed += numbers
         chosen_offsets = [joint.name for joint in moving if joint.name in {*chosen_offsets, *own}]
     names = [reading.name for reading in robot.readings]
-    terms = terms_of(
-        robot,
-        _select(gain, names, "gain"),
-        _select(harmonics, names, "harmonics"),
-        harmonic_orders,
-        {
-            "elastic": _select(elastic, names, "elastic"),
-            "torque": _select(torque, names, "torque"),
-            "backlash": _select(backlash, names, "backlash"),
-            "thermal": _select(thermal, names, "thermal"),
-        },
+    terms = (
+        *terms_of(
+            robot,
+            _select(gain, names, "gain"),
+            _select(harmonics, names, "harmonics"),
+            harmonic_orders,
+            {
+                "elastic": _select(elastic, names, "elastic"),
+                "torque": _select(torque, names, "torque"),
+                "backlash": _select(backlash, names, "backlash"),
+                "thermal": _select(thermal, names, "thermal"),
+            },
+        ),
+        *moments_of(robot, _select(moments, names, "moments")),
+        *(JointTerm(joint, "bending") for joint in _select_links(robot, bending, "bending")),
+        *(
+            JointTerm(joint, "expansion")
+            for joint in ([""] if expansion == "arm" else _select_links(robot, expansion, "expansion", "arm"))
+        ),
     )
     model = ErrorModel(
         robot if frames is None else frames.robot,
@@ -280,8 +294,13 @@ def error_model(
 def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, float] | None = None) -> ErrorModel:
     """Return the model with these joint terms, all of them free, in the place of its own.
 
-    ``priors``: standard deviations of their amounts, by name and in SI units; where there is none, none.
+    ``priors``: standard deviations of their amounts, by name and in SI units; where there is none, none. Raises
+    JobError for a link that gives way where DH parameters are free: their frames are not at its ends.
     """
+    if model.dh is not None and (of_link := next((term for term in terms if term.of_link), None)):
+        raise JobError(
+            f"{of_link.kind}: links give way between joints of the URDF; free placements in the place of dh."
+        )
     source = with_joint_terms(model.urdf_robot, terms)
     robot = replace(model.robot, terms=source.terms, weights=source.weights)
     dh = None if model.dh is None else replace(model.dh, source=source, robot=robot)
@@ -339,21 +358,33 @@ def _refuse_shared_frames(
             )
 
 
-def _select(selection: Selection, names: Sequence[str], what: str) -> list[str]:
+def _select(selection: Selection, names: Sequence[str], what: str, *words: str) -> list[str]:
+    """Return the names that are chosen. ``words``: what else than "all" and "none" would be allowed."""
     if isinstance(selection, str):
         if selection not in ("all", "none"):
-            raise JobError(f'{what}: {selection!r} is not "all", "none" or a list of names.')
+            allowed = ", ".join(f'"{word}"' for word in (*words, "all", "none"))
+            raise JobError(f"{what}: {selection!r} is not {allowed} or a list of names.")
         return list(names) if selection == "all" else []
     chosen: set[str] = set()
     for pattern in selection:
         found = fnmatch.filter(names, pattern)
         if not found:
             stem = pattern.removesuffix(".*")
-            near = difflib.get_close_matches(stem, [*names, *(n.rpartition(".")[0] for n in names)], 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:8])}, ..."
+            likest = near(stem, [*names, *(n.rpartition(".")[0] for n in names)], 1)
+            hint = f"did you mean {likest[0]!r}?" if likest else f"there are {', '.join(names[:8])}, ..."
             raise JobError(f"{what}: {stem!r} matches no joint of the arm; {hint}")
         chosen.update(found)
     return [name for name in names if name in chosen]
+
+
+def _select_links(robot: Robot, selection: Selection, what: str, *words: str) -> list[str]:
+    """Return the chosen links with a length, by the joint that each one ends in; all are those before moving joints."""
+    every = isinstance(selection, str)
+    known = links(robot, moving=every)
+    joints = {joint.name for joint in robot.chain} - set(known)
+    if not every and (short := next((name for name in selection if name in joints), None)):
+        raise JobError(f"{what}: there is no link before {short!r}, which stands where the joint before it does.")
+    return _select(selection, known, what, *words)
 
 
 def _given_pose(value: npt.ArrayLike, where: str) -> Array:

@@ -4,15 +4,31 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from calib.foundations.errors import JobError
-from calib.robot.robot import Robot
+from calib.robot.flexures import length
+from calib.robot.joint_terms import moments
+from calib.robot.robot import Robot, segments
 from calib.robot.transmission import JointTerm, TermKind, TermUnit
 
 HIGHEST_ORDER = 1000
 
 # Amounts that surprise nobody, in SI units: a per mille of scale, 20'' of a harmonic, 100 Nm that wind a drive up by a
-# milliradian, 10 kN that press a spindle in by a millimetre, what 10 K do to a zero.
+# milliradian, 10 kN that press a spindle in by a millimetre, ten kilograms (or kilogram metres) on either, what 10 K do
+# to a zero, steel.
 _ORDINARY: Mapping[TermUnit, float] = MappingProxyType(
-    {"1": 1e-3, "rad": 1e-4, "m": 1e-5, "rad/Nm": 1e-5, "m/N": 1e-7, "rad/K": 1e-5, "m/K": 1e-5}
+    {
+        "1": 1e-3,
+        "rad": 1e-4,
+        "m": 1e-5,
+        "rad/Nm": 1e-5,
+        "m/N": 1e-7,
+        "kg rad/Nm": 1e-4,
+        "kg m rad/Nm": 1e-4,
+        "kg m/N": 1e-6,
+        "kg m2/N": 1e-6,
+        "rad/K": 1e-5,
+        "m/K": 1e-5,
+        "1/K": 1e-5,
+    }
 )
 
 
@@ -52,3 +68,20 @@ def terms_of(
             raise JobError(f"torque: {reading.name!r} slides, and torques are of joints that turn.")
         found += [JointTerm(reading.name, kind) for kind, names in others.items() if reading.name in names]
     return tuple(found)
+
+
+def moments_of(robot: Robot, readings: Sequence[str]) -> tuple[JointTerm, ...]:
+    """Return the wind-up of the named readings by masses that nobody knows.
+
+    Raises JobError when none of them would hold a mass anywhere against gravity.
+    """
+    found = tuple(term for term in moments(robot) if term.reading in readings) if readings else ()
+    if readings and not found:
+        raise JobError(f"moments: {readings[0]!r} holds no mass against gravity, wherever it is.")
+    return found
+
+
+def links(robot: Robot, *, moving: bool) -> list[str]:
+    """Return the names of the joints before which there is a link with a length: of all, or of those that move."""
+    chain = zip(segments(robot), robot.chain, strict=True)
+    return [joint.name for s, joint in chain if length(s) and not (moving and joint.type == "fixed")]

@@ -16,8 +16,9 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification import identifiability, weights
 from calib.identification.identifiability import Directions
+from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
-from calib.identification.system import Evaluation, Problem, evaluate
+from calib.identification.system import Evaluation
 
 _MOST_STEPS = 40
 # Weights of rows that lie off settle more slowly than the parameters.
@@ -56,8 +57,16 @@ class Solution(NamedTuple):
     converged: bool
 
 
-def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+def solve(
+    problem: LeastSquares,
+    x0: Array,
+    variances: Sequence[float | None] | None = None,
+    *,
+    at_start: Sequence[Array] | None = None,
+) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
+
+    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
 
     Raises IdentificationError when there are no more rows and priors than the rank.
     """
@@ -68,7 +77,7 @@ def solve(problem: Problem, x0: Array, variances: Sequence[float | None] | None 
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    v = _keep(fixed, weights.mean_squares(problem, x0))
+    v = _keep(fixed, weights.mean_squares(problem, x0, at_start))
     evaluator = _Evaluator(problem, s)
     sigmas = first_sigmas = weights.sigmas_of(problem, v)
     first = evaluator(z0, sigmas)
@@ -124,7 +133,7 @@ class _State(NamedTuple):
     @classmethod
     def of(
         cls,
-        problem: Problem,
+        problem: LeastSquares,
         evaluation: Evaluation,
         z: Array,
         weighted_by: tuple[Array, ...],
@@ -164,7 +173,7 @@ class _State(NamedTuple):
 class _Evaluator:
     """Evaluates a problem at scaled values, remembers the last answer, and counts."""
 
-    def __init__(self, problem: Problem, s: Array) -> None:
+    def __init__(self, problem: LeastSquares, s: Array) -> None:
         self.count = 0
         self._problem, self._s = problem, s
         self._at: tuple[Array, Sequence[Array]] | None = None
@@ -173,14 +182,14 @@ class _Evaluator:
     def __call__(self, z: Array, sigmas: Sequence[Array]) -> Evaluation:
         known = self._at is not None and self._at[1] is sigmas and np.array_equal(self._at[0], z)
         if not known or self._last is None:
-            self._last = evaluate(self._problem, sigmas, z * self._s)
+            self._last = self._problem.evaluate(sigmas, z * self._s)
             self._at = (z.copy(), sigmas)
             self.count += 1
         return self._last
 
 
 def _levenberg_marquardt(
-    problem: Problem, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, nominal: Array, G: Array
+    problem: LeastSquares, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, nominal: Array, G: Array
 ) -> Array:
     def rows(z: Array) -> Array:
         gauge = np.column_stack([G, G @ (z - nominal)])
@@ -208,7 +217,7 @@ def _levenberg_marquardt(
     return np.asarray(result.x)
 
 
-def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, estimated: bool) -> Array:
+def _first_gauge(problem: LeastSquares, evaluation: Evaluation, priors: Array, *, estimated: bool) -> Array:
     """Return the inner constraints at the start, where residuals are large and the noise is still unknown.
 
     What would remain of the residuals after a linear fit foretells the noise, on which the usable rank depends.
@@ -231,14 +240,14 @@ def _first_gauge(problem: Problem, evaluation: Evaluation, priors: Array, *, est
     return _gauge(problem, directions, directions.usable) * foretold
 
 
-def _gauge(problem: Problem, directions: Directions, rank: int) -> Array:
+def _gauge(problem: LeastSquares, directions: Directions, rank: int) -> Array:
     """Return the inner constraints of what lies beyond ``rank``, weighted like an ordinary direction."""
     seen = directions.singular_values[:rank]
     weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
     return weight * identifiability.gauge(directions.hidden(rank), problem.parameters)
 
 
-def _prior_rows(problem: Problem, z: Array) -> Array:
+def _prior_rows(problem: LeastSquares, z: Array) -> Array:
     """Return ``[J r]`` of the priors, x / sigma: a scaled parameter with a prior is its own whitened residual."""
     with_prior = [k for k, parameter in enumerate(problem.parameters) if parameter.prior is not None]
     return np.column_stack([np.eye(len(z))[with_prior], z[with_prior]])

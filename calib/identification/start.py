@@ -18,6 +18,9 @@ from calib.identification.machine import Frames
 from calib.identification.placing import NEGLIGIBLE, with_targets
 from calib.measurement.measurements import Measurements
 
+# More rows than these do not make a start better; of every tool and target at least a few are taken.
+_ENOUGH, _FEW = 10_000, 100
+
 
 def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
     """Return base, tools and targets that explain sets with common names best with the nominal robot.
@@ -25,6 +28,7 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
     What is fixed or known stays as given.
     """
     given = model.given_frames(sets[0].tools)
+    sets = [_thinned(data) for data in sets]
     tips = [model.robot.tips(data.readings) for data in sets]
     base, tools, placed = given.base, given.tools, np.zeros(len(given.tools), dtype=np.bool_)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
@@ -48,6 +52,25 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
     if model.tool != "fixed" and not placed.all():
         tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
     return with_targets(model, sets, tips, Frames(base, tools))
+
+
+def is_fit(sets: Sequence[Measurements]) -> bool:
+    """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
+    data = sets[0]
+    return len(sets) == 1 and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
+
+
+def _thinned(data: Measurements) -> Measurements:
+    """Return as many rows as a start needs: some of every tool at every target, evenly from first to last."""
+    step = -(-len(data) // _ENOUGH)
+    if step == 1 or data.camera is not None:  # the marks of an image stay together
+        return data
+    order = np.lexsort((data.target, data.tool))
+    tool, target = data.tool[order], data.target[order]
+    first = np.concatenate([[True], (np.diff(tool) != 0) | (np.diff(target) != 0)])
+    number = np.arange(len(order))
+    number -= np.maximum.accumulate(np.where(first, number, 0))
+    return data.subset(np.sort(order[(number % step == 0) | (number < _FEW)]))
 
 
 def turned_by(data: Measurements) -> bool:

@@ -5,9 +5,9 @@ has the same cost, gradient and Gauss-Newton matrix as the full system. It is ac
 memory does not grow with rows times parameters.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,10 +24,12 @@ from calib.identification.relations import Relation, relate
 from calib.identification.unseen import Motions, Unseen, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
+from calib.robot.conditions import Conditions
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
+_Found = TypeVar("_Found")
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
-BLOCK = 768
+BLOCK = 384
 
 
 class Component(NamedTuple):
@@ -82,6 +84,14 @@ class Problem:
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
         return machine(self.model.robot, self.parameters, self.reference, x, self.held)
+
+    def residuals(self, x: Array) -> tuple[Array, ...]:
+        """Return the residuals (N, d) of every set at parameter values x (p,)."""
+        return residuals(self.model.robot, self.measurements, self.machine(x))
+
+    def evaluate(self, sigmas: Sequence[Array], x: Array) -> "Evaluation":
+        """Return :func:`evaluate` of this problem."""
+        return evaluate(self, sigmas, x)
 
 
 class Block(NamedTuple):
@@ -168,17 +178,29 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
     """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine."""
-    tip = TipModel(robot, at.deviations)
-    return tuple(
-        _observe(
-            data,
-            slice(None),
-            at.frames,
-            at.frames.base @ tip.tips(data.readings, data.conditions) @ at.frames.tools[data.tool],
-            None if data.other is None else tip.tips(data.other.readings, data.other.conditions),
-        ).residual
-        for data in measurements
-    )
+    tip, found = TipModel(robot, at.deviations), []
+    for data in measurements:
+        residual = np.empty(data.sigma.shape)
+        for rows, tips, others in _block_by_block(tip.tips, data):
+            placed = at.frames.base @ tips @ at.frames.tools[data.tool[rows]]
+            residual[rows] = _observe(data, rows, at.frames, placed, others).residual
+        found.append(residual)
+    return tuple(found)
+
+
+def _block_by_block(
+    evaluate: Callable[[Array, Conditions], _Found], data: Measurements
+) -> Iterator[tuple[slice, _Found, _Found | None]]:
+    """Yield some rows after others: what is found there, and at their other ends where they have one."""
+    size, other = BLOCK // data.sigma.shape[1], data.other
+    for start in range(0, len(data), size):
+        rows = slice(start, start + size)
+        try:
+            own = evaluate(data.readings[rows], data.conditions.subset(rows))
+            end = None if other is None else evaluate(other.readings[rows], other.conditions.subset(rows))
+        except PoseError as e:
+            raise PoseError(start + e.row, e.reason) from e
+        yield rows, own, end
 
 
 def _observe(data: Measurements, rows: slice, frames: Frames, tools: Array, others: Array | None) -> Linearised:
@@ -219,16 +241,7 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     def tool_of(numbers: IntArray) -> IntArray | int:
         return numbers if len(frames.tools) > 1 else 0
 
-    size = BLOCK // data.sigma.shape[1]
-    for start in range(0, len(data), size):
-        rows = slice(start, start + size)
-        try:
-            motion = tip.motion(data.readings[rows], data.conditions.subset(rows))
-            other = None
-            if data.other is not None:
-                other = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
-        except PoseError as e:
-            raise PoseError(start + e.row, e.reason) from e
+    for rows, motion, other in _block_by_block(tip.motion, data):
         placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]
         observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
         J = through_robot(observed.twist, motion, tool_of(data.tool[rows]))

@@ -6,15 +6,15 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.identification import losses
+from calib.identification.least_squares import LeastSquares
 from calib.identification.noise import model_variance
-from calib.identification.system import Problem, residuals
 
 NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
 # A perfect fit of noise-free data has no scatter at all; any positive number then weighs the rows alike.
 _LEAST_SIGMA = 1e-15
 
 
-def sigmas_of(problem: Problem, variances: Sequence[float], r: Sequence[Array] | None = None) -> tuple[Array, ...]:
+def sigmas_of(problem: LeastSquares, variances: Sequence[float], r: Sequence[Array] | None = None) -> tuple[Array, ...]:
     """Return the standard deviations (N, d) of every set: instrument and model part together, in SI units.
 
     ``variances``: of the model part, one for each component of the problem, squared. With residuals ``r`` (N, d) of
@@ -34,7 +34,7 @@ def _row_distances(sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, 
     return tuple(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)) for residual, sigma in zip(r, sigmas, strict=True))
 
 
-def _plain_sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, ...]:
+def _plain_sigmas(problem: LeastSquares, variances: Sequence[float]) -> tuple[Array, ...]:
     added = [np.zeros_like(data.sigma) for data in problem.measurements]
     for component, v in zip(problem.components, variances, strict=True):
         added[component.measurements][:, component.columns] = v
@@ -44,14 +44,14 @@ def _plain_sigmas(problem: Problem, variances: Sequence[float]) -> tuple[Array, 
     )
 
 
-def mean_squares(problem: Problem, x: Array) -> tuple[float, ...]:
-    """Return the mean squared residual of every component at parameter values x (p,)."""
-    r = residuals(problem.model.robot, problem.measurements, problem.machine(x))
+def mean_squares(problem: LeastSquares, x: Array, known: Sequence[Array] | None = None) -> tuple[float, ...]:
+    """Return the mean squared residual of every component at x (p,); ``known``: the residuals there."""
+    r = problem.residuals(x) if known is None else known
     return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
 
 
 def model_variances(
-    problem: Problem, r: Sequence[Array], redundancies: Sequence[float], variances: Sequence[float]
+    problem: LeastSquares, r: Sequence[Array], redundancies: Sequence[float], variances: Sequence[float]
 ) -> tuple[float, ...]:
     """Return the model variance of every component from the residuals (N, d) of every set and degrees of freedom.
 
@@ -73,7 +73,7 @@ def model_variances(
     )
 
 
-def redundancies_of(problem: Problem, triangles: Sequence[Array], spread: Array) -> tuple[float, ...]:
+def redundancies_of(problem: LeastSquares, triangles: Sequence[Array], spread: Array) -> tuple[float, ...]:
     """Return the degrees of freedom of every component: its rows less those the parameters have used up.
 
     ``triangles``: whitened ``[J r]`` (q, p + 1) of each component; ``spread`` (p, all rows): from residuals to values.
@@ -86,7 +86,7 @@ def redundancies_of(problem: Problem, triangles: Sequence[Array], spread: Array)
     return tuple(found)
 
 
-def factors_of(problem: Problem, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:
+def factors_of(problem: LeastSquares, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:
     """Return the mean factor new / old of each component's sigmas, and whether it is one and the same for its rows."""
     logs = [np.log(new[c.measurements][:, c.columns] / old[c.measurements][:, c.columns]) for c in problem.components]
     middle = np.array([log.mean() for log in logs])

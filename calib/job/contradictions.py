@@ -10,6 +10,8 @@ from calib.job.fields import in_pixels
 from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
 
+_TERMS = ("gain", "harmonics", "elastic", "torque", "backlash", "thermal", "moments", "bending", "expansion")
+
 
 def contradictions(job: Job) -> Iterator[str]:
     """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
@@ -18,7 +20,7 @@ def contradictions(job: Job) -> Iterator[str]:
     for i, section in enumerate(job.measurements):
         yield from _measurement_contradictions(job, f"measurements[{i}]", section)
     if job.error_model.terms == "auto":
-        for key in ("gain", "harmonics", "elastic", "torque", "backlash", "thermal"):
+        for key in _TERMS:
             if getattr(job.error_model, key) != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     for i, level in enumerate(job.levels):

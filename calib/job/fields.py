@@ -1,5 +1,6 @@
 """What stands in a field of a job. Each kind says itself what is wrong: pydantic's own words are for programmers."""
 
+import json
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -8,11 +9,11 @@ from pydantic import AfterValidator, BeforeValidator
 
 from calib.foundations.errors import JobError
 from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.words import shortened
 from calib.identification.joint_terms import HIGHEST_ORDER
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
-LONGEST_SHOWN = 60
 _MOST_ITERATIONS = 1000
 
 
@@ -71,11 +72,18 @@ def _share(value: object) -> object:
     return value
 
 
-def _selection(value: object) -> object:
-    names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
-    if not names and value not in ("all", "none"):
-        raise ValueError(f"""{shown(value)} is not "all", "none" or a list of names.""")
-    return value
+def _selection(*words: str) -> Callable[[object], object]:
+    """Return a validator of names, or of one of these words in their place."""
+
+    def checked(value: object) -> object:
+        names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+        if not names and value not in words:
+            raise ValueError(
+                f"{shown(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
+            )
+        return value
+
+    return checked
 
 
 def _not_empty(text: str) -> str:
@@ -149,7 +157,10 @@ Direction = Annotated[
     tuple[float, float, float], BeforeValidator(list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
 ]
 Share = Annotated[float, BeforeValidator(_share)]
-Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection)]
+Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection("all", "none"))]
+LinkSelection = Annotated[
+    Literal["arm", "all", "none"] | tuple[str, ...], BeforeValidator(_selection("arm", "all", "none"))
+]
 
 
 def shown(value: object) -> str:
@@ -160,6 +171,5 @@ def shown(value: object) -> str:
         return f"[{', '.join(map(shown, value[:5]))}{', ...' if len(value) > 5 else ''}]"
     if isinstance(value, bool):
         return str(value).lower()
-    text = str(value)
-    text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    text = shortened(str(value))
     return repr(text) if isinstance(value, str) else text

@@ -1,6 +1,5 @@
 """Many jobs over many processes, here or on a Dask cluster: each as if it ran alone, and none in the way of another."""
 
-import json
 import os
 import re
 import signal
@@ -14,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_bytes, reading_folder, sha256
+from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder, sha256
+from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.inputs import Progress
 from calib.job.results import ALWAYS, RESULT_FILE, TO_BE_SEEN
@@ -98,9 +98,9 @@ def _refuse_fleet(out: Path) -> None:
 
 def _is_summary(path: Path) -> bool:
     try:
-        contents = json.loads(read_bytes(path, OutputError))
+        contents = parse_json(read_bytes(path, OutputError, LARGEST_JSON))
         return isinstance(contents, dict) and isinstance(contents.get("fleet"), list)
-    except (OutputError, ValueError, RecursionError):
+    except (OutputError, NotJsonError):
         return False
 
 
@@ -130,11 +130,11 @@ def read_result(job: FleetJob) -> dict[str, Any]:
     """Return ``result.json`` of a job. Raises OutputError when its folder holds no readable one."""
     path = job.out / RESULT_FILE
     with reading_folder(job.out):
-        source = read_bytes(path, OutputError)
+        source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
-        contents = json.loads(source)
-    except (ValueError, RecursionError) as e:
-        raise OutputError(f"{path}: is not a result of this tool.") from e
+        contents = parse_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
     if not isinstance(contents, dict):
         raise OutputError(f"{path}: is not a result of this tool.")
     return contents

@@ -3,14 +3,13 @@
 It holds neither times nor which jobs were run anew: the same jobs give the same bytes.
 """
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
@@ -18,6 +17,9 @@ from calib.job.results import REPORT_FILE
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
+
+# Of rows and parameters, and of errors in m and rad: beyond all results.
+_MOST, _LARGEST = 10**9, 1e9
 
 
 def fleet_lines(finished: Sequence[Done]) -> tuple[JobLine, ...]:
@@ -42,21 +44,52 @@ def _calibrated(name: str, file: str, result: dict[str, Any]) -> JobLine:
     data = "validation" if "validation" in result["metrics"] else "identification"
     before, after = (result["metrics"][data][when] for when in ("before", "after"))
     errors = tuple(
-        QuantityError(quantity, m["unit"], m["n"], before[quantity]["rms"], m["rms"], m["max"])
+        QuantityError(
+            quantity,
+            _unit(m["unit"]),
+            _whole(m["n"]),
+            *(_number(figure) for figure in (before[quantity]["rms"], m["rms"], m["max"])),
+        )
         for quantity, m in after.items()
     )
     return JobLine(
         name,
         file,
         "trusted" if result["trusted"] else "not trusted",
-        tuple(result["doubts"]),
+        tuple(_word(doubt) for doubt in result["doubts"]),
         data,
         errors,
-        result["rank"],
+        _whole(result["rank"]),
         len(result["parameters"]),
-        sum(one["told"] for every in result["outliers"].values() for one in every),
+        sum(one["told"] is True for every in result["outliers"].values() for one in every),
         f"{name}/{REPORT_FILE}",
     )
+
+
+# What a file says may be of any kind; these raise TypeError or KeyError for another one.
+
+
+def _unit(value: Any) -> str:
+    SHOWN[value]
+    return _word(value)
+
+
+def _word(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return value
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int or not 0 <= value <= _MOST:
+        raise TypeError("not a number of things")
+    return value
+
+
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not 0.0 <= value <= _LARGEST:
+        raise TypeError("not an error")
+    return float(value)
 
 
 def summary_json(lines: Sequence[JobLine]) -> str:
@@ -66,10 +99,8 @@ def summary_json(lines: Sequence[JobLine]) -> str:
 
 def summary_csv(lines: Sequence[JobLine]) -> str:
     """Return ``summary.csv``: a row for every job and quantity, in mm, degrees and pixels."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     figures = ("data", "error", "n", "before", "after", "largest", "unit")
-    writer.writerow(["job", "file", "verdict", *figures, "rank", "parameters", "outliers", "report", "why"])
+    rows: list[list[object]] = [["job", "file", "verdict", *figures, "rank", "parameters", "outliers", "report", "why"]]
     for line in lines:
         errors: tuple[QuantityError | None, ...] = line.errors or (None,)
         for error in errors:
@@ -79,8 +110,8 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
                 values = (f"{value * factor:.6f}" for value in (error.before, error.after, error.largest))
                 shown = (line.data, error.quantity, error.n, *values, unit)
             rest = (line.rank, line.parameters, line.outliers, line.report, " ".join(line.why))
-            writer.writerow([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
-    return text.getvalue()
+            rows.append([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
+    return csv_text(rows)
 
 
 def write_summary(lines: Sequence[JobLine], out: Path) -> None:

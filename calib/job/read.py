@@ -8,20 +8,27 @@ from pydantic import ValidationError
 
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
+from calib.foundations.words import shown
 from calib.job.contradictions import contradictions
 from calib.job.schema import Job
 from calib.job.sentences import sentence
 
 _LARGEST_JOB = 1_000_000
+# The parser's time grows with the square of a dotted key's length, and a key stands on one line.
+_LONGEST_LINE = 10_000
+_LONGEST_TEXT = 1000
 
 
 def read_job(path: Path) -> Job:
     """Read a job file. Raises JobError with the file, the key, the value and what is allowed."""
     source = read_bytes(path, JobError, _LARGEST_JOB)
+    for number, line in enumerate(source.split(b"\n"), start=1):
+        if len(line) > _LONGEST_LINE:
+            raise JobError(f"{path}:{number}: is longer than the {_LONGEST_LINE} bytes that are allowed.")
     try:
         contents = tomllib.loads(source.decode("utf-8-sig"))
     except UnicodeDecodeError as e:
-        raise JobError(f"{path}: is not UTF-8 text.") from e
+        raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
     except RecursionError as e:
         raise JobError(f"{path}: is nested too deep.") from e
     except ValueError as e:  # beside TOMLDecodeError also that of a number with thousands of digits
@@ -33,10 +40,11 @@ def read_job(path: Path) -> Job:
 def parse_job(contents: dict[str, Any], where: str) -> Job:
     """Return the job of a parsed TOML document. Raises JobError as :func:`read_job` does."""
     try:
-        # TOML knows arrays; tuples are how a frozen job keeps them.
-        job = Job.model_validate(_tuples(contents))
+        job = Job.model_validate(_plain(contents))
     except RecursionError as e:
         raise JobError(f"{where}: is nested too deep.") from e
+    except _TooLargeError as e:
+        raise JobError(f"{where}: {e}.") from e
     except ValidationError as e:
         raise JobError(f"{where}: {sentence(e)}") from e
     for contradiction in contradictions(job):
@@ -44,7 +52,19 @@ def parse_job(contents: dict[str, Any], where: str) -> Job:
     return job
 
 
-def _tuples(value: Any) -> Any:
+class _TooLargeError(Exception):
+    """A value that no job has: the end of a sentence."""
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with tuples, as a frozen job keeps them, for arrays. Raises _TooLargeError."""
     if isinstance(value, dict):
-        return {key: _tuples(v) for key, v in value.items()}
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+        return {_plain(key): _plain(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return tuple(map(_plain, value))
+    if isinstance(value, str) and len(value) > _LONGEST_TEXT:
+        raise _TooLargeError(f"the text {shown(value)} is longer than {_LONGEST_TEXT} characters")
+    # Hexadecimal ones may have more digits than Python prints.
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise _TooLargeError(f"a whole number of {value.bit_length()} bits is more than 64, which TOML allows")
+    return value

@@ -1,11 +1,9 @@
 """The folder of results: it stands alone, appears whole, and never takes the place of anything but older results."""
 
-import csv
-import io
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,8 +27,11 @@ from calib.compensation.model_file import (
 )
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
 from calib.compensation.urdf import calibrated_urdf
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import previous_folder, read_bytes, reading_folder, replace_folder
+from calib.foundations.files import LARGEST_JSON, encoded, previous_folder, read_bytes, reading_folder, replace_folder
+from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.job.inputs import Inputs, Progress
@@ -63,6 +64,8 @@ _MOST_WORST = 10
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 _STEPS_OF_WRITING = 4
+# Of a parameter read back, in SI units.
+_LARGEST_VALUE = 1e6
 
 
 def refuse_folder(out: Path, inputs: Inputs) -> None:
@@ -137,7 +140,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
     progress("writing the results")
     with replace_folder(out, (*_RESULTS, *_LEFT_BEHIND)) as folder:
         for name, contents in files.items():
-            (folder / name).write_bytes(contents.encode() if isinstance(contents, str) else contents)
+            (folder / name).write_bytes(encoded(contents) if isinstance(contents, str) else contents)
 
 
 def _residual_model(outcome: Outcome) -> dict[str, bytes]:
@@ -166,12 +169,16 @@ def robot_errors(folder: Path) -> dict[str, float]:
     """
     path = folder / RESULT_FILE
     with reading_folder(folder):
-        source = read_bytes(path, OutputError)
+        source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
-        records = json.loads(source)["parameters"]
+        records = parse_json(source)["parameters"]
         found = {str(record["name"]): float(record["value"]) for record in records}
-    except (ValueError, TypeError, KeyError, RecursionError) as e:
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
+    except (ValueError, TypeError, KeyError, OverflowError) as e:
         raise OutputError(f"{path}: is not a result of this tool.") from e
+    if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
+        raise OutputError(f"{path}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}.")
     of_set_up = ("base", "tool", "target", "length")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
@@ -280,24 +287,18 @@ def residual_table(outcome: Outcome) -> str:
         for title in titles
     ]
     whens = ("before", "after")
-    text = io.StringIO()
     # The unit stands last in a title, so that columns of one unit follow one another.
     titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
-    writer = csv.DictWriter(text, ["use", "file", "line", "point", *titles], restval="", lineterminator="\n")
-    writer.writeheader()
+    rows: list[Iterable[object]] = [["use", "file", "line", "point", *titles]]
     for judged in outcome.sets:
         data, own = judged.data, _columns_of(judged.data.kind)
         for n, line in enumerate(data.lines):
-            row: dict[str, object] = {
-                "use": judged.use,
-                "file": judged.file,
-                "line": line,
-                "point": data.tools[data.tool[n]],
-            }
+            row: dict[str, str] = {}
             for when, r in zip(whens, (judged.before, judged.after), strict=True):
                 row |= {f"{when}_{title}": _shown(value, title) for title, value in zip(own, r[n], strict=False)}
-            writer.writerow(row)
-    return text.getvalue()
+            errors = (row.get(title, "") for title in titles)
+            rows.append([judged.use, judged.file, line, data.tools[data.tool[n]], *errors])
+    return csv_text(rows)
 
 
 def _columns_of(kind: Kind) -> tuple[str, ...]:

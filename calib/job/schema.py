@@ -14,6 +14,7 @@ from calib.job.fields import (
     Length,
     LengthFromZero,
     LengthOrPixelsFromZero,
+    LinkSelection,
     MassFromZero,
     Name,
     Pixels,
@@ -102,6 +103,9 @@ class ErrorModelSection(_Section):
     torque: Selection = "none"
     backlash: Selection = "none"
     thermal: Selection = "none"
+    moments: Selection = "none"
+    bending: Selection = "none"
+    expansion: LinkSelection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()

@@ -1,6 +1,5 @@
 """One sentence for what is wrong with a job: the first thing to mend, and where a key belongs."""
 
-import difflib
 import json
 import re
 from typing import get_args
@@ -8,7 +7,8 @@ from typing import get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from calib.job.fields import LONGEST_SHOWN, shown
+from calib.foundations.words import near, shortened
+from calib.job.fields import shown
 from calib.job.schema import (
     ErrorModelSection,
     FrameSection,
@@ -79,11 +79,11 @@ def _hint(name: str, section: type[BaseModel]) -> str:
     if homes:
         return f"it belongs in {' or '.join(homes)}." if homes != [""] else "it belongs at the top of the file."
     known = _keys(section)
-    if near := difflib.get_close_matches(name[:LONGEST_SHOWN], known, 1):
-        return f"did you mean {near[0]!r}?"
+    if likest := near(name, known, 1):
+        return f"did you mean {likest[0]!r}?"
     for other, header in _HEADERS.items():
-        if near := difflib.get_close_matches(name[:LONGEST_SHOWN], _keys(other), 1, 0.8):
-            return f"did you mean {near[0]!r} in {header}?" if header else f"did you mean {near[0]!r}?"
+        if likest := near(name, _keys(other), 1, 0.8):
+            return f"did you mean {likest[0]!r} in {header}?" if header else f"did you mean {likest[0]!r}?"
     return f"allowed are {', '.join(known)}."
 
 
@@ -112,7 +112,6 @@ def dotted(location: tuple[int | str, ...]) -> str:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            name = part if len(part) <= LONGEST_SHOWN else f"{part[:LONGEST_SHOWN]}..."
-            name = name if _BARE_KEY.fullmatch(part) else json.dumps(name)
+            name = shortened(part) if _BARE_KEY.fullmatch(part) else json.dumps(shortened(part))
             text += f".{name}" if text else name
     return text

@@ -5,7 +5,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import calib
 
-_LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "yourdfpy")
+_LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "trimesh")
 
 
 def versions() -> dict[str, str | None]:

@@ -4,23 +4,24 @@ The header decides what a column holds, so the renaming of somebody else's heade
 here on; which joints and tools they belong to is decided in :mod:`calib.measurement.from_table`.
 """
 
-import csv
-import difflib
+import itertools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER, UNITS, Unit
+from calib.foundations.words import near, shortened, shown
+from calib.measurement.cells import Line, cells, lines, refuse_ragged, separator_of
 
 TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
 # The side from which the joint in the name was reached, in words.
@@ -30,9 +31,13 @@ TORQUE = "tau_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 AS_WRITTEN: Mapping[str, str] = MappingProxyType({})
 
-_LONGEST_LINE = 100_000
+_MOST_COLUMNS = 1000
+_LONGEST_WORD = 200
+# In SI units, beyond all that is measured; seconds since 1970 are within.
+_LARGEST_NUMBER = 1e12
+# What a plain number is made of; of these, float() takes only plain numbers.
+_PLAIN = b"0123456789.+-eE"
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,24 +89,85 @@ _Place = Callable[[int], str]  # the place of a row, for the start of a sentence
 def read_table(path: str | Path, columns: Mapping[str, str] = AS_WRITTEN) -> Table:
     """Read a comma-separated UTF-8 table: a header line, then a line per row; ``#`` comments and blank lines anywhere.
 
+    Cells may as well be separated by semicolons, as spreadsheets do where decimals have a comma; decimals then have
+    commas or points, the same in the whole file. Memory: the file and its numbers, 8 bytes each.
+
     ``columns`` renames: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
     ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out.
 
     Raises MeasurementError with the file, the line, the column, the value and what is allowed.
     """
     where = str(path)
-    text = _decode(read_bytes(Path(path), MeasurementError), where)
-    numbered = _lines(text)
-    if not numbered:
+    data = read_bytes(Path(path), MeasurementError)
+    blocks = lines(data, where)
+    first = next(blocks, None)
+    if first is None:
         raise MeasurementError(f"{where}: is empty; a table starts with a header line.")
-    (header_line, titles), *body = numbered
+    (header_line, titles, _), *rest = first
     at_header = f"{where}:{header_line}"
-    _refuse_other_separators(titles, at_header)
-    header = _header(_cells(titles, at_header), columns, at_header)
-    rows = [_cells(line, f"{where}:{number}") for number, line in body]
-    _refuse_ragged(rows, len(header), [number for number, _ in body], where, complete=text.endswith(("\n", "\r")))
-    data = zip(*rows, strict=True) if rows else ((),) * len(header)
-    return _table(header, data, [number for number, _ in body], where)
+    separator = separator_of(titles, at_header)
+    header = _header(cells(titles, separator, at_header), columns, at_header)
+    reader = _BlockReader(header, where, separator)
+    parts = [reader(block) for block in itertools.chain([rest], blocks) if block]
+    if not parts:
+        raise MeasurementError(f"{where}: has a header and no rows.")
+    del data, first, rest
+    # Column by column, and what is joined is let go: all columns are in memory once, one of them twice.
+    values = [_joined([part.values.pop() for part in parts]) for _ in header][::-1]
+    return _whole(header, values, np.concatenate([part.numbers for part in parts]), where)
+
+
+class _Part(NamedTuple):
+    numbers: IntArray
+    values: list[Array | tuple[str, ...]]
+
+
+class _BlockReader:
+    """Makes numbers and words of blocks of lines, and remembers which decimal mark was seen and where."""
+
+    def __init__(self, header: Sequence[_Heading], where: str, separator: str) -> None:
+        self._header, self._where, self._separator = header, where, separator
+        self._marks: dict[str, str] = {}
+        self._known: dict[str, str] = {}
+
+    def __call__(self, block: Sequence[Line]) -> _Part:
+        numbers = [line.number for line in block]
+
+        def place(row: int) -> str:
+            return f"{self._where}:{numbers[row]}"
+
+        rows = [cells(text, self._separator, f"{self._where}:{number}") for number, text, _ in block]
+        refuse_ragged(rows, len(self._header), block, self._where)
+        values: list[Array | tuple[str, ...]] = []
+        for (name, unit), column in zip(self._header, zip(*rows, strict=True), strict=True):
+            if unit is None:
+                # Words come again and again: one of each is kept.
+                values.append(tuple(self._known.setdefault(word, word) for word in _words(column, name, place)))
+            else:
+                decimals = self._with_points(column, name, place) if self._separator == ";" else column
+                values.append(_si(decimals, unit, name, place))
+        return _Part(np.array(numbers, dtype=np.intp), values)
+
+    def _with_points(self, column: Sequence[str], name: str, place: _Place) -> Sequence[str]:
+        """Return numbers with points; where some have commas and some points, 1.234 may be a thousand."""
+        joined = "".join(column)
+        for mark, other in ((",", "."), (".", ",")):
+            if mark in joined:
+                row = next(row for row, cell in enumerate(column) if mark in cell)
+                if other in self._marks or other in column[row]:
+                    raise MeasurementError(
+                        f"{place(row)}: column {name!r}: {shown(column[row])} has a decimal "
+                        f"{'comma' if mark == ',' else 'point'}, and {self._marks.get(other, 'the same cell')} has the "
+                        "other; write one of them in the whole file, and nothing between thousands."
+                    )
+                self._marks.setdefault(mark, f"{place(row)}, column {name!r},")
+        return [cell.replace(",", ".") for cell in column] if "," in joined else column
+
+
+def _joined(parts: Sequence[Array | tuple[str, ...]]) -> Array | tuple[str, ...]:
+    if isinstance(parts[0], tuple):
+        return tuple(itertools.chain.from_iterable(cast(Sequence[tuple[str, ...]], parts)))
+    return read_only_view(np.concatenate(cast(Sequence[Array], parts)))
 
 
 def table_from_frame(frame: Frame, where: str = "DataFrame", columns: Mapping[str, str] = AS_WRITTEN) -> Table:
@@ -133,23 +199,25 @@ def table_from_arrays(
     return _table(_header(list(arrays), columns, where), data, range(data[0].size if data else 0), where)
 
 
-def _table(
-    header: Sequence[_Heading],
-    data: Iterable[Sequence[str] | npt.NDArray[Any]],
-    lines: Sequence[int],
-    where: str,
-) -> Table:
-    if not lines:
+def _table(header: Sequence[_Heading], data: Sequence[npt.NDArray[Any]], rows: Sequence[int], where: str) -> Table:
+    if not rows:
         raise MeasurementError(f"{where}: has a header and no rows.")
 
     def place(row: int) -> str:
-        return f"{where}:{lines[row]}"
+        return f"{where}:{rows[row]}"
 
-    columns = {
-        name: Column(name, unit, _words(values, name, place) if unit is None else _si(values, unit, name, place))
-        for (name, unit), values in zip(header, data, strict=True)
-    }
-    return Table(MappingProxyType(columns), read_only_view(np.array(lines, dtype=np.intp)), where)
+    values = [
+        _words(column, name, place) if unit is None else _si(column, unit, name, place)
+        for (name, unit), column in zip(header, data, strict=True)
+    ]
+    return _whole(header, values, np.array(rows, dtype=np.intp), where)
+
+
+def _whole(
+    header: Sequence[_Heading], values: Sequence[Array | tuple[str, ...]], numbers: IntArray, where: str
+) -> Table:
+    columns = {name: Column(name, unit, column) for (name, unit), column in zip(header, values, strict=True)}
+    return Table(MappingProxyType(columns), read_only_view(numbers), where)
 
 
 # ---- header
@@ -159,6 +227,8 @@ def _header(titles: Sequence[str], columns: Mapping[str, str], at: str) -> list[
     ours = {theirs: name for name, theirs in columns.items()}
     if len(ours) < len(columns):
         raise MeasurementError(f"{at}: the renaming gives one column two names: {dict(columns)}.")
+    if len(titles) > _MOST_COLUMNS:
+        raise MeasurementError(f"{at}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
     header: dict[str, _Heading] = {}
     for title in titles:
         name, symbol = _split(title, at)
@@ -177,16 +247,18 @@ def _header(titles: Sequence[str], columns: Mapping[str, str], at: str) -> list[
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return the end of a sentence about an unknown name: ``; near is 'x'``, or nothing when no known one is near."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"; near is {near[0]!r}" if near else ""
+    found = near(name, known, most=1)
+    return f"; near is {found[0]!r}" if found else ""
 
 
 def _split(title: str, at: str) -> tuple[str, str | None]:
     match = _TITLE.fullmatch(title)
     if match is None:
-        raise MeasurementError(f"{at}: the header {title!r} is not a name with a unit, like 'x [mm]'.")
+        raise MeasurementError(f"{at}: the header {shown(title)} is not a name with a unit, like 'x [mm]'.")
     if not match[1]:
         raise MeasurementError(f"{at}: a column has no name (is there a comma too many?).")
+    if len(title) > _LONGEST_WORD:
+        raise MeasurementError(f"{at}: the header {shown(title)} is longer than {_LONGEST_WORD} characters.")
     return match[1], match[2]
 
 
@@ -214,94 +286,44 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
         numbers = values.astype(np.float64)
     else:
         # Objects of a frame pass the same gate as the cells of a file.
-        numbers = _parsed([str(value) for value in values], name, place)
-    si = read_only(unit.factor * numbers)
-    finite = np.isfinite(si)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise MeasurementError(f"{place(row)}: column {name!r}: {values[row]} is not a finite number.")
+        numbers = _parsed(values if isinstance(values, tuple) else [str(value) for value in values], name, place)
+    si = read_only_view(np.asarray(unit.factor * numbers))
+    within = np.abs(si) <= _LARGEST_NUMBER  # false for nan
+    if not within.all():
+        row = int(np.argmin(within))
+        value = shortened(str(values[row]))
+        reason = f"beyond {_LARGEST_NUMBER:g} in SI units" if np.isfinite(si[row]) else "not a finite number"
+        raise MeasurementError(f"{place(row)}: column {name!r}: {value} is {reason}.")
     return si
 
 
-def _parsed(cells: Sequence[str], name: str, place: _Place) -> Array:
-    for row, cell in enumerate(cells):
-        if NUMBER.fullmatch(cell) is None:
-            raise MeasurementError(f"{place(row)}: column {name!r}: {_not_a_number(cell)}.")
-    return np.fromiter(map(float, cells), dtype=np.float64, count=len(cells))
+def _parsed(column: Sequence[str], name: str, place: _Place) -> Array:
+    try:
+        if not "".join(column).encode().translate(None, _PLAIN):
+            return np.array(list(map(float, column)))
+    except ValueError:  # which cell it is, is found below; lone halves of a character cannot be encoded either
+        pass
+    row = next(row for row, cell in enumerate(column) if NUMBER.fullmatch(cell) is None)
+    raise MeasurementError(f"{place(row)}: column {name!r}: {_not_a_number(column[row])}.")
 
 
 def _not_a_number(cell: str) -> str:
     if not cell:
         return "the cell is empty"
     if NUMBER.fullmatch(cell.replace(",", ".")):
-        return f"{cell!r} has a decimal comma; write a point"
-    return f"{cell!r} is not a number like 12.5 or 1.25e1"
+        return f"{shown(cell)} has a decimal comma; write a point"
+    return f"{shown(cell)} is not a number like 12.5 or 1.25e1"
 
 
 def _words(values: Sequence[str] | npt.NDArray[Any], name: str, place: _Place) -> tuple[str, ...]:
     for row, value in enumerate(values):
         # Whole numbers name groups well; a float would read 1 or 1.0, and stands for a missing cell in a frame.
         if not isinstance(value, str | Integral):
-            raise MeasurementError(f"{place(row)}: column {name!r}: {value} is not a word.")
+            raise MeasurementError(f"{place(row)}: column {name!r}: {shortened(str(value))} is not a word.")
         if not str(value).strip():
             raise MeasurementError(f"{place(row)}: column {name!r}: the cell is empty.")
+        if len(str(value)) > _LONGEST_WORD:
+            raise MeasurementError(
+                f"{place(row)}: column {name!r}: {shown(str(value))} is longer than {_LONGEST_WORD} characters."
+            )
     return tuple(str(value).strip() for value in values)
-
-
-# ---- from bytes to cells
-
-
-def _decode(data: bytes, where: str) -> str:
-    if data.startswith(_UTF16_MARKS):
-        raise MeasurementError(f"{where}: is UTF-16 text; save it as UTF-8.")
-    if (nul := data.find(b"\0")) >= 0:
-        raise MeasurementError(f"{_at_offset(data, nul, where)}: has a NUL byte; a table is UTF-8 text.")
-    try:
-        return data.removeprefix(b"\xef\xbb\xbf").decode()
-    except UnicodeDecodeError as e:
-        raise MeasurementError(f"{_at_offset(e.object, e.start, where)}: is not UTF-8 text; save it as UTF-8.") from e
-
-
-def _at_offset(data: bytes, offset: int, where: str) -> str:
-    before = data[:offset].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    line = before.count(b"\n") + 1
-    return f"{where}:{line}"
-
-
-def _lines(text: str) -> list[tuple[int, str]]:
-    """Return the lines that are neither blank nor comments, with their numbers from 1."""
-    # splitlines() would also split at form feeds and the like, and number the lines as no editor does.
-    lines = enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
-    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
-
-
-def _refuse_other_separators(titles: str, at: str) -> None:
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in titles and "," not in titles:
-            raise MeasurementError(f"{at}: the cells are separated by {name}; separate them by commas.")
-
-
-def _cells(line: str, at: str) -> list[str]:
-    """Return the cells of one line. A row never goes over several, so that an open quote is found where it stands."""
-    if len(line) > _LONGEST_LINE:
-        raise MeasurementError(f"{at}: is {len(line)} characters long; allowed are {_LONGEST_LINE}.")
-    try:
-        (cells,) = csv.reader((line,), strict=True, skipinitialspace=True)
-    except csv.Error as e:
-        raise MeasurementError(f"{at}: a quote is not closed, or something follows it.") from e
-    return [cell.strip() for cell in cells]
-
-
-def _refuse_ragged(
-    rows: Sequence[Sequence[str]], width: int, lines: Sequence[int], where: str, *, complete: bool
-) -> None:
-    for row, (line, cells) in enumerate(zip(lines, rows, strict=True), start=1):
-        if len(cells) == width:
-            continue
-        if len(cells) < width and row == len(rows) and not complete:
-            hint = ", and the file ends within this row: it seems truncated"
-        elif len(cells) > width and cells[-1]:
-            hint = "; if these are decimal commas, write points"
-        else:
-            hint = ""
-        raise MeasurementError(f"{where}:{line}: the header has {width} cells and this row has {len(cells)}{hint}.")

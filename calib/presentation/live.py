@@ -27,6 +27,7 @@ _EVERY = 1.0
 # Shown of joints without limits: one turn, or one metre, to both sides.
 _TURN, _METRE = np.pi, 1.0
 _LONGEST_MESSAGE = 100_000
+_LARGEST_NUMBER = 1e6
 
 
 def serve(
@@ -69,6 +70,11 @@ async def _run(
 
         def set_default_headers(self) -> None:
             self.set_header("Cache-Control", "no-store")
+            # No page of another site may show this one in a frame, take it for its own, or learn its address.
+            self.set_header("X-Frame-Options", "DENY")
+            self.set_header("X-Content-Type-Options", "nosniff")
+            self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+            self.set_header("Referrer-Policy", "no-referrer")
 
     class Live(WebSocketHandler):
         def open(self, *_: str, **__: str) -> None:
@@ -137,10 +143,12 @@ def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
         shown = np.array(asked["readings"], dtype=np.float64)
         apart = float(asked["apart"])
         factors = [UNITS["deg" if reading.dimension == "angle" else "mm"].factor for reading in robot.readings]
+        if shown.shape != (len(factors),):
+            raise ValueError("not one number for every reading")
         readings = (shown * factors)[None]
-        if not (np.isfinite(readings).all() and np.isfinite(apart)):
-            raise ValueError("not finite")
-    except (ValueError, TypeError, KeyError, RecursionError):
+        if not max(np.abs(readings).max(), abs(apart)) <= _LARGEST_NUMBER:
+            raise ValueError("not finite, or beyond all machines")
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return {"sentence": "This is no question that the server knows."}
     d = model.deviations
     led = Deviations((1.0 - apart) * d.placements, (1.0 - apart) * d.offsets, (1.0 - apart) * d.terms)

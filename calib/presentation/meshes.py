@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +26,8 @@ _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
 _LARGEST_FILE = 200_000_000
 # What the readers were seen to raise on damaged files; they have no exception of their own.
 _DAMAGED = (
-    *(ArithmeticError, AttributeError, LookupError, MemoryError),
-    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
+    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, OSError),
+    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error, expat.ExpatError),
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
@@ -68,17 +69,19 @@ def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) 
     return Triangles(vertices, _repeated(wall, len(starts)), rgb)
 
 
-def primitive(shape: Any, rgb: Rgb) -> Triangles:
-    """Return the box, sphere or cylinder (along z) of a yourdfpy geometry."""
+def primitive(kind: str, sizes: Sequence[float], rgb: Rgb) -> Triangles:
+    """Return a box of three edges, a sphere of a radius or a cylinder (along z) of a radius and a length, in m."""
     from trimesh import creation  # noqa: PLC0415
 
-    if shape.box is not None:
-        mesh = creation.box(extents=shape.box.size)
-    elif shape.sphere is not None:
-        mesh = creation.icosphere(subdivisions=3, radius=shape.sphere.radius)
+    # Of size 1 first: trimesh divides by the size of a sphere, and some have none.
+    scale = 1.0
+    if kind == "box":
+        mesh = creation.box(extents=sizes)
+    elif kind == "sphere":
+        mesh, scale = creation.icosphere(subdivisions=3), sizes[0]
     else:
-        mesh = creation.cylinder(radius=shape.cylinder.radius, height=shape.cylinder.length, sections=48)
-    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
+        mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=48)
+    return Triangles(scale * np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 
 def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
@@ -104,6 +107,8 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
         return None
     try:
         data = read_bytes(path, RobotError, _LARGEST_FILE)
+        if path.suffix.lower() == ".dae":
+            _refuse_doctype(data)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=None)
@@ -120,6 +125,17 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
         bool(parts) and all(np.isfinite(part.vertices).all() for part in parts) and any(len(p.faces) for p in parts)
     )
     return joined(parts) if usable else None
+
+
+def _refuse_doctype(data: bytes) -> None:
+    """Raise ValueError for XML with a document type, whose entities may grow without end or name other files."""
+
+    def refuse(*_: object) -> None:
+        raise ValueError("has a document type")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:

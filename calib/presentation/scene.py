@@ -6,12 +6,11 @@ moves, hides and names things is ``pages/scene.js``.
 """
 
 import base64
-import io
 import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +33,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
+from calib.presentation.visuals import Shape, visuals
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 
@@ -148,7 +148,8 @@ def render_scene(scene: Scene) -> str:
     T_base_world = inverse(scene.calibrated.root)
     rows = _shown_rows(scene)
     measured, before, after = (_moved(x[rows], T_base_world) for x in (scene.measured, scene.before, scene.after))
-    first = {name: T[0] for name, T in link_placements(scene.urdf, scene.calibrated).items()}
+    at_first = replace(scene.calibrated, positions=scene.calibrated.positions[:1])
+    first = {name: T[0] for name, T in link_placements(scene.urdf, at_first).items()}
     links = _links(scene, first)
 
     points = [link.T[:3, 3] for link in links]
@@ -240,12 +241,11 @@ def _edges(errors: Array) -> Array:
 
 
 def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
-    import yourdfpy  # noqa: PLC0415 - import calib must not load it
-
-    model = yourdfpy.URDF.load(io.BytesIO(scene.urdf.source), load_meshes=False)
-    colours = {m.name: _rgb(m.color) for m in model.robot.materials if m.color is not None}
-    visuals = {link.name: [_visual(v, colours, scene.mesh_roots) for v in link.visuals] for link in model.robot.links}
-    owned = [(name, part) for name, found in visuals.items() for parts in found for part in parts or ()]
+    drawn = {
+        name: [None if shape is None else _triangles(shape, scene.mesh_roots) for shape in shapes]
+        for name, shapes in visuals(scene.urdf, _METAL).items()
+    }
+    owned = [(name, part) for name, found in drawn.items() for parts in found for part in parts or ()]
     # One budget for the whole arm, so that every link keeps the same fineness.
     fine = [creased(part) for part in simplified([part for _, part in owned], _MOST_FACES)]
     return tuple(
@@ -253,27 +253,20 @@ def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
             name,
             T[name],
             joined([part for (owner, _), part in zip(owned, fine, strict=True) if owner == name]),
-            np.array([T[joint.child][:3, 3] for joint in model.robot.joints if joint.parent == name]).reshape(-1, 3),
+            np.array([T[joint.child][:3, 3] for joint in scene.urdf.joints if joint.parent == name]).reshape(-1, 3),
             sum(parts is None for parts in found),
         )
-        for name, found in visuals.items()
+        for name, found in drawn.items()
     )
 
 
-def _visual(visual: Any, colours: Mapping[str, Rgb], roots: Sequence[Path]) -> tuple[Triangles, ...] | None:
-    """Return the triangles of a yourdfpy visual in its link's frame, or None when its mesh cannot be had."""
-    shape, material = visual.geometry, visual.material
-    T = np.eye(4) if visual.origin is None else visual.origin
-    if material is None:
-        rgb = _METAL
-    else:
-        rgb = colours.get(material.name, _METAL) if material.color is None else _rgb(material.color)
-    if shape.mesh is None:
-        return (moved(primitive(shape, rgb), T),)
-    path = find_mesh(shape.mesh.filename, roots)
-    parts = None if path is None else read_mesh(path, rgb)
-    scale = np.broadcast_to(1.0 if shape.mesh.scale is None else shape.mesh.scale, 3)
-    return None if parts is None else tuple(moved(part, T @ np.diag([*scale, 1.0])) for part in parts)
+def _triangles(shape: Shape, roots: Sequence[Path]) -> tuple[Triangles, ...] | None:
+    """Return the triangles of a shape in its link's frame, or None when its mesh cannot be had."""
+    if shape.kind != "mesh":
+        return (moved(primitive(shape.kind, shape.sizes, shape.rgb), shape.T),)
+    path = find_mesh(shape.file, roots)
+    parts = None if path is None else read_mesh(path, shape.rgb)
+    return None if parts is None else tuple(moved(part, shape.T @ np.diag([*shape.sizes, 1.0])) for part in parts)
 
 
 def _robot(links: Sequence[_Link], extent: float) -> Iterator[_Drawing]:
@@ -444,11 +437,6 @@ def _round_number(x: float) -> float:
 
 def _two_digits(x: float) -> str:
     return np.format_float_positional(x, 2, unique=False, fractional=False, trim="-")
-
-
-def _rgb(color: Any) -> Rgb:
-    r, g, b = np.clip(color.rgba[:3], 0.0, 1.0).tolist()
-    return r, g, b
 
 
 def _hex(rgb: Rgb) -> int:

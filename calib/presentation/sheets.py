@@ -20,8 +20,13 @@ SHOWN = {
     "1": (1e6, "ppm"),
     "rad/Nm": (1e6, "urad/Nm"),
     "m/N": (1e6, "um/N"),
+    "kg rad/Nm": (1e6, "kg urad/Nm"),
+    "kg m rad/Nm": (1e6, "kg m urad/Nm"),
+    "kg m/N": (1e6, "kg um/N"),
+    "kg m2/N": (1e6, "kg m um/N"),
     "rad/K": (1e6, "urad/K"),
     "m/K": (1e6, "um/K"),
+    "1/K": (1e6, "ppm/K"),
 }
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]

@@ -78,9 +78,10 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
 def _renamed(names: Collection[str], taken: Collection[str], prefix: str) -> dict[str, str]:
     """Return a name for each of ``names``, its own where nobody has it yet."""
     found: dict[str, str] = {}
+    used, own = frozenset(taken), frozenset(names)
     for name in names:
         new = name
-        while new in taken or (new != name and new in names):
+        while new in used or (new != name and new in own):
             new = f"{prefix}_{new}"
         found[name] = new
     return found

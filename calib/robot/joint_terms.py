@@ -7,19 +7,30 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
-from calib.robot.gravity import Weights
+from calib.robot.flexures import length
+from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
+from calib.robot.sampling import random_readings
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import UrdfJoint, inertials
+
+# Poses at which torques of masses are compared, and the share of the largest below which one says nothing new.
+_POSES = 60
+_TOLD_APART = 1e-3
 
 
 def with_joint_terms(robot: Robot, terms: Sequence[JointTerm]) -> Robot:
     """Return the robot with these terms in the place of its own. ``robot`` is in the frames of its URDF.
 
-    Raises RobotError when a term needs masses that the URDF does not state, or says in a way that cannot be used.
+    Raises RobotError when a term needs masses that the URDF does not state, or says in a way that cannot be used; or is
+    of a link, or of a moment of mass, that the robot does not have.
     """
-    weights = weights_of(robot) if any(term.kind == "elastic" for term in terms) else None
-    return replace(robot, terms=tuple(terms), weights=weights)
+    equipped = replace(robot, terms=tuple(terms), weights=None)
+    bodies = _bodies(robot) if any(term.kind in ("elastic", "bending") for term in terms) else ()
+    units = dict.fromkeys(term.body for term in terms if term.kind == "moment")
+    if bodies or units:
+        equipped = replace(equipped, weights=_weights(equipped, bodies, tuple(units)))
+    return equipped
 
 
 def weights_of(robot: Robot) -> Weights:
@@ -28,6 +39,59 @@ def weights_of(robot: Robot) -> Weights:
     What hangs on joints that belong to no reading, as the fingers of a gripper do, is taken where these are at zero.
     Raises RobotError when no link states a mass, or one moves with a reading but not with the chain.
     """
+    return _weights(robot, _bodies(robot), ())
+
+
+def is_term_of(robot: Robot, term: JointTerm) -> bool:
+    """Return whether a term names what the robot has: a reading and a moment of mass, or a link with a length."""
+    if term.of_link:
+        named = (length(s) for s, joint in zip(segments(robot), robot.chain, strict=True) if joint.name == term.reading)
+        return next(named, 0.0) > 0.0 or (term.kind == "expansion" and not term.reading)
+    return any(reading.name == term.reading for reading in robot.readings) and (
+        term.kind != "moment" or term.body in _units(robot)
+    )
+
+
+def moments(robot: Robot) -> tuple[JointTerm, ...]:
+    """Return wind-up by masses that nobody knows: of every reading, the first moments that make its torques differ.
+
+    What gravity makes a reading hold is linear in mass and first moment of every link that it moves (W. Khalil, E.
+    Dombre, *Modeling, identification and control of robots*, 2002, chapter 9). Outwards from the base, one is left out
+    where those before it do the same to the reading in all poses: what is left is as few as tell all masses apart.
+    """
+    readings, units = random_readings(robot, _POSES), _units(robot)
+    each = Holding(_weights(robot, (), tuple(units))).of_units(readings)
+    least = _TOLD_APART * float(np.linalg.norm(robot.gravity)) * np.sqrt(_POSES)
+    found: list[JointTerm] = []
+    for k, reading in enumerate(robot.readings):
+        kept = np.zeros((_POSES, 0))
+        for name, torques in zip(units, each[:, :, k], strict=True):
+            left = torques - kept @ (kept.T @ torques)
+            if np.linalg.norm(left) > least:
+                kept = np.linalg.qr(np.column_stack([kept, left]))[0]
+                found.append(JointTerm(reading.name, "moment", body=name))
+    return tuple(found)
+
+
+def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Sequence[str]) -> Weights:
+    known = _units(robot)
+    if unknown := next((name for name in names if name not in known), None):
+        raise RobotError(f"{robot.urdf.where}: the robot has no moment of mass {unknown!r}.")
+    units = tuple((name, *known[name]) for name in names)
+    return Weights(robot.mechanism, tuple(bodies), read_only(robot.gravity), units)
+
+
+def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
+    """Return moments of mass by name, outwards, as :class:`Weights` has them: of every joint that moves x, y, z, mass.
+
+    What fixed joints carry belongs to the joint that moves it.
+    """
+    what = dict(zip(("x", "y", "z", "mass"), np.eye(4), strict=True))
+    return {f"{robot.chain[i].name}_{name}": (i, read_only(unit)) for i in robot.moving for name, unit in what.items()}
+
+
+def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
+    """Return all masses: chain joint that carries it, mass in kg, centre (3,) in its link in m."""
     index = {robot.urdf.joint(joint.name).child: i for i, joint in enumerate(robot.chain)}
     bodies: list[tuple[int, float, Array]] = []
     for link, (mass, centre) in inertials(robot.urdf).items():
@@ -36,19 +100,12 @@ def weights_of(robot: Robot) -> Weights:
             bodies.append((joint, mass, read_only(T[:3, :3] @ centre + T[:3, 3])))
     if not bodies:
         raise RobotError(
-            f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up under gravity "
-            "needs; give every <link> an <inertial>."
+            f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up and bending under "
+            "gravity need; give every <link> an <inertial>, or free moments instead of elastic."
         )
     if robot.payload is not None:
         bodies.append((robot.tip_joint, robot.payload.mass, read_only(robot.payload.position)))
-    return Weights(
-        tuple(segments(robot)),
-        robot.loops,
-        robot.coupling,
-        robot.coupling_offset,
-        tuple(bodies),
-        read_only(robot.gravity),
-    )
+    return tuple(bodies)
 
 
 def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] | None:

@@ -99,12 +99,12 @@ class Kinematics:
     def placements(self, q: Array) -> tuple[Array, ...]:
         """Return the placements (N, 4, 4) of every frame at N configurations q (N, nj)."""
         model, data = self._model, self._data
-        found: tuple[list[Array], ...] = tuple([] for _ in self._frames)
-        for q_n in np.ascontiguousarray(q):
+        found = tuple(np.empty((len(q), 4, 4)) for _ in self._frames)
+        for n, q_n in enumerate(np.ascontiguousarray(q)):
             pin.forwardKinematics(model, data, q_n)
             for frame, to in zip(self._frames, found, strict=True):
-                to.append(pin.updateFramePlacement(model, data, frame).homogeneous)
-        return tuple(np.array(T).reshape(-1, 4, 4) for T in found)
+                to[n] = pin.updateFramePlacement(model, data, frame).homogeneous
+        return found
 
     def holding(self, q: Array, gravity: Array) -> Array:
         """Return what the joints hold (N, nj), in Nm and N, at configurations q (N, nj), in ``gravity`` (3,) in m/s^2.

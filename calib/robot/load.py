@@ -8,12 +8,17 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import begins_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.words import shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.loops import Loop
 from calib.robot.robot import ChainJoint, ClosedLoop, Coupling, Reading, Robot
-from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
+from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
+
+# As of all numbers in a URDF.
+_LARGEST_MULTIPLE = 1e6
 
 
 def load_robot(
@@ -47,6 +52,10 @@ def load_robot(
         for joint in _path(document, base, _known_link(document, link, f"loop {loop.name!r}:"), f"loop {loop.name!r}")
     ]
     joints = list(dict.fromkeys(joints))
+    if len(joints) > MOST_JOINTS:
+        raise RobotError(
+            f"{document.where}: the arm and its loops have {len(joints)} joints; allowed are {MOST_JOINTS}."
+        )
     chain = _chain(joints)
     moving = [joint for joint in joints if joint.type != "fixed"]
     closed = tuple(_loop(document, loop, joints, moving) for loop in loops)
@@ -138,6 +147,11 @@ def _path(document: Urdf, base: str, tip: str, role: str) -> tuple[UrdfJoint, ..
                 "an arm needs revolute, continuous, prismatic or fixed joints, so choose a base behind it."
             )
         path.append(joint)
+        if len(path) > MOST_JOINTS:
+            raise RobotError(
+                f"{document.where}: between {base!r} and {tip!r} are more than the {MOST_JOINTS} joints that are "
+                "allowed."
+            )
         link = joint.parent
     return tuple(reversed(path))
 
@@ -186,7 +200,8 @@ def _couple(
     for name in couplings:
         if name not in (joint.name for joint in moving):
             raise RobotError(f"{document.where}: coupling of {name!r}, which is not a moving joint of the arm.")
-    rows = [_drivers(document, joint, couplings, passive) for joint in moving]
+    known: dict[str, tuple[dict[str, float], float]] = {}
+    rows = [_drivers(document, joint, couplings, passive, known) for joint in moving]
     readings: list[Reading] = []
     for joint, (multiples, _) in zip(moving, rows, strict=True):
         if joint.name in passive and set(multiples) == {joint.name}:
@@ -203,6 +218,11 @@ def _couple(
                 dimension: Literal["angle", "length"] = "length" if driver.type == "prismatic" else "angle"
                 readings.append(Reading(name, dimension, driver.lower, driver.upper))
     names = [reading.name for reading in readings]
+    # They head the columns of tables that are written.
+    if formula := next(filter(begins_formula, names), None):
+        raise RobotError(
+            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
+        )
     coupling = np.zeros((len(moving), len(names)))
     for i, (multiples, _) in enumerate(rows):
         for name, multiple in multiples.items():
@@ -211,9 +231,17 @@ def _couple(
 
 
 def _drivers(
-    document: Urdf, joint: UrdfJoint, couplings: Mapping[str, Coupling], passive: Sequence[str], depth: int = 0
+    document: Urdf,
+    joint: UrdfJoint,
+    couplings: Mapping[str, Coupling],
+    passive: Sequence[str],
+    known: dict[str, tuple[dict[str, float], float]],
+    depth: int = 0,
 ) -> tuple[dict[str, float], float]:
-    """Return the multiples of readings, and the constant, that a joint's position is."""
+    """Return the multiples of readings, and the constant, that a joint's position is; ``known``: those found before."""
+    if joint.name in known:
+        multiples, constant = known[joint.name]
+        return dict(multiples), constant
     if joint.name in couplings:
         coupling = couplings[joint.name]
         drivers, offset = dict(coupling.drivers), coupling.offset
@@ -223,6 +251,11 @@ def _drivers(
         return {joint.name: 1.0}, 0.0
     if depth > len(document.joints):
         raise RobotError(f"{document.where}: the couplings of joint {joint.name!r} run in a circle.")
+    if depth > MOST_JOINTS:
+        raise RobotError(
+            f"{document.where}:{joint.line}: joint {joint.name!r} follows others that follow others, "
+            f"more than the {MOST_JOINTS} that are allowed."
+        )
     found: dict[str, float] = {}
     for name, multiple in drivers.items():
         if name in passive:
@@ -230,8 +263,14 @@ def _drivers(
                 f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which a loop determines and "
                 "nothing reads."
             )
-        multiples, constant = _drivers(document, document.joint(name), couplings, passive, depth + 1)
+        multiples, constant = _drivers(document, document.joint(name), couplings, passive, known, depth + 1)
         offset += multiple * constant
         for reading, share in multiples.items():
             found[reading] = found.get(reading, 0.0) + multiple * share
+    if not max([abs(offset), *map(abs, found.values())]) <= _LARGEST_MULTIPLE:
+        raise RobotError(
+            f"{document.where}:{joint.line}: joint {joint.name!r} follows its readings more than "
+            f"{_LARGEST_MULTIPLE:g} times, or from as far away."
+        )
+    known[joint.name] = dict(found), offset
     return found, offset

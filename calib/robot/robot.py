@@ -14,11 +14,12 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
-from calib.robot.transmission import JointTerm, Transmission
+from calib.robot.transmission import Flexures, JointTerm, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 
@@ -91,9 +92,9 @@ class TipMotion(NamedTuple):
 
     The local twist (N, 6) of the tip for a change ``e`` of the deviations (placements row by row, then offsets) is
     ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
-    ``joints`` (6 nj, n) and ``tail`` (6, n) do not. ``by_passive`` (N, 6, k) and ``rates`` (N, k, n): what passive
-    joints of closed loops do to the tip, and deviations to them; k is 0 without loops. ``by_terms`` (N, 6, nt): the
-    local twists for the amounts of the robot's terms, which come on top.
+    ``joints`` (6 nj, n) and ``tail`` (6, n) do not; nj counts the ways in which links give way as well. ``by_passive``
+    (N, 6, k) and ``rates`` (N, k, n): what passive joints of closed loops do to the tip, and deviations to them; k is 0
+    without loops. ``by_terms`` (N, 6, nt): the local twists for the amounts of the robot's terms, which come on top.
     """
 
     placement: Array
@@ -143,6 +144,17 @@ class Robot:
     def passive(self) -> tuple[int, ...]:
         """Numbers, among the moving joints, of those that loops determine."""
         return tuple(passive_joints(self.loops))
+
+    @property
+    def flexures(self) -> Flexures:
+        """The ways in which links give way: those that terms need."""
+        return flexures(self.terms, [joint.name for joint in self.chain], segments(self))
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The joints, with one more for every flexure."""
+        parts = self.coupling, self.coupling_offset, self.offset_coupling, self.flexures.every
+        return mechanism(segments(self), self.loops, *parts)
 
     @property
     def moving_types(self) -> tuple[MovingType, ...]:
@@ -212,47 +224,49 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
         d = deviations or robot.no_deviations()
-        s = skeleton(segments(robot), d.placements)
-        self._robot, self._offsets = robot, robot.offset_coupling @ d.offsets
-        self._kinematics = Kinematics(s.tree, [end_frame(s, robot.tip_joint)])
-        self._closure = Closure(s, robot.loops) if robot.loops else None
-        names = [reading.name for reading in robot.readings]
-        holding = None if robot.weights is None else Holding(robot.weights)
-        self._terms = Transmission(robot.terms, names, d.terms, holding) if robot.terms else None
-        joints, tail = derivative(s, robot.tip_joint)
+        m = robot.mechanism
+        s = skeleton(m.segments, m.deviations(d.placements))
+        end = int(m.carrying[robot.tip_joint])
+        self._mechanism, self._types, self._offsets = m, m.types, m.offset_coupling @ d.offsets
+        self._passive = passive_joints(m.loops)
+        self._kinematics = Kinematics(s.tree, [end_frame(s, end)])
+        self._closure = Closure(s, m.loops) if m.loops else None
+        self._terms = None
+        if robot.terms:
+            names = [reading.name for reading in robot.readings]
+            holding = None if robot.weights is None else Holding(robot.weights)
+            self._terms = Transmission(robot.terms, names, d.terms, robot.flexures, segments(robot), holding)
+        joints, tail = (m.of_chain(columns) for columns in derivative(s, end))
         by_offset = np.zeros((len(joints), len(robot.moving)))
-        for j, kind in enumerate(robot.moving_types):
-            if j not in robot.passive:
+        for j, kind in enumerate(self._types):
+            if j not in self._passive:
                 # A joint's own motion commutes with a change of its position: this column is the same for all rows.
-                by_offset[6 * j + (5 if kind == "revolute" else 2)] = robot.offset_coupling[j]
+                by_offset[6 * j + (5 if kind == "revolute" else 2)] = m.offset_coupling[j]
         self.joints = np.hstack([joints, by_offset])
         self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
         self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[0]))
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
-        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
-        q = moved @ self._robot.coupling.T + self._robot.coupling_offset + self._offsets
-        return q if self._closure is None else self._closure.close(q)
+        q = self._positions(readings, conditions)
+        return q if self._mechanism.rigid else np.asarray(q[:, self._mechanism.own])
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
-        return self._kinematics.placements(self.joint_positions(readings, conditions))[0]
+        return self._kinematics.placements(self._positions(readings, conditions))[0]
 
     def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
-        q = self.joint_positions(readings, conditions)
+        q = self._positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
-        by_passive = tip.by_joint(self._robot.moving_types, self._robot.passive)
+        by_passive = tip.by_joint(self._types, self._passive)
         if self._closure is None:
             rates = np.zeros((len(q), 0, self.joints.shape[1]))
         else:
-            rates = self._closure.rates(q, self._robot.offset_coupling)
+            rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
         by_terms = np.zeros((len(q), 6, 0))
         if self._terms is not None:
-            by_terms = (
-                self._by_reading(q, tip)[:, :, self._terms.reading] * self._terms.bases(readings, conditions)[:, None]
-            )
+            by_terms = self._terms.by_terms(self._by_coordinate(q, tip), readings, conditions)
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
@@ -261,23 +275,29 @@ class TipModel:
         At readings (N, nr): joints move by their coupling, passive ones as their loops make them follow. Raises as
         joint_positions does.
         """
-        q = self.joint_positions(readings, conditions)
+        q = self._positions(readings, conditions)
         (tip,) = self._kinematics.regressors(q)
-        by_reading = self._by_reading(q, tip)
+        by_reading = self._by_coordinate(q, tip)[:, :, : readings.shape[1]]
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
         return tip.placement, by_reading
 
-    def _by_reading(self, q: Array, tip: Regressor) -> Array:
-        """Return the local twists (N, 6, nr) of the tip per change of what is coupled to the joints, at q (N, nj)."""
-        coupling, types, passive = self._robot.coupling, self._robot.moving_types, self._robot.passive
-        by_joint = tip.by_joint(types, range(len(types)))
+    def _positions(self, readings: Array, conditions: Conditions) -> Array:
+        """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
+        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
+        q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
+        return q if self._closure is None else self._closure.close(q)
+
+    def _by_coordinate(self, q: Array, tip: Regressor) -> Array:
+        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj)."""
+        coupling, passive = self._mechanism.coupling, self._passive
+        by_joint = tip.by_joint(self._types, range(len(self._types)))
         if self._closure is None:
             return np.asarray(by_joint @ coupling)
         active = coupling.copy()
-        active[list(passive)] = 0.0
+        active[passive] = 0.0
         rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
-        return np.asarray(by_joint @ active + by_joint[:, :, list(passive)] @ rates)
+        return np.asarray(by_joint @ active + by_joint[:, :, passive] @ rates)
 
 
 def segments(robot: Robot) -> list[Segment]:

@@ -1,7 +1,6 @@
 """Where a robot description and its meshes come from: paths of the user, and ``example:`` for example-robot-data."""
 
 import contextlib
-import difflib
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -9,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from calib.foundations.errors import RobotError
+from calib.foundations.words import near
 
 EXAMPLE = "example:"
 
@@ -90,5 +90,5 @@ def _hint(inside: str) -> str:
     # A robot's name alone, "panda", is found in its path; a slip of the pen by its likeness.
     word = PurePosixPath(inside).stem.lower()
     containing = [name for name in known if word and word in name.lower()]
-    near = (containing or difflib.get_close_matches(EXAMPLE + inside[:200], known))[:3]
-    return f"; did you mean {' or '.join(near)}?" if near else f"; they are the files in {examples_folder()}."
+    likest = (containing or near(EXAMPLE + inside, known))[:3]
+    return f"; did you mean {' or '.join(likest)}?" if likest else f"; they are the files in {examples_folder()}."

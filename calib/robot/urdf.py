@@ -6,7 +6,6 @@ Only direct children of ``<robot>``, and direct children of its joints, count: `
 one sentence.
 """
 
-import difflib
 import math
 import re
 from collections.abc import Collection, Mapping
@@ -22,6 +21,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.rigid import placement, rotation_of_rpy
 from calib.foundations.units import NUMBER
+from calib.foundations.words import listed, near, shortened, shown
 from calib.robot.sources import resolve
 
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -31,6 +31,8 @@ _ONE_POSITION = ("revolute", "continuous", "prismatic")
 
 # Fifty times the largest URDF we know; bounds time and memory on any input.
 LARGEST_URDF = 10_000_000
+# Of an arm with its loops: ten times those of the longest; time and memory grow with the square.
+MOST_JOINTS = 200
 _DEEPEST = 100
 _LONGEST_NAME = 200
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
@@ -390,10 +392,10 @@ def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], where: str) -> 
         carrier[joint.child] = joint
     if loop := _cycle({joint.child: joint.parent for joint in joints}):
         at = f"{where}:{carrier[loop[0]].line}"
-        raise RobotError(f"{at}: the links {_listed(loop)} carry each other in a circle; a URDF is a tree.")
+        raise RobotError(f"{at}: the links {listed(loop, 8)} carry each other in a circle; a URDF is a tree.")
     roots = [link for link in links if link not in carrier]
     if len(roots) > 1:
-        raise RobotError(f"{where}: the links {_listed(roots)} have no parent joint; a robot has one root.")
+        raise RobotError(f"{where}: the links {listed(roots, 8)} have no parent joint; a robot has one root.")
     return roots[0]
 
 
@@ -415,7 +417,7 @@ def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
             raise RobotError(f"{at} {shown(driver.name)}, which is {driver.type} and has no position to follow.")
         followed[joint.name] = driver.name
     if loop := _cycle(followed):
-        raise RobotError(f"{where}:{by_name[loop[0]].line}: the joints {_listed(loop)} mimic each other in a circle.")
+        raise RobotError(f"{where}:{by_name[loop[0]].line}: the joints {listed(loop, 8)} mimic each other in a circle.")
 
 
 def _cycle(successor: Mapping[str, str]) -> list[str] | None:
@@ -437,24 +439,8 @@ def _cycle(successor: Mapping[str, str]) -> list[str] | None:
 # Words in messages. ----------------------------------------------------------------------------------------------
 
 
-def shortened(text: str) -> str:
-    """Return ``text``, cut after 60 characters, so that a message stays one line."""
-    return text if len(text) <= 60 else text[:60] + "..."
-
-
-def shown(text: str) -> str:
-    """Return a user's text as a message quotes it."""
-    return repr(shortened(text))
-
-
-def _listed(names: Collection[str]) -> str:
-    first = list(names)[:8]
-    more = f" and {len(names) - len(first)} more" if len(names) > len(first) else ""
-    return ", ".join(map(shown, first)) + more
-
-
 def _hint(name: str, known: Collection[str]) -> str:
     """Return the end of the sentence: the names near ``name``, or else all of them."""
-    if near := difflib.get_close_matches(name[:_LONGEST_NAME], known):
-        return f"; did you mean {' or '.join(map(shown, near))}?"
-    return f"; there are {_listed(known)}." if known else "; there are none."
+    if likest := near(name, known):
+        return f"; did you mean {' or '.join(map(shown, likest))}?"
+    return f"; there are {listed(known, 8)}." if known else "; there are none."

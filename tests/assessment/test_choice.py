@@ -99,7 +99,7 @@ def test_the_records_tell_every_step() -> None:
     model, data, _ = measured(6, 80, {(1, 3): 3e-4})
     choice = choose_terms(model, data, priors=TermPriors(harmonics=1e-4))
     records = choice.records()
-    assert len(records) == 1 + len(candidates(model.robot)) == 1 + 6 * (2 + len(ORDERS))
+    assert len(records) == 1 + len(candidates(model.robot)) == 1 + 6 * (3 + len(ORDERS))
     assert [record["taken"] for record in records] == [k <= choice.taken for k in range(len(records))]
     assert records[0]["added"] == []
     assert {name for record in records for name in record["added"]} == {

@@ -105,7 +105,7 @@ def test_the_unit_does_not_change_the_value(coarse: str, fine: str, factor: floa
 
 
 def test_doubles_survive_the_file(tmp_path: Path) -> None:
-    values = np.random.default_rng(2).normal(size=200) * 10.0 ** np.arange(-100, 100)
+    values = np.random.default_rng(2).normal(size=111) * 10.0 ** np.arange(-100, 11)
     path = write(tmp_path, "x [m]\n" + "\n".join(map(repr, values.tolist())))
     assert np.array_equal(read_table(path).columns["x"].values, values)
 
@@ -158,13 +158,13 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ("x [m], y [m]\n1,2,\n", ":2: the header has 2 cells and this row has 3."),
         (
             "x [m], y [m]\n1,5,2,5\n",
-            ":2: the header has 2 cells and this row has 4; if these are decimal commas, write points.",
+            ":2: the header has 2 cells and this row has 4; if these are decimal commas, write points, or separate the "
+            "cells by semicolons.",
         ),
         (
             "x [m], y [m]\n1,2\n3",
             ":3: the header has 2 cells and this row has 1, and the file ends within this row: it seems truncated.",
         ),
-        ("x [m]; y [m]\n1,5; 2\n", ":1: the cells are separated by semicolons; separate them by commas."),
         ("x [m]\ty [m]\n1\t2\n", ":1: the cells are separated by tabs; separate them by commas."),
         ("x [m], y [m]\n1,2\n3,\n", ":3: column 'y': the cell is empty."),
         ("x [m], point\n1,tcp\n3,\n", ":3: column 'point': the cell is empty."),
@@ -176,7 +176,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         (b"x [m]\r1\r\0\n", ":3: has a NUL byte; a table is UTF-8 text."),
         ("x [m]\n1\n".encode("utf-16"), ": is UTF-16 text; save it as UTF-8."),
         ("x [m]\n1\n".encode("utf-16-le"), ":1: has a NUL byte; a table is UTF-8 text."),
-        ("x [m]\n" + "1" * 200_000 + "\n", ":2: is 200000 characters long; allowed are 100000."),
+        ("x [m]\n" + "1" * 200_000 + "\n", ":2: is longer than the 100000 characters that are allowed."),
         ("x [m]\n1\n" + '"' + "1\n" * 100, ":3: a quote is not closed, or something follows it."),
         ("x [m]\n1\n1e999\n", ":3: column 'x': 1e999 is not a finite number."),
         *(

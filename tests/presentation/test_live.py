@@ -78,7 +78,11 @@ def test_it_listens_on_this_machine_alone_and_ends_well(server: tuple[subprocess
     # Nothing but the two pages, and not for a name that another site has given this machine.
     for path in ("model.json", "../out/result.json", "%2e%2e/secret", "scene.html/x"):
         assert fetch(address + path)[0] == 404
-    assert fetch(address, Host="evil.example")[0] == 404
+    for host in ("evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80", "0.0.0.0", "[::1]", "127.1"):
+        assert fetch(address, Host=host)[0] == 404
+    with urllib.request.urlopen(address) as response:
+        assert response.headers["X-Frame-Options"] == "DENY"
+        assert response.headers["Cross-Origin-Resource-Policy"] == "same-origin"
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=60.0) == ("", "")
     assert process.returncode == 0
@@ -92,8 +96,17 @@ def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Po
     place = address.replace("http", "ws") + "live"
 
     async def talk() -> tuple[Any, Any]:
-        with pytest.raises(HTTPClientError):
-            await websocket_connect(HTTPRequest(place, headers={"Origin": "http://evil.example"}))
+        port = place.split(":")[2].split("/")[0]
+        for headers, code in (
+            ({"Origin": "http://evil.example"}, 403),
+            ({"Origin": "http://127.0.0.1:1"}, 403),  # another page of this machine
+            ({"Origin": "null"}, 403),
+            # A name that another site has made to point here: page and address are then the same to a browser.
+            ({"Origin": f"http://evil.example:{port}", "Host": f"evil.example:{port}"}, 404),
+        ):
+            with pytest.raises(HTTPClientError) as refused:
+                await websocket_connect(HTTPRequest(place, headers=headers))
+            assert refused.value.code == code
         socket = await websocket_connect(place)
         hello = json.loads(str(await socket.read_message()))
         await socket.write_message(json.dumps({"readings": [10.0, 20.0, -5.0, 0.0, 30.0, 0.0], "apart": 3.0}))
@@ -121,6 +134,12 @@ def test_questions_without_sense_are_answered_in_words(results: Path) -> None:
         {"readings": [None] * 6},
         {"apart": None},
         {"apart": 1e999},
+        {"apart": 10**400},
+        {"apart": 1e300},
+        {"readings": [1e300] * 6},
+        {"readings": [[0.0] * 6]},
+        {"readings": [0.0]},
+        {"readings": []},
     ):
         assert answer(model, json.dumps({**good, **changes})) == {
             "sentence": "This is no question that the server knows."

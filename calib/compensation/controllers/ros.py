@@ -36,8 +36,9 @@ def export_ros(model: CalibratedModel) -> Export:
             "joint": term.reading,
             "kind": term.kind,
             "order": term.order,
+            **({"body": term.body} if term.body else {}),
             "amount": float(amount),
-            "unit": term.unit(dimensions[term.reading]),
+            "unit": term.unit(dimensions.get(term.reading, "angle")),
         }
         for term, amount in zip(robot.terms, d.terms, strict=True)
     ]
@@ -64,7 +65,7 @@ def export_ros(model: CalibratedModel) -> Export:
         amounts = read_only([term["amount"] for term in read["terms"]])
         again = with_joint_terms(
             replace(robot, terms=(), weights=None),
-            [JointTerm(term["joint"], term["kind"], term["order"]) for term in read["terms"]],
+            [JointTerm(t["joint"], t["kind"], t["order"], t.get("body", "")) for t in read["terms"]],
         )
         return again.tips(readings, Deviations(own.placements, offsets, amounts), ordinary(readings))
 

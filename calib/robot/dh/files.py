@@ -23,8 +23,10 @@ from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, parse_quantity, unit_of
 from calib.robot.dh.table import NUMBERS, Convention, DhRow, DhTable, RowType, check_convention
+from calib.robot.urdf import MOST_JOINTS
 
 _LARGEST_FILE = 1_000_000
+_LONGEST_LINE = 2_000
 _TITLE = re.compile(r"([a-z]+)\s*(?:\[\s*([^\[\]]*?)\s*\])?")
 _DIMENSIONS: dict[str, Dimension] = {
     "a": "length",
@@ -61,6 +63,8 @@ def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> D
     stated = _convention(before.get("convention"))
     if None not in (convention, stated) and convention != stated:
         raise RobotError(f"{where}: states the {stated} convention, and was to be read as {convention}.")
+    if len(rows) > MOST_JOINTS:
+        raise RobotError(f"{where}: has {len(rows)} rows; allowed are {MOST_JOINTS}.")
     base, tool = (_pose(before.get(name)) for name in ("base", "tool"))
     try:
         return DhTable(stated or convention or "standard", rows, base, tool)
@@ -114,8 +118,12 @@ def _lines(data: bytes, where: str) -> list[_Line]:
     except UnicodeDecodeError as e:
         raise RobotError(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
     lines = []
+    if (nul := text.find("\0")) >= 0:
+        raise RobotError(f"{where}: has a NUL byte after {nul} characters; a DH table is UTF-8 text.")
     for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
+            if len(line) > _LONGEST_LINE:
+                raise RobotError(f"{where}:{number}: is longer than the {_LONGEST_LINE} characters that are allowed.")
             try:
                 (cells,) = csv.reader((line,), strict=True, skipinitialspace=True)
             except csv.Error as e:

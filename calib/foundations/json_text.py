@@ -1,0 +1,49 @@
+"""JSON that anybody may have written: strict, and no two values under one name."""
+
+import json
+import math
+from typing import Any, NoReturn
+
+from calib.foundations.words import shown
+
+
+class NotJsonError(ValueError):
+    """What is wrong with a text: the end of a sentence."""
+
+
+def parse_json(source: bytes) -> Any:
+    """Return the plain data of a JSON document in UTF-8.
+
+    Raises NotJsonError for what is none: also for NaN and infinity, numbers beyond all doubles or of thousands of
+    digits, a name that comes twice in one object, and endless nesting.
+    """
+    try:
+        return json.loads(
+            source.decode("utf-8-sig"), parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_object
+        )
+    except NotJsonError:
+        raise
+    except RecursionError as e:
+        raise NotJsonError("is not JSON that can be read: it is nested too deep") from e
+    except ValueError as e:  # also of bytes that are no text, and of numbers with thousands of digits
+        raise NotJsonError("is not JSON, or is truncated") from e
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise NotJsonError(f"is not JSON, which has no {name}")
+
+
+def _finite(number: str) -> float:
+    value = float(number)
+    if not math.isfinite(value):
+        raise NotJsonError(f"is not JSON that can be read: {shown(number)} is not a finite number")
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        raise NotJsonError(f"is not JSON that can be read: it has {shown(twice)} twice in one object")
+    return found

@@ -1,0 +1,32 @@
+"""Other people's words in messages: quoted, cut, and the known ones that are near."""
+
+import difflib
+from collections.abc import Collection, Iterable
+
+LONGEST_SHOWN = 60
+# Likeness takes time with the square of the length, and is asked of every known word.
+_LONGEST_COMPARED = 100
+_MOST_COMPARED = 1000
+
+
+def shortened(text: str) -> str:
+    """Return ``text``, cut after 60 characters, so that a message stays one line."""
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+def shown(text: str) -> str:
+    """Return a user's text as a message quotes it."""
+    return repr(shortened(text))
+
+
+def listed(names: Collection[str], most: int = 12) -> str:
+    """Return the first names, quoted, and how many more there are."""
+    first = list(names)[:most]
+    more = f" and {len(names) - len(first)} more" if len(names) > len(first) else ""
+    return ", ".join(map(shown, first)) + more
+
+
+def near(name: str, known: Iterable[str], most: int = 3, likeness: float = 0.6) -> list[str]:
+    """Return the known words that are like ``name``, the likest first; of very many or very long ones, of the first."""
+    short = [word for word in known if len(word) <= _LONGEST_COMPARED][:_MOST_COMPARED]
+    return difflib.get_close_matches(name[:_LONGEST_COMPARED], short, most, likeness)

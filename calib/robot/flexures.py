@@ -1,0 +1,186 @@
+"""Links that give way: every way in which one does is a joint that nobody drives, at the placement that it moves.
+
+A link stands between the frames of two joints, along the vector of the placement from one to the other. At its far end
+it may
+
+    bend      as a slender beam (Euler, Bernoulli) of round section that the load at its end bends: sideways by
+              k (L^2/3 F + L/2 M x e) and in turns by k (M + L/2 e x F), with its length L, its direction e, force F
+              and moment M across it, and the amount k = L/EI: the turn of its end for a moment there, in rad/Nm
+    expand    along itself, by L times a strain
+
+(S. Timoshenko, *Strength of materials*, 1940, part I, chapter V.) What such a joint holds against gravity is the slope
+of the potential energy by its motion, as of any other joint: loops that follow are accounted for.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, IntArray
+from calib.robot.deviation import axis_frame
+from calib.robot.kinematics import MovingType
+from calib.robot.loops import Loop
+from calib.robot.skeleton import Segment
+
+# Frames nearer to each other than this, in m, are at one place, with no link between them.
+SHORTEST = 1e-6
+
+
+class Flexure(NamedTuple):
+    """One motion of the far end of the link before joint ``joint`` of the chain, at that joint's placement.
+
+    Along, or about, ``axis`` (3,) in the joint's frame.
+    """
+
+    joint: int
+    type: MovingType
+    axis: Array
+
+
+class Mechanism(NamedTuple):
+    """What kinematics need of a robot: its joints, and one more for every flexure.
+
+    Coordinates are the readings, then the flexures: c in all; m joints move. ``coupling`` (m, c), ``coupling_offset``
+    (m) and ``offset_coupling`` (m, nj): as in :class:`calib.robot.robot.Robot`. ``placed`` (n): which segment has the
+    deviation of every joint of the chain; ``carrying`` (n): which carries what the joint carries; ``own`` (nj): numbers
+    of the joints that move in the robot itself.
+    """
+
+    segments: tuple[Segment, ...]
+    loops: tuple[Loop, ...]
+    coupling: Array
+    coupling_offset: Array
+    offset_coupling: Array
+    placed: IntArray
+    carrying: IntArray
+    own: IntArray
+
+    @property
+    def types(self) -> tuple[MovingType, ...]:
+        """Types of the joints that move."""
+        return tuple(segment.type for segment in self.segments if segment.type != "fixed")
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it has no flexures."""
+        return len(self.own) == len(self.coupling)
+
+    def deviations(self, placements: Array) -> Array:
+        """Return deviations of all segments for those (n, 6) of the chain."""
+        if self.rigid:
+            return placements
+        found = np.zeros((len(self.segments), 6))
+        found[self.placed] = placements
+        return found
+
+    def of_chain(self, columns: Array) -> Array:
+        """Return those columns (..., 6 n + a) that belong to the chain, of all (..., 6 segments + a)."""
+        if self.rigid:
+            return columns
+        behind = 6 * len(self.segments)
+        kept = (6 * self.placed[:, None] + np.arange(6)).ravel()
+        return np.asarray(columns[..., np.concatenate([kept, np.arange(behind, columns.shape[-1])])])
+
+
+def mechanism(
+    segments: Sequence[Segment],
+    loops: Sequence[Loop],
+    coupling: Array,
+    coupling_offset: Array,
+    offset_coupling: Array,
+    flexures: Sequence[Flexure],
+) -> Mechanism:
+    """Return the mechanism of a chain, whose ``coupling`` is (nj, nr), with flexures."""
+    every = np.arange(len(segments))
+    if not flexures:
+        own = np.arange(len(coupling))
+        return Mechanism(
+            tuple(segments), tuple(loops), coupling, coupling_offset, offset_coupling, every, every.copy(), own
+        )
+    found: list[Segment] = []
+    placed, carrying = np.zeros_like(every), np.zeros_like(every)
+    numbers: list[int] = []
+    driven: list[tuple[int, int]] = []
+    moving = 0
+    for i, segment in enumerate(segments):
+        parent = _of(carrying, segment.parent)
+        back, mine = segment.placement, [k for k, flexure in enumerate(flexures) if flexure.joint == i]
+        placed[i] = len(found)
+        if mine:
+            # The placement with its deviation comes first; what gives way does so in the frame that it leads to.
+            found.append(Segment(None, "fixed", parent, segment.placement, np.eye(4)))
+            back = np.eye(4)
+        for k in mine:
+            along = axis_frame(flexures[k].axis)
+            found.append(Segment(moving, flexures[k].type, len(found) - 1, back @ along, np.eye(4)))
+            driven.append((moving, coupling.shape[1] + k))
+            back, moving = rigid.inverse(along), moving + 1
+        carrying[i] = len(found)
+        number = None if segment.type == "fixed" else moving
+        found.append(Segment(number, segment.type, len(found) - 1 if mine else parent, back, segment.frame))
+        if number is not None:
+            numbers.append(number)
+            moving += 1
+    own = np.array(numbers, dtype=np.intp)
+    wider, offset = np.zeros((moving, coupling.shape[1] + len(flexures))), np.zeros(moving)
+    wider[own, : coupling.shape[1]], offset[own] = coupling, coupling_offset
+    wider[tuple(np.transpose(driven))] = 1.0
+    by_offset = np.zeros((moving, offset_coupling.shape[1]))
+    by_offset[own] = offset_coupling
+    return Mechanism(
+        tuple(found),
+        tuple(
+            loop._replace(
+                ends=(_of(carrying, loop.ends[0]), _of(carrying, loop.ends[1])),
+                passive=tuple(numbers[j] for j in loop.passive),
+            )
+            for loop in loops
+        ),
+        wider,
+        offset,
+        by_offset,
+        placed,
+        carrying,
+        own,
+    )
+
+
+def length(segment: Segment) -> float:
+    """Return the length in m of the link before a joint, nominally; 0 where both frames are at one place."""
+    found = float(np.linalg.norm(segment.placement[:3, 3]))
+    return found if found > SHORTEST else 0.0
+
+
+def expanding(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+    """Return the motion of a link that expands: of none without a length."""
+    along = _along(segments[joint])
+    return (Flexure(joint, "prismatic", along),) if length(segments[joint]) else ()
+
+
+def bending(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+    """Return the motions of a link that bends: along x and y across it, then about x and y."""
+    x, y = axis_frame(_along(segments[joint]))[:3, :2].T
+    return tuple(Flexure(joint, kind, axis) for kind in ("prismatic", "revolute") for axis in (x, y))
+
+
+def beam(length: float) -> Array:
+    """Return the motions (4, 4) of a beam's end, as :func:`bending` has them, for forces and moments there, and k = 1.
+
+    The length is in m.
+    """
+    sideways, both = length * length / 3.0, length / 2.0
+    return np.array(
+        [[sideways, 0.0, 0.0, both], [0.0, sideways, -both, 0.0], [0.0, -both, 1.0, 0.0], [both, 0.0, 0.0, 1.0]]
+    )
+
+
+def _along(segment: Segment) -> Array:
+    """Return the direction (3,) of a link in the frame of the joint at its far end."""
+    vector = segment.placement[:3, 3]
+    return np.asarray(segment.placement[:3, :3].T @ vector / max(float(np.linalg.norm(vector)), SHORTEST))
+
+
+def _of(carrying: IntArray, joint: int) -> int:
+    return int(carrying[joint]) if joint >= 0 else -1

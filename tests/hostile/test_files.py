@@ -1,0 +1,109 @@
+"""Files that are none: pipes, devices, folders, files that grow, shrink or change under the reader."""
+
+import os
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from calib.foundations.errors import CalibError, JobError
+from calib.foundations.files import encoded, read_bytes, write_atomically
+from tests.job.cases import JOB, TABLE, URDF, copy_case, run, write
+
+NO_FILE = "is not a regular file."
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    copy_case(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", [JOB, URDF, TABLE])
+@pytest.mark.parametrize("kind", ["pipe", "zeros", "folder", "terminal"])
+def test_what_is_no_file_is_neither_opened_nor_waited_for(folder: Path, name: str, kind: str) -> None:
+    (folder / name).unlink()
+    match kind:
+        case "pipe":
+            os.mkfifo(folder / name)
+        case "folder":
+            (folder / name).mkdir()
+        case _:
+            (folder / name).symlink_to({"zeros": "/dev/zero", "terminal": "/dev/tty"}[kind])
+    assert run("check", JOB) == (1, "", f"Error: {name}: {NO_FILE}\n")
+
+
+def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "f")
+    monkeypatch.setattr(Path, "is_file", lambda _: True)
+    with pytest.raises(JobError) as caught:
+        read_bytes(tmp_path / "f", JobError)
+    assert str(caught.value) == f"{tmp_path / 'f'}: {NO_FILE}"
+
+
+def test_a_file_that_shrinks_or_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "f"
+    path.write_bytes(b"0123456789")
+    told = os.fstat
+
+    def telling(size: int) -> None:
+        monkeypatch.setattr(
+            "calib.foundations.files.os.fstat",
+            lambda handle: SimpleNamespace(st_mode=told(handle).st_mode, st_size=size),
+        )
+
+    telling(15)
+    assert read_bytes(path, JobError, 20) == b"0123456789"
+    telling(0)
+    assert read_bytes(path, JobError, 20) == b"0123456789"
+    with pytest.raises(JobError, match="is larger than 9 bytes"):
+        read_bytes(path, JobError, 9)
+    telling(21)
+    with pytest.raises(JobError, match="is larger than 20 bytes"):
+        read_bytes(path, JobError, 20)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux has files that say they are empty")
+def test_a_file_of_the_system_that_says_it_is_empty() -> None:
+    assert Path("/proc/self/status").stat().st_size == 0
+    with pytest.raises(JobError, match="is larger than 100 bytes"):
+        read_bytes(Path("/proc/self/status"), JobError, 100)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "no/such", "\udcff", "."])
+def test_names_that_no_file_has(tmp_path: Path, name: str) -> None:
+    with pytest.raises(CalibError) as caught:
+        read_bytes(tmp_path / name, JobError)
+    assert str(caught.value)
+
+
+def test_names_of_files_that_are_no_text(folder: Path) -> None:
+    odd = os.fsdecode(b"\xff<b>\x1b[31m.toml")
+    (folder / JOB).rename(folder / odd)
+    assert run("calibrate", odd, "-o", "out", "--quiet").code == 0
+    page = (folder / "out/report.html").read_text(encoding="utf-8")
+    assert "\\udcff&lt;b&gt;" in page
+    assert "<b>\x1b" not in page
+
+
+def test_text_is_written_whatever_it_holds(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "f", "a\udcff\u00e9\n")
+    assert (tmp_path / "f").read_bytes() == encoded("a\udcff\u00e9\n") == b"a\\udcff\xc3\xa9\n"
+
+
+def test_a_job_names_files_and_never_writes_them(folder: Path) -> None:
+    """A job may name any file that its user may read; what is in it is quoted at most as one cell."""
+    write("secret", "root:x:0:0:secret words\n")(folder)
+    (folder / JOB).write_text(
+        (folder / JOB).read_text(encoding="utf-8").replace(f'"{TABLE}"', '"../' + folder.name + '/secret"'),
+        encoding="utf-8",
+    )
+    said = run("calibrate", JOB, "-o", "out")
+    assert said.code == 1
+    assert said.err.startswith(f"Error: ../{folder.name}/secret:1: column ")
+    assert not (folder / "out").exists()
+    assert (folder / "secret").read_text(encoding="utf-8") == "root:x:0:0:secret words\n"

@@ -1,0 +1,109 @@
+"""Names made to harm whoever opens the results: pages, terminals, spreadsheets, folders."""
+
+import csv
+import io
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from calib.foundations.csv_text import begins_formula, csv_text
+from calib.foundations.errors import RobotError
+from calib.robot.load import load_robot
+from calib.robot.urdf import parse_urdf
+from tests.job.cases import JOB, TABLE, URDF, Said, copy_case, edit, run
+
+SCRIPT = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+# The terminal's own codes: red, clear, a link, a title, a line overwritten, text turned round.
+TERMINAL = "\x1b[31m\x1b[2J\x1b]8;;http://evil.example\x07\x9b31m\r\u202e"
+FORMULA = '=cmd|"/C calc"!A0'
+# No control characters in XML, and no quote in an attribute of this one.
+IN_XML = "&lt;script>alert(1)&lt;/script>&#x202e;../../x"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+    """Return the results of a case full of such names, and what the terminal said."""
+    folder = tmp_path_factory.mktemp("evil")
+    copy_case(folder)
+    for name in (TABLE, "validation.csv"):
+        path = folder / name
+        lines = path.read_text(encoding="utf-8").splitlines()
+        header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+        names = (f"{SCRIPT}{TERMINAL}".replace("\r", ""), FORMULA, "../../etc/passwd")
+        lines[header] += ",point"
+        for k in range(header + 1, len(lines)):
+            lines[k] += ',"' + names[k % 3].replace('"', '""') + '"'
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    edit(URDF, ('<robot name="arm_cmm"', f'<robot name="{IN_XML}"'))(folder)
+    evil = "=1+1<b>.csv"
+    (folder / "validation.csv").rename(folder / evil)
+    edit(JOB, ('"validation.csv"', f'"{evil}"'))(folder)
+    return folder / "out", run("calibrate", folder / JOB, "-o", folder / "out")
+
+
+class Tags(HTMLParser):
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, list[str]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, [name for name, _ in attrs]))
+
+
+def test_pages_have_no_element_of_anybody_else(results: tuple[Path, Said]) -> None:
+    out, said = results
+    assert said.code in (0, 3), said.err
+    report = Tags((out / "report.html").read_text(encoding="utf-8"))
+    assert not [tag for tag, _ in report.found if tag in ("script", "img", "b")]
+    # The script runs in the scene; that of the names does not.
+    scene = (out / "scene.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in scene
+    assert "<img src=x" not in scene
+    for page in (report, Tags(scene)):
+        assert not [name for _, names in page.found for name in names if name.startswith("on")]
+
+
+def test_markdown_shows_words(results: tuple[Path, Said]) -> None:
+    text = (results[0] / "report.md").read_text(encoding="utf-8")
+    assert "<script" not in re.sub(r"\\.", "", text)
+
+
+def test_the_terminal_takes_no_orders(results: tuple[Path, Said]) -> None:
+    said = results[1].out + results[1].err
+    assert said
+    assert not [c for c in said if not c.isprintable() and c != "\n"]
+
+
+def test_spreadsheets_compute_nothing(results: tuple[Path, Said]) -> None:
+    text = (results[0] / "residuals.csv").read_text(encoding="utf-8")
+    cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
+    assert f"'{FORMULA}" in cells
+    assert "'=1+1<b>.csv" in cells
+    assert not [cell for cell in cells if begins_formula(cell)]
+
+
+def test_names_make_no_files(results: tuple[Path, Said]) -> None:
+    out, _ = results
+    assert {path.parent for path in out.rglob("*")} == {out}
+    for name in ("result.json", "model.json", "uncertainty.json", "job.json"):
+        text = (out / name).read_text(encoding="utf-8")
+        assert text.isascii()
+        json.loads(text)
+
+
+def test_cells() -> None:
+    row = ["=1+1", "+1", "-1.5e-3", "-", "+", "+49 30", "-x", "@a", "\tx", "a=b", "", 1.5, "'=1"]
+    (found,) = csv.reader(io.StringIO(csv_text([row])))
+    assert found == ["'=1+1", "+1", "-1.5e-3", "-", "+", "'+49 30", "'-x", "'@a", "'\tx", "a=b", "", "1.5", "'=1"]
+
+
+@pytest.mark.parametrize("name", ["=1+1", "@sum", "-j", "+j"])
+def test_joints_with_names_of_formulas_are_refused(name: str) -> None:
+    urdf = f'<robot><link name="a"/><link name="b"/><joint name="{name}" type="revolute"><parent link="a"/>'
+    with pytest.raises(RobotError) as caught:
+        load_robot(parse_urdf(f'{urdf}<child link="b"/></joint></robot>'.encode(), "arm.urdf"))
+    assert str(caught.value) == f"arm.urdf: joint {name!r} has the name of a spreadsheet's formula; rename it."
