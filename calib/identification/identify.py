@@ -13,6 +13,7 @@ from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
+from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
@@ -78,7 +79,10 @@ def _identify(
     _refuse_losses(losses, sets)
     if losses is not None:
         problem = replace(problem, given_losses=tuple(losses))
-    found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
+    problem, found, learned = solve_learning(
+        problem, values_at(model.robot, parameters, reference, deviations), variances
+    )
+    parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
     kept, directions = identifiability.told(found.start, usable, parameters)
@@ -116,6 +120,7 @@ def _identify(
         evaluations=found.evaluations,
         step=found.step,
         converged=found.converged,
+        learned=learned,
     )
 
 
