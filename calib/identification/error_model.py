@@ -41,8 +41,9 @@ _GROUPS = {
 class TermPriors:
     """Standard deviations that amounts of joint terms are expected to have, about zero; None where nobody knows.
 
-    "learned": as the data teach them, for the harmonics of every reading, or for all compliances. ``harmonics`` in rad; ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and
-    ``elastic_sliding`` of those that slide, in m/N.
+    "learned": as the data teach them, for the harmonics of every reading, or for all compliances. ``harmonics`` in rad;
+    ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those that
+    slide, in m/N.
     """
 
     harmonics: Prior | None = None
@@ -72,7 +73,8 @@ class ErrorModel:
     then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
     ``terms``: names of those joint terms of the robot that are free; ``term_priors``: standard deviations, by name, of
-    those with a prior, or "learned", as ``prior_length`` and ``prior_angle`` may be. ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    those with a prior, or "learned", as ``prior_length`` and ``prior_angle`` may be. ``base_pose`` (4, 4) and
+    ``tool_poses`` are the values where base and tools are fixed.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
