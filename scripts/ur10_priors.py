@@ -58,8 +58,8 @@ FEW_POSES = """
 
 So many random poses out of the two thirds, {draws} draws each, rms over all of the last third; means over the draws.
 All placements and joint offsets are free. **None**: no prior, the machine nearest to the nominal one where the data are
-blind. **Stated**: 1 mm and 1 mrad, ordinary deviations. **Learned**: link translations, link rotations and joint offsets
-with a learned width each, or an ordinary one where too few of them are seen.
+blind. **Stated**: 1 mm and 1 mrad, ordinary deviations. **Learned**: a learned width for link translations, link
+rotations and joint offsets each, or an ordinary one where too few of them are seen.
 """
 
 PROCESS = """

@@ -1,8 +1,8 @@
 """Priors whose width the data teach: solve, learn the widths where all is linear, solve again until they stay.
 
-A group that too few directions of the data speak of keeps the width of an ordinary deviation: a width of two or three
-numbers would be chance. One of which nothing shows comes to the narrowest width, and is as good as not free; one that
-the data alone determine may come to the widest, and is as good as without a prior.
+A group that too few directions of the data speak of keeps the width of an ordinary deviation: a width of one or two
+numbers would be chance. One of which nothing shows comes to what could hide from the data. One at the widest that is
+allowed is as good as without a prior.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,9 @@ from calib.identification.parameters import Parameter, ParameterUnit, scales
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Problem, evaluate, residuals
 from calib.identification.unseen import without
-from calib.identification.widths import NARROWEST, WIDEST, Rows, likeliest, likelihood
+from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
 
-Outcome = Literal["learned", "too few", "narrowest", "widest"]
+Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
 # Directions of a group that the data must see, given priors of an ordinary deviation, before they may teach a width.
 _FEWEST = 3.0
@@ -33,8 +33,9 @@ class LearnedPrior:
     """The standard deviation, in ``unit``, that the parameters of a group have about zero, and what taught it.
 
     ``parameters``: how many are in the group; ``taught``: how many of them, in sum, the data determine rather than the
-    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is an ordinary deviation; or at the
-    "narrowest" or "widest" that is allowed.
+    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is an ordinary deviation; "nothing shows"
+    where the data are no likelier with the group than without it, so that the width is what they could not notice; or
+    the "widest" that is allowed.
     """
 
     group: str
@@ -61,9 +62,9 @@ def solve_learning(
     rows = _rows(problem, found, variances, names)
     seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
     few = np.asarray(seen < _FEWEST)
-    taught = seen
+    taught, shown = seen, ~few
     for _ in range(_MOST_ROUNDS):
-        new, taught = _learned(rows, widths, few)
+        new, taught, shown = _learned(rows, widths, few)
         change = float(np.max(np.abs(np.log(new / widths))))
         widths = new
         problem = _with_widths(problem, names, widths)
@@ -71,7 +72,8 @@ def solve_learning(
         if change < _NEGLIGIBLE_CHANGE:
             break
         rows = _rows(problem, found, variances, names)
-    return problem, found, tuple(_told(problem.parameters, names, widths, seen, taught, few))
+    taught = np.where(few, seen, taught)
+    return problem, found, tuple(_told(problem.parameters, names, widths, taught, few, shown))
 
 
 def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Problem:
@@ -125,23 +127,28 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
     )
 
 
-def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array]:
-    """Return new widths (g,) and gamma (g,); groups with too ``few`` keep the width of an ordinary deviation."""
-    taught = np.zeros(len(widths))
-    new = np.ones(len(widths))
+def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
+    """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep an ordinary width."""
+    new, taught, shown = np.ones(len(widths)), np.zeros(len(widths)), ~few
     if few.all():
-        return new, taught
+        return new, taught, shown
     number = np.append(np.where(few, -1, np.cumsum(~few) - 1), -1)
     kept = np.append(few, False)[rows.group]
     p = len(rows.group)
     known = rows.known.copy()
     known[range(p), range(p)] += np.where(kept, 1.0, 0.0)
-    new[~few], _, taught[~few] = likeliest(rows._replace(known=known, group=number[rows.group]), widths[~few])
-    return new, taught
+    found = likeliest(rows._replace(known=known, group=number[rows.group]), widths[~few])
+    new[~few], taught[~few], shown[~few] = found.widths, found.gamma, found.shown
+    return new, taught, shown
 
 
 def _told(
-    parameters: Sequence[Parameter], names: Sequence[str], widths: Array, seen: Array, taught: Array, few: BoolArray
+    parameters: Sequence[Parameter],
+    names: Sequence[str],
+    widths: Array,
+    taught: Array,
+    few: BoolArray,
+    shown: BoolArray,
 ) -> list[LearnedPrior]:
     told = []
     for k, name in enumerate(names):
@@ -149,10 +156,10 @@ def _told(
         outcome: Outcome = "learned"
         if few[k]:
             outcome = "too few"
-        elif widths[k] < NARROWEST * (1.0 + _NEGLIGIBLE_CHANGE):
-            outcome = "narrowest"
+        elif not shown[k]:
+            outcome = "nothing shows"
         elif widths[k] > WIDEST / (1.0 + _NEGLIGIBLE_CHANGE):
             outcome = "widest"
-        by = float(seen[k] if few[k] else taught[k])
-        told.append(LearnedPrior(name, own[0].unit, float(widths[k] * own[0].ordinary), len(own), by, outcome))
+        width = float(widths[k] * own[0].ordinary)
+        told.append(LearnedPrior(name, own[0].unit, width, len(own), float(taught[k]), outcome))
     return told

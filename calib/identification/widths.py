@@ -4,8 +4,14 @@ The parameters of one group are taken as drawn from one normal distribution abou
 all is linear, so that the likelihood of the data, parameters integrated out, is known in closed form. Its slope by the
 logarithm of a width is ``sum x^2 / w^2 - gamma``, where ``gamma = n - tr(C) / w^2`` counts how many of the group's n
 parameters the data have determined rather than the prior, and C is their posterior covariance (D. J. C. MacKay,
-*Bayesian interpolation*, Neural Computation 4, 1992, 4.4): at its top ``w^2 = sum x^2 / gamma``. A direction that the
-data do not see adds nothing to the sum and nothing to gamma, so that no width is taken from it.
+*Bayesian interpolation*, Neural Computation 4, 1992, 4.4). A direction that the data do not see adds nothing to the sum
+and nothing to gamma, so that no width is taken from it.
+
+Where little shows, the likelihood is often largest at width zero, and amounts that are there would be said to be none
+with certainty. So the likelihood is multiplied by w for every group, which keeps widths about one standard error off
+zero and is hardly felt elsewhere: at the top ``w^2 = sum x^2 / (gamma - 1)`` (Y. Chung, S. Rabe-Hesketh, V. Dorie, A.
+Gelman, J. Liu, *A nondegenerate penalized likelihood estimator for variance parameters in multilevel models*,
+Psychometrika 78, 2013).
 
 The sigmas of the noise are found together with the widths, as each decides what is left for the other. Parameters
 without a learned prior are integrated out as well, which makes this a restricted likelihood.
@@ -17,7 +23,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 
 # From a thousandth to a thousand ordinary deviations: an amount of the one shows nowhere, the other holds nothing.
 NARROWEST, WIDEST = 1e-3, 1e3
@@ -41,7 +47,7 @@ class Rows(NamedTuple):
     counts: Array
     known: Array
     least: Array
-    fixed: Array
+    fixed: BoolArray
     group: IntArray
 
 
@@ -52,6 +58,18 @@ class Likelihood(NamedTuple):
     by_widths: Array
     by_factors: Array
     gamma: Array
+
+
+class Widths(NamedTuple):
+    """Widths (g,) of the groups, in units of the columns; factors (c,) of the sigmas; ``gamma`` (g,) that taught.
+
+    ``shown`` (g,): whether the data are likelier with the group than without it.
+    """
+
+    widths: Array
+    factors: Array
+    gamma: Array
+    shown: BoolArray
 
 
 def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
@@ -78,11 +96,8 @@ def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
 
 
-def likeliest(rows: Rows, start: Array) -> tuple[Array, Array, Array]:
-    """Return widths (g,) and factors (c,) of the largest likelihood, and gamma (g,); ``start`` (g,): widths to begin.
-
-    In units of the columns of the rows; widths lie within ``NARROWEST`` and ``WIDEST``.
-    """
+def likeliest(rows: Rows, start: Array) -> Widths:
+    """Return the widths of the largest likelihood times widths; ``start`` (g,): those to begin with."""
     g, p = len(start), len(rows.group)
     informed = rows.grams[:, range(p), range(p)].max(axis=1)
     least = np.maximum(rows.least, np.sqrt(informed / _LARGEST_INFORMATION))
@@ -91,7 +106,8 @@ def likeliest(rows: Rows, start: Array) -> tuple[Array, Array, Array]:
 
     def cost(theta: Array) -> tuple[float, Array]:
         found = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:]))
-        return found.value, np.concatenate([found.by_widths, found.by_factors])
+        slopes = np.concatenate([found.by_widths - 2.0, found.by_factors])
+        return found.value - 2.0 * float(np.sum(theta[:g])), slopes
 
     bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
     result = minimize(
@@ -103,4 +119,7 @@ def likeliest(rows: Rows, start: Array) -> tuple[Array, Array, Array]:
         options={"maxiter": _MOST_STEPS, "ftol": 1e-13, "gtol": 1e-4},
     )
     widths, factors = np.exp(result.x[:g]), np.exp(result.x[g:])
-    return widths, factors, likelihood(rows, widths, factors).gamma
+    found = likelihood(rows, widths, factors)
+    without = np.where(np.eye(g, dtype=bool), NARROWEST, widths)
+    shown = np.array([likelihood(rows, narrow, factors).value > found.value for narrow in without], dtype=bool)
+    return Widths(widths, factors, found.gamma, shown)

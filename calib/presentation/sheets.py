@@ -142,7 +142,7 @@ def prior_sentences(fit: Fit) -> tuple[str, ...]:
         what = {
             "learned": f"{width}, learned from data that determine {of} parameters",
             "too few": f"{width}, as the data determine {of} parameters, too few to learn from",
-            "narrowest": f"{width}, the narrowest: of its {prior.parameters} parameters nothing shows",
+            "nothing shows": f"{width}, which the data could not notice: its {prior.parameters} parameters do not show",
             "widest": f"{width}, the widest: as good as no prior",
         }[prior.outcome]
         said.append(f"Prior of {prior.group}: {what}.")
