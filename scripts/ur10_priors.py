@@ -1,13 +1,15 @@
 """What priors with learned widths bring on a real UR10: for joint terms, and for geometry from few poses.
 
-    python scripts/ur10_priors.py <ur10_leica folder> [--splits 10] [--draws 20] [--processes 4] [--markdown FILE]
+    python scripts/ur10_priors.py <ur10_leica folder> [--splits 4] [--draws 10] [--jobs 1] [--markdown FILE]
 
 Data: as scripts/ur10_leica_job.py reads them. A random third of the rows is held out, the first third of numpy's
 default_rng(seed).permutation; errors are of these. Split 0 is that of the README.
 """
 
 import argparse
+import functools
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,7 +97,14 @@ def divided(data: calib.Measurements, seed: int) -> tuple[calib.Measurements, ca
     return data.subset(order[len(order) // 3 :]), data.subset(order[: len(order) // 3])
 
 
-def of_terms(robot: calib.Robot, data: calib.Measurements, seed: int) -> dict[str, Judged]:
+@functools.cache
+def loaded(dataset: Path) -> tuple[calib.Robot, calib.Measurements]:
+    robot = calib.load_robot(ROBOT, tip="tool0")
+    return robot, calib.read_measurements(table_columns(read(dataset), "position"), robot)
+
+
+def of_terms(dataset: Path, seed: int) -> dict[str, Judged]:
+    robot, data = loaded(dataset)
     seen, test = divided(data, seed)
     geometry = {"offsets": "all", "placements": "all"}
     every = geometry | {"harmonics": "all", "harmonic_orders": range(1, 41)}
@@ -110,7 +119,12 @@ def of_terms(robot: calib.Robot, data: calib.Measurements, seed: int) -> dict[st
     return {name: judged(calib.identify(model, seen), test) for name, model in models.items()}
 
 
-def of_geometry(robot: calib.Robot, data: calib.Measurements, seed: int, count: int) -> dict[str, Judged]:
+def of_few(dataset: Path, seed: int) -> list[dict[str, Judged]]:
+    return [of_geometry(dataset, seed, count) for count in FEW]
+
+
+def of_geometry(dataset: Path, seed: int, count: int) -> dict[str, Judged]:
+    robot, data = loaded(dataset)
     seen, test = divided(data, seed)
     some = seen.subset(np.arange(count))
     found = {}
@@ -163,9 +177,9 @@ def mean_of(found: list[dict[str, Judged]]) -> dict[str, Judged]:
     return {name: mean(name) for name in found[0]}
 
 
-def of_process(data: calib.Measurements, seed: int, fit: calib.Fit) -> tuple[float, ...]:
+def of_process(dataset: Path, seed: int, fit: calib.Fit) -> tuple[float, ...]:
     """Return rms in mm without and with a process, of rows held out, and the guard's two and its standard error."""
-    seen, test = divided(data, seed)
+    seen, test = divided(loaded(dataset)[1], seed)
     base = fit.machine.frames.base
     errors = fit.residuals[0] @ base[:3, :3]
     known = gaussian_from_residuals(seen.readings, errors, fit.robot.readings)
@@ -190,31 +204,33 @@ def process_table(rows: list[tuple[float, ...]]) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", type=Path, help="folder of the UR10's measurements")
-    parser.add_argument("--splits", type=int, default=10, help="random splits (default: 10)")
-    parser.add_argument("--draws", type=int, default=20, help="draws of few poses (default: 20)")
-    parser.add_argument("--processes", type=int, default=4, help="splits with a Gaussian process (default: 4)")
+    parser.add_argument("--splits", type=int, default=4, help="random splits (default: 4)")
+    parser.add_argument("--draws", type=int, default=10, help="draws of few poses (default: 10)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that share the work (default: 1)")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the page")
     arguments = parser.parse_args()
     try:
-        columns = table_columns(read(arguments.dataset), "position")
+        loaded(arguments.dataset)
     except NotTheDatasetError as problem:
         print(problem, file=sys.stderr)
         return 1
-    robot = calib.load_robot(ROBOT, tip="tool0")
-    data = calib.read_measurements(columns, robot)
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        splits, draws = range(arguments.splits), range(arguments.draws)
+        of_splits = [pool.submit(of_terms, arguments.dataset, seed) for seed in splits]
+        of_draws = [pool.submit(of_few, arguments.dataset, seed) for seed in draws]
+        terms = [found.result() for found in of_splits]
+        fits = [found["and the rest"].fit for found in terms]
+        of_fits = [pool.submit(of_process, arguments.dataset, *pair) for pair in enumerate(fits)]
+        few = dict(zip(FEW, zip(*(found.result() for found in of_draws), strict=True), strict=True))
+        processes = [found.result() for found in of_fits]
     lines = [PAGE.format(splits=arguments.splits).rstrip(), ""]
-    terms = [of_terms(robot, data, seed) for seed in range(arguments.splits)]
     lines += [*table("split", [str(k) for k in range(len(terms))], terms, mean=True), ""]
     lines += [f"* {compared(terms, one, 'chosen')}" for one in ("stated", "wide", "learned", "and the rest")]
     lines += ["", "What was learned on split 0, with the rest:", ""]
     lines += [f"* {said}" for said in prior_sentences(terms[0]["and the rest"].fit)]
     lines += [FEW_POSES.format(draws=arguments.draws)]
-    few = {n: [of_geometry(robot, data, seed, n) for seed in range(arguments.draws)] for n in FEW}
-    lines += [*table("poses", [str(n) for n in FEW], [mean_of(found) for found in few.values()], mean=False), ""]
-    lines += [f"* {n} poses. {compared(found, 'learned', 'stated')}" for n, found in few.items()]
-    processes = [
-        of_process(data, seed, found["and the rest"].fit) for seed, found in enumerate(terms[: arguments.processes])
-    ]
+    lines += [*table("poses", [str(n) for n in FEW], [mean_of(list(found)) for found in few.values()], mean=False), ""]
+    lines += [f"* {n} poses. {compared(list(found), 'learned', 'stated')}" for n, found in few.items()]
     lines += [PROCESS, *process_table(processes), ""]
     print("\n".join(lines))
     if arguments.markdown is not None:

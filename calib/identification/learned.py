@@ -24,6 +24,9 @@ Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
 # Directions of a group that the data must see, given priors of an ordinary deviation, before they may teach a width.
 _FEWEST = 3.0
+# Normal equations hold half of a double's digits, and must tell the widest prior from none. Rows with less noise than
+# that allows, a fraction of a micrometre, are taken to have so much.
+_MOST_INFORMATION = 1e10
 _MOST_ROUNDS = 8
 _NEGLIGIBLE_CHANGE = 0.01
 
@@ -117,11 +120,14 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
     given = [None] * len(counts) if variances is None else list(variances)
     # Where rows that lie off weigh less, their number says too little; the solver alone finds the noise.
     fixed = [v is not None or problem.robust for v in given]
+    grams = np.stack([gram(triangle) for triangle in evaluation.triangles])
+    finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
+    coarser = np.maximum(finest, 1.0)
     return Rows(
-        np.stack([gram(triangle) for triangle in evaluation.triangles]),
+        grams / coarser[:, None, None] ** 2,
         np.array(counts, dtype=np.float64),
         known,
-        np.array(least),
+        np.maximum(least, finest) / coarser,
         np.array(fixed),
         np.array([-1 if q.group is None else names.index(q.group) for q in parameters], dtype=np.intp),
     )

@@ -25,12 +25,10 @@ from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
-# From a thousandth to a thousand ordinary deviations: an amount of the one shows nowhere, the other holds nothing.
-NARROWEST, WIDEST = 1e-3, 1e3
+# From a thousandth to a hundred ordinary deviations: an amount of the one shows nowhere, the other holds nothing.
+NARROWEST, WIDEST = 1e-3, 1e2
 # A component's noise may come out so many times larger than the fit has found it, or smaller.
 _MOST_NOISE = 1e3
-# Normal equations hold half of a double's digits: noise below this share of the best seen parameter does not count.
-_LARGEST_INFORMATION = 1e13
 _MOST_STEPS = 300
 
 
@@ -98,10 +96,8 @@ def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
 
 def likeliest(rows: Rows, start: Array) -> Widths:
     """Return the widths of the largest likelihood times widths; ``start`` (g,): those to begin with."""
-    g, p = len(start), len(rows.group)
-    informed = rows.grams[:, range(p), range(p)].max(axis=1)
-    least = np.maximum(rows.least, np.sqrt(informed / _LARGEST_INFORMATION))
-    low = np.where(rows.fixed, 1.0, np.minimum(np.maximum(least, 1.0 / _MOST_NOISE), _MOST_NOISE))
+    g = len(start)
+    low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
     high = np.where(rows.fixed, 1.0, _MOST_NOISE)
 
     def cost(theta: Array) -> tuple[float, Array]:

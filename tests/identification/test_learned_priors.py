@@ -155,6 +155,17 @@ def test_the_width_of_harmonics_comes_back() -> None:
     assert {p.prior for p in fit.parameters if p.kind == "term"} == set(widths(fit).tolist())
 
 
+def test_without_noise_widths_are_those_of_the_amounts_themselves() -> None:
+    lab = Lab(6, 4e-5)
+    fit = calib.identify(lab.wavy(prior_length="learned", prior_angle="learned"), lab.data(120, sigma=0.0))
+    assert machines.miss(fit, lab.true, lab.draw(lab.rng, 50)) < 1e-10
+    for prior in fit.learned:
+        own = [value for p, value in zip(fit.parameters, fit.values, strict=True) if p.group == prior.group]
+        if prior.group.startswith("harmonics"):
+            assert prior.taught == pytest.approx(len(own), rel=1e-3)
+            assert prior.width**2 == pytest.approx(np.sum(np.square(own)) / (len(own) - 1.0), rel=1e-2)
+
+
 def test_neither_rows_nor_the_world_nor_units_change_what_is_learned() -> None:
     lab = Lab(2, 4e-5)
     model = lab.wavy(harmonic_orders=(1, 2, 3), prior_length="learned", prior_angle="learned")
