@@ -224,7 +224,7 @@ def test_learned_widths_are_no_worse_than_ordinary_ones_and_better_where_these_a
     gains = []
     for size in (1.0, 0.2, 5.0):
         stated, learned = [], []
-        for seed in range(6):
+        for seed in range(4):
             lab = Lab(10 + seed, 0.0, length=size * 1e-3, angle=size * 1e-3, zero=size * 1e-3)
             data, unseen = lab.data(12), lab.draw(lab.rng, 200)
             for found, priors in ((stated, (1e-3, 1e-3)), (learned, ("learned", "learned"))):
@@ -238,7 +238,7 @@ def test_learned_widths_are_no_worse_than_ordinary_ones_and_better_where_these_a
 
 def test_predictions_are_as_sure_as_they_say() -> None:
     inside = []
-    for seed in range(8):
+    for seed in range(6):
         lab = Lab(30 + seed, 0.0, length=0.3e-3, angle=0.3e-3, zero=1e-3)
         fit = calib.identify(lab.model(prior_length="learned", prior_angle="learned"), lab.data(20))
         unseen = lab.draw(lab.rng, 200)
