@@ -2,7 +2,8 @@
 
     python scripts/kill_runs.py --runs 50 --markdown docs/crashes.md
 
-Every run calibrates anew into a folder that holds whole results of another job, so that old and new can be told apart.
+Every run calibrates anew into a folder that holds whole results of another job, so that old and new can be told apart,
+until as many as asked for were killed before they ended.
 It is killed (SIGKILL) at a random moment: of the whole run, or, every second time, of the moments in which it writes.
 Then the folder is looked at as it stands, read by ``calib.load_model``, which puts right what there is to be put
 right, and written by a run that nobody disturbs. A run passes when the folder was the old one or the new one, whole,
@@ -107,12 +108,13 @@ def kills(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str, ...]], in
         shutil.move(spare, folder / spare.name)
     rng = random.Random(seed)
     counted: collections.Counter[tuple[str, str, str, str]] = collections.Counter()
-    passed = 0
-    for k in range(runs):
-        as_it_writes = k % 2 == 1
+    passed = done = 0
+    while done < runs:
+        as_it_writes = done % 2 == 1
         shutil.rmtree(place)
         shutil.copytree(folder / "first", out)
-        killed = kill(job, out, rng.uniform(0.0, longest if as_it_writes else took), as_it_writes=as_it_writes)
+        if not kill(job, out, rng.uniform(0.0, longest if as_it_writes else took), as_it_writes=as_it_writes):
+            continue  # it had ended
         stood = {str(old): "old", str(new): "new", str({}): "aside"}.get(
             str(tree(out)) if out.exists() else "{}", "BROKEN"
         )
@@ -122,9 +124,10 @@ def kills(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str, ...]], in
         calibrate(job, out)
         clean = tree(out) == new and list(place.iterdir()) == [out] and tree(folder / "case") == inputs
         passed += whole and clean and stood != "BROKEN"
-        moment = "not killed: it had ended" if not killed else "while writing" if as_it_writes else "of the whole run"
+        moment = "while writing" if as_it_writes else "of the whole run"
+        done += 1
         counted[moment, stood, beside, "whole" if whole and clean else "BROKEN"] += 1
-        print(f"\r{k + 1} of {runs} runs, {passed} passed", end="", file=sys.stderr, flush=True)
+        print(f"\r{done} of {runs} kills, {passed} passed", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return [(*key, str(n)) for key, n in sorted(counted.items())], passed
 
@@ -184,8 +187,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows, passed = kills(folder, arguments.runs, arguments.seed)
-        head = ("killed", "folder as it stood", "left beside it", "read, then written anew", "runs")
-        lines = [table(head, rows), "", f"{passed} of {arguments.runs} runs passed.", ""]
+        head = ("killed", "folder as it stood", "left beside it", "read, then written anew", "kills")
+        lines = [table(head, rows), "", f"{passed} of {arguments.runs} kills passed.", ""]
         good = passed == arguments.runs
         if os.geteuid() == 0:
             found = disks(folder)

@@ -25,6 +25,8 @@ HEAVY = (
     "typer",
     "jinja2",
     "PIL",
+    "joblib",
+    "distributed",
 )
 
 

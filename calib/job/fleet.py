@@ -243,6 +243,8 @@ def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
         try:
             yield _Crew(together, died)
         except TimeoutError as e:
+            if dask is None:
+                raise
             raise JobError(f"{dask}: the Dask cluster has no worker.") from e
 
 

@@ -26,6 +26,7 @@ from tests.job.cases import JOB, TABLE, copy_case, edit, run, tree
 from tests.test_cli import by_another_machine
 
 MAIN = "from calib.cli import main; main()"
+QUIET = {"dashboard_address": None, "silence_logs": 50}
 GOOD = ("plain.toml", "fewer.toml")
 BAD = 'jobs/bad.toml: error_model.offsets: \'al\' is not "all", "none" or a list of names.'
 
@@ -251,8 +252,7 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
 
 def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    quiet = {"dashboard_address": None, "silence_logs": 50}
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **quiet) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **QUIET) as cluster:
         said = run("fleet", *jobs("bad.toml", *GOOD), "--dask", cluster.scheduler_address)
         assert (said.code, said.err) == (1, "")
     for name in ("plain", "fewer"):
@@ -261,12 +261,16 @@ def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
 
 
 def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "_PATIENCE", 1)
     chosen = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
     for address in ("tcp://127.0.0.1:1", "nonsense://x"):
         with pytest.raises(JobError, match="no Dask scheduler answers there"):
             run_fleet(chosen, dask=address)
+    with distributed.LocalCluster(n_workers=0, host="127.0.0.1", **QUIET) as cluster:
+        with pytest.raises(JobError) as caught:
+            run_fleet(chosen, dask=cluster.scheduler_address)
+        assert str(caught.value) == f"{cluster.scheduler_address}: the Dask cluster has no worker."
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(JobError) as caught:
         run_fleet(chosen, dask="tcp://127.0.0.1:1")
