@@ -1,6 +1,6 @@
 """Kill the real command line at random moments, fill its disk and close its folders; look at what is left.
 
-    python scripts/kill_runs.py --runs 60 --markdown docs/crashes.md
+    python scripts/kill_runs.py --runs 50 --markdown docs/crashes.md
 
 Every run calibrates anew into a folder that holds whole results of another job, so that old and new can be told apart.
 It is killed (SIGKILL) at a random moment: of the whole run, or, every second time, of the moments in which it writes.
@@ -177,7 +177,7 @@ def put(page: Path, lines: list[str]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables into this page")
     arguments = parser.parse_args()

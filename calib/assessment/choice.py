@@ -35,7 +35,7 @@ from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
 from calib.robot.joint_terms import moments, weights_of
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import JointTerm
+from calib.robot.transmission import WHOLE_ARM, JointTerm
 
 # A harmonic drive wobbles up to the fortieth order: on a real UR10 orders above 12 halve what is left.
 ORDERS = tuple(range(1, 41))
@@ -51,8 +51,8 @@ class Candidate:
     def name(self) -> str:
         """Name for tables."""
         first = self.terms[0]
-        of, what = first.name.split(f".{first.kind}")
-        return f"{of}: harmonic {first.order}" if first.order else f"{of}: {first.kind}{what.replace('_', ' ', 1)}"
+        what = f"harmonic {first.order}" if first.order else f"{first.kind} {first.body}".rstrip()
+        return f"{first.reading or WHOLE_ARM}: {what}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Choice:
         names = [*(reading.name for reading in robot.readings), *(joint.name for joint in robot.chain), ""]
 
         def place(term: JointTerm) -> tuple[bool, int, int, str, int, str]:
-            carrier, _, what = term.body.rpartition(".")
+            carrier, _, what = term.body.rpartition("_")
             return term.of_link, names.index(term.reading), term.order, term.kind, names.index(carrier), what
 
         return tuple(sorted(chosen, key=place))

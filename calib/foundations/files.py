@@ -109,31 +109,23 @@ def replace_folder(path: Path, ours: Collection[str] | None = None) -> Iterator[
             raise OutputError(f"{path}: is a file, and the results need a folder.")
         made = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(path, fcntl.LOCK_EX) as alone:
-            _put_back(path)
-            if alone:  # then what is half written was left by a run that was killed
-                half_written = re.compile(rf"\.{re.escape(path.name)}\.\w{{8}}\.new")
-                for stale in path.parent.iterdir():
-                    if half_written.fullmatch(stale.name):
-                        shutil.rmtree(stale, ignore_errors=True)
-            _remove_previous(path, ours)
-            new = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent))
-            try:
-                yield new
-                for entry in new.rglob("*"):
-                    _sync(entry)
-                new.chmod(0o755)
-                _sync(new)
-                if path.exists():
-                    path.rename(previous_folder(path))
-                new.rename(path)
-            except BaseException:
-                shutil.rmtree(new, ignore_errors=True)
-                _put_back(path)
-                raise
-            made = []
-            _sync(path.parent)
-            _remove_previous(path, ours)
+        with contextlib.ExitStack() as ending:
+            with _locked(path, fcntl.LOCK_EX) as alone:
+                if alone:
+                    _remove_half_written(path)
+                new = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent))
+                ending.callback(shutil.rmtree, new, ignore_errors=True)  # nothing is left of it in the end
+                handle = os.open(new, os.O_RDONLY)
+                ending.callback(os.close, handle)
+                _had(handle, fcntl.LOCK_EX)  # tells others that it is being written
+            yield new
+            for entry in new.rglob("*"):
+                _sync(entry)
+            new.chmod(0o755)
+            _sync(new)
+            with _locked(path, fcntl.LOCK_EX):
+                _exchange(path, new, ours)
+                made = []
     except OSError as e:
         if isinstance(e, CalibError):
             raise
@@ -187,6 +179,32 @@ def recover_folder(path: Path) -> None:
 def previous_folder(path: Path) -> Path:
     """Return where a folder stands aside while its successor takes its place."""
     return path.with_name(f".{path.name}.previous")
+
+
+def _exchange(path: Path, new: Path, ours: Collection[str] | None) -> None:
+    _put_back(path)
+    _remove_previous(path, ours)
+    try:
+        if path.exists():
+            path.rename(previous_folder(path))
+        new.rename(path)
+    except BaseException:
+        _put_back(path)
+        raise
+    _sync(path.parent)
+    _remove_previous(path, ours)
+
+
+def _remove_half_written(path: Path) -> None:
+    """Remove what runs that were killed have begun to write; what a living one writes, it has locked."""
+    name = re.compile(rf"\.{re.escape(path.name)}\.\w{{8}}\.new")
+    for folder in path.parent.iterdir():
+        if name.fullmatch(folder.name):
+            with contextlib.suppress(OSError), contextlib.ExitStack() as ending:  # its own run may just remove it
+                handle = os.open(folder, os.O_RDONLY)
+                ending.callback(os.close, handle)
+                if _had(handle, fcntl.LOCK_EX):
+                    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _put_back(path: Path) -> None:

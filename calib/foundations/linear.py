@@ -4,9 +4,13 @@ from contextlib import AbstractContextManager
 from typing import Any, cast
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+import scipy.linalg  # noqa: F401 - so that its library is there to be found
+from threadpoolctl import ThreadpoolController
 
 from calib.foundations.arrays import Array
+
+# NumPy's and SciPy's, found once: to look through all that a process has loaded takes as long as half a fit.
+_LIBRARIES = ThreadpoolController()
 
 
 def triangle(M: Array) -> Array:
@@ -19,4 +23,4 @@ def one_thread() -> AbstractContextManager[object]:
 
     Our matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
     """
-    return cast(AbstractContextManager[object], threadpool_limits(limits=1, user_api="blas"))
+    return cast(AbstractContextManager[object], _LIBRARIES.limit(limits=1, user_api="blas"))

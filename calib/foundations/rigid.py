@@ -96,8 +96,15 @@ def left_jacobian_inverse(w: Array) -> Array:
 
 def rx_ry_rz(angles: Array) -> Array:
     """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
-    a, b, c = (rotation_about(axis, angles[..., i]) for i, axis in enumerate(np.eye(3)))
-    return np.asarray(a @ b @ c)
+    # Written out: every machine of every evaluation is made of these.
+    sin, cos = np.sin(angles), np.cos(angles)
+    sa, sb, sc = sin[..., 0], sin[..., 1], sin[..., 2]
+    ca, cb, cc = cos[..., 0], cos[..., 1], cos[..., 2]
+    R = np.empty((*angles.shape, 3))
+    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cb * cc, -cb * sc, sb
+    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = sa * sb * cc + ca * sc, ca * cc - sa * sb * sc, -sa * cb
+    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sa * sc - ca * sb * cc, ca * sb * sc + sa * cc, ca * cb
+    return R + 0.0  # no zero keeps a minus
 
 
 def rpy_of(R: Array) -> Array:

@@ -19,6 +19,7 @@ from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.posing import posed, with_common_names, with_new_targets
 from calib.identification.solver import Solution, solve
+from calib.identification.start import is_fit
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
@@ -70,15 +71,18 @@ def _identify(
 
     aligned = posed_problem.reference
     before = replace(posed_problem, parameters=tuple(p for p in posed_problem.parameters if not p.of_robot))
-    start = solve(before, values_at(model.robot, before.parameters, aligned), variances) if before.parameters else None
-    nominal = before.machine(np.zeros(0) if start is None else start.x)
+    x0 = values_at(model.robot, before.parameters, aligned)
+    fitted = not before.parameters or is_fit(sets)
+    nominal = before.machine(x0 if fitted else solve(before, x0, variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(posed_problem, parameters=parameters, reference=reference, held=deviations)
     _refuse_losses(losses, sets)
     if losses is not None:
         problem = replace(problem, given_losses=tuple(losses))
-    found = solve(problem, values_at(model.robot, parameters, reference, deviations), variances)
+    before_fit = residuals(model.robot, sets, nominal)
+    x0 = values_at(model.robot, parameters, reference, deviations)
+    found = solve(problem, x0, variances, at_start=before_fit if begin is None else None)
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
     kept, directions = identifiability.told(found.start, usable, parameters)
@@ -112,7 +116,7 @@ def _identify(
         machine=machine,
         nominal=nominal,
         residuals=tuple(read_only(r) for r in after),
-        nominal_residuals=tuple(read_only(r) for r in residuals(model.robot, sets, nominal)),
+        nominal_residuals=tuple(read_only(r) for r in before_fit),
         evaluations=found.evaluations,
         step=found.step,
         converged=found.converged,

@@ -57,8 +57,16 @@ class Solution(NamedTuple):
     converged: bool
 
 
-def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+def solve(
+    problem: LeastSquares,
+    x0: Array,
+    variances: Sequence[float | None] | None = None,
+    *,
+    at_start: Sequence[Array] | None = None,
+) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
+
+    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
 
     Raises IdentificationError when there are no more rows and priors than the rank.
     """
@@ -69,7 +77,7 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    v = _keep(fixed, weights.mean_squares(problem, x0))
+    v = _keep(fixed, weights.mean_squares(problem, x0, at_start))
     evaluator = _Evaluator(problem, s)
     sigmas = first_sigmas = weights.sigmas_of(problem, v)
     first = evaluator(z0, sigmas)

@@ -54,6 +54,12 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
     return with_targets(model, sets, tips, Frames(base, tools))
 
 
+def is_fit(sets: Sequence[Measurements]) -> bool:
+    """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
+    data = sets[0]
+    return len(sets) == 1 and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
+
+
 def _thinned(data: Measurements) -> Measurements:
     """Return as many rows as a start needs: some of every tool at every target, evenly from first to last."""
     step = -(-len(data) // _ENOUGH)

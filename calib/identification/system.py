@@ -29,7 +29,7 @@ from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
 _Found = TypeVar("_Found")
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
-BLOCK = 768
+BLOCK = 384
 
 
 class Component(NamedTuple):

@@ -44,9 +44,9 @@ def _plain_sigmas(problem: LeastSquares, variances: Sequence[float]) -> tuple[Ar
     )
 
 
-def mean_squares(problem: LeastSquares, x: Array) -> tuple[float, ...]:
-    """Return the mean squared residual of every component at parameter values x (p,)."""
-    r = problem.residuals(x)
+def mean_squares(problem: LeastSquares, x: Array, known: Sequence[Array] | None = None) -> tuple[float, ...]:
+    """Return the mean squared residual of every component at x (p,); ``known``: the residuals there."""
+    r = problem.residuals(x) if known is None else known
     return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
 
 

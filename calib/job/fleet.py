@@ -3,6 +3,8 @@
 import os
 import re
 import signal
+import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
@@ -21,6 +23,8 @@ from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, in s.
 _PATIENCE = 20
+# How often a worker looks whether its parent is still there, in s.
+_LOOK = 1.0
 # A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
 _USUAL = re.compile(r"calibration(?![^_.-])")
 SUMMARY_JSON = "summary.json"
@@ -222,9 +226,8 @@ def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
         died: tuple[type[Exception], ...] = (BrokenProcessPool,)
         if dask is None:
             count = joblib.cpu_count() if workers is None else workers
-            ending.enter_context(
-                joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, initializer=_leave_ctrl_c)
-            )
+            started = {"initializer": _serve, "initargs": (os.getpid(),)}
+            ending.enter_context(joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started))
             ending.callback(_end_workers)
         else:
             client, killed = _client(dask)
@@ -243,9 +246,16 @@ def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
             raise JobError(f"{dask}: the Dask cluster has no worker.") from e
 
 
-def _leave_ctrl_c() -> None:
-    """Let Ctrl-C, which every process of a terminal gets, be the business of the one that asked for the work."""
+def _serve(parent: int) -> None:
+    """Let Ctrl-C, which every process of a terminal gets, be the business of the parent, and end when it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _end_workers() -> None:

@@ -111,8 +111,8 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
             what = ("", "", "") if error is None else (error.quantity.replace("_", " "), line.data, str(error.n))
             seen = (_rank(line), _number(line.outliers))
             link = "" if line.report is None else quote(line.report)
-            rows.append(Row((line.name, line.word, *what, *values, *seen), strong=line.word != "trusted", link=link))
-    columns = ("job", "verdict", "error", "data", "n", *figures, "rank", "outliers")
+            rows.append(Row((line.name, line.word, *seen, *what, *values), strong=line.word != "trusted", link=link))
+    columns = ("job", "verdict", "rank", "outliers", "error", "data", "n", *figures)
     caption = (
         "A job's name leads to its report; the head of a column sorts by it. rms before and after, and the largest "
         "error after; rank: of how many parameters the data see how many; outliers: rows, jumps and groups that are no "

@@ -24,12 +24,11 @@ def twists(d: Array) -> Array:
     the three rotations through those on its right.
     """
     R = rigid.rx_ry_rz(d[..., 3:])
-    Rz = rigid.rotation_about(np.array([0.0, 0.0, 1.0]), d[..., 5])
-    Ry = rigid.rotation_about(np.array([0.0, 1.0, 0.0]), d[..., 4])
     W = np.zeros((*d.shape[:-1], 6, 6))
     W[..., :3, :3] = np.swapaxes(R, -1, -2)
-    W[..., 3:, 3] = (Ry @ Rz)[..., 0, :]
-    W[..., 3:, 4] = Rz[..., 1, :]
+    # Rows of Ry Rz and Rz: Rx, on the left, leaves the first row of R as it is.
+    W[..., 3:, 3] = R[..., 0, :]
+    W[..., 3, 4], W[..., 4, 4] = np.sin(d[..., 5]), np.cos(d[..., 5])
     W[..., 5, 5] = 1.0
     return W
 

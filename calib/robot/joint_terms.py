@@ -87,7 +87,7 @@ def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
     What fixed joints carry belongs to the joint that moves it.
     """
     what = dict(zip(("x", "y", "z", "mass"), np.eye(4), strict=True))
-    return {f"{robot.chain[i].name}.{name}": (i, read_only(unit)) for i in robot.moving for name, unit in what.items()}
+    return {f"{robot.chain[i].name}_{name}": (i, read_only(unit)) for i in robot.moving for name, unit in what.items()}
 
 
 def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:

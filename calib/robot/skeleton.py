@@ -77,10 +77,13 @@ def derivative(s: Skeleton, joint: int) -> tuple[Array, Array]:
         ahead, target = rigid.inverse(s.segments[joint].frame), n_moving
         while joint >= 0:
             number = s.segments[joint].number
-            if number is not None:
-                ahead, target = np.eye(4), number
-            rows[target, :, 6 * joint : 6 * joint + 6] = rigid.adjoint(rigid.inverse(ahead)) @ s.twists[joint]
-            ahead = s.placed[joint] @ ahead
+            if number is None:
+                rows[target, :, 6 * joint : 6 * joint + 6] = rigid.adjoint(rigid.inverse(ahead)) @ s.twists[joint]
+                ahead = s.placed[joint] @ ahead
+            else:
+                # What is ahead of a moving joint is in its own column of the regressor.
+                rows[number, :, 6 * joint : 6 * joint + 6] = s.twists[joint]
+                ahead, target = s.placed[joint], number
             joint = s.segments[joint].parent
     return rows[:-1].reshape(6 * n_moving, -1), rows[-1]
 

@@ -43,7 +43,7 @@ class JointTerm:
     """One term of one reading; of bending and expansion: of the link before the joint that ``reading`` names.
 
     ``order``: periods of a harmonic in a turn of the reading, 0 for all other kinds. ``body``: of a moment, the joint
-    that carries it and its axis in the joint's frame, as ``joint_4.x``, or ``joint_4.mass``; "" for all other kinds.
+    that carries it and its axis in the joint's frame, as ``joint_4_x``, or ``joint_4_mass``; "" for all other kinds.
     """
 
     reading: str
@@ -53,7 +53,7 @@ class JointTerm:
 
     @property
     def name(self) -> str:
-        """Name of its amount among parameters: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4.x``."""
+        """Name of its amount among parameters: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4_x``."""
         what = self.order or self.body
         return f"{self.reading or WHOLE_ARM}.{self.kind}_{what}" if what else f"{self.reading or WHOLE_ARM}.{self.kind}"
 
@@ -68,7 +68,7 @@ class JointTerm:
         if self.kind in ("elastic", "torque", "bending"):
             return "rad/Nm" if angle or self.of_link else "m/N"
         if self.kind == "moment":
-            if self.body.endswith(".mass"):
+            if self.body.endswith("_mass"):
                 return "kg rad/Nm" if angle else "kg m/N"
             return "kg m rad/Nm" if angle else "kg m2/N"
         if self.kind == "expansion":

@@ -223,6 +223,11 @@ TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}
         ([TERM | {"order": 0}], "terms[0] has a wrong value"),
         ([TERM | {"kind": "gain"}], "terms[0] has a wrong value"),
         ([TERM | {"kind": "magic"}], "terms[0].kind has a wrong value"),
+        ([TERM | {"kind": "moment", "order": 0}], "terms[0] has a wrong value"),
+        ([TERM | {"body": "lift_x"}], "terms[0] has a wrong value"),
+        ([TERM | {"kind": "moment", "order": 0, "body": "lift_w"}], "its joint terms are not those of nominal.urdf"),
+        ([TERM | {"kind": "bending", "order": 0, "reading": "rod"}], "its joint terms are not those of nominal.urdf"),
+        ([TERM | {"kind": "bending", "order": 0, "reading": ""}], "its joint terms are not those of nominal.urdf"),
     ],
 )
 def test_wrong_terms_are_refused(folder: Path, terms: list[object], sentence: str) -> None:

@@ -1,12 +1,14 @@
 """Killed at every single filesystem operation, a folder is the old one or the new one, and nobody loses a file."""
 
 import ast
+import contextlib
 import errno
+import fcntl
 import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -132,55 +134,67 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def hold(folder: Path, write: bool) -> tuple[threading.Thread, threading.Event]:
-    """Hold a folder of results in a thread, as another run would, until the event is set."""
-    held, enough = threading.Event(), threading.Event()
+@contextlib.contextmanager
+def held(folder: Path, kind: int) -> Iterator[threading.Event]:
+    """Keep a folder in a thread, as another run that reads or exchanges it, until the event or the end."""
+    begun, enough = threading.Event(), threading.Event()
 
     def run() -> None:
-        with replace_folder(folder) if write else reading_folder(folder):
-            held.set()
+        with files._locked(folder, kind):
+            begun.set()
             enough.wait()
 
     thread = threading.Thread(target=run)
     thread.start()
-    held.wait()
-    return thread, enough
+    begun.wait()
+    try:
+        yield enough
+    finally:
+        enough.set()
+        thread.join()
 
 
-@pytest.mark.parametrize("write", [True, False], ids=["a writer", "a reader"])
-def test_a_second_writer_waits_or_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: bool) -> None:
+def test_a_writer_waits_for_a_reader_or_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     with replace_folder(out) as new:
         (new / "a").write_text("old")
-    other, enough = hold(out, write)
-    monkeypatch.setattr(files, "_PATIENCE", 0.05)
-    with pytest.raises(OutputError) as caught, replace_folder(out):
-        pass
-    assert str(caught.value) == f"{out}: another run is busy with it or beside it; try again when it has ended."
-    monkeypatch.undo()
-    waiting = threading.Timer(0.1, enough.set)
-    waiting.start()
-    with replace_folder(out) as new:
-        assert enough.is_set()
-        (new / "a").write_text("new")
-    other.join()
+    with held(out, fcntl.LOCK_SH) as enough:
+        with monkeypatch.context() as hasty:
+            hasty.setattr(files, "_PATIENCE", 0.05)
+            with pytest.raises(OutputError) as caught, replace_folder(out):
+                pass
+        assert str(caught.value) == f"{out}: another run is busy with it or beside it; try again when it has ended."
+        assert names(tmp_path) == ["out"]
+        threading.Timer(0.1, enough.set).start()
+        with replace_folder(out) as new:
+            assert enough.is_set()
+            (new / "a").write_text("new")
     assert (out / "a").read_text() == "new"
+    assert names(tmp_path) == ["out"]
+
+
+def test_two_writers_at_once_leave_whole_folders_and_the_last_one_stands(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with replace_folder(out) as first:
+        (first / "a").write_text("first")
+        (first / "b").write_text("first")
+        with replace_folder(out) as second:
+            (second / "a").write_text("second")
+            with reading_folder(tmp_path / "other"):
+                pass
+        assert names(out) == ["a"]
+        assert (out / "a").read_text() == "second"
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"a": "first", "b": "first"}
     assert names(tmp_path) == ["out"]
 
 
 def test_readers_do_not_wait_for_one_another_but_for_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     monkeypatch.setattr(files, "_PATIENCE", 0.05)
-    reader, enough = hold(out, write=False)
-    with reading_folder(out), reading_folder(tmp_path / "other"):
+    with held(out, fcntl.LOCK_SH), reading_folder(out), reading_folder(tmp_path / "other"):
         pass
-    enough.set()
-    reader.join()
-    writer, enough = hold(out, write=True)
-    with pytest.raises(OutputError, match="another run is busy"), reading_folder(out):
+    with held(out, fcntl.LOCK_EX), pytest.raises(OutputError, match="another run is busy"), reading_folder(out):
         pass
-    enough.set()
-    writer.join()
 
 
 def test_where_no_lock_is_to_be_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

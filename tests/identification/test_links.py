@@ -302,6 +302,6 @@ def test_they_are_offered_where_they_can_be_seen_and_chosen_where_they_are() -> 
     assert {term.name for term in choice.terms} >= {"elbow_joint.bending", "shoulder_lift_joint.elastic"}
     named = [step.added.name for step in choice.steps[1:] if step.added is not None]
     assert {"arm: expansion", "elbow_joint: bending", "elbow_joint: elastic"} <= set(named)
-    assert Candidate((JointTerm("a", "moment", body="b_1.x"),)).name == "a: moment b_1.x"
+    assert Candidate((JointTerm("a", "moment", body="b_1_x"),)).name == "a: moment b_1_x"
     table = calib.error_model(lab.robot, dh="all")
     assert not [term for term in choose_terms(table, still, count=3).terms if term.of_link]

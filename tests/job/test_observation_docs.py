@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.job.inputs import load
 from calib.job.run import run
-from tests.identification import touching
+from tests.identification import machines, touching
 from tests.identification.machines import Array
 
 DOCS = (Path(__file__).resolve().parents[2] / "docs" / "observations.md").read_text(encoding="utf-8")
@@ -22,6 +23,15 @@ class Written(touching.Lab):
 
     def read(self, q: Array, observes: str, offset: str | None = None, **more: object) -> Any:
         return self.columns(q, **more)
+
+
+def poses(at: Written, n: int) -> Any:
+    """Positions, and turns that are as sharp as positions are."""
+    q = at.draw(n)
+    seen = at.machine.see(q)
+    seen[:, :3, 3] += at.scatter(n, 3)
+    seen[:, :3, :3] @= Rotation.from_rotvec(at.scatter(n, 3)).as_matrix()
+    return machines.table(at.machine.arm, q, seen, "pose")
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "ball_of_unknown_size": at.sphere(60, "ball"),
         "dial": at.indicator(60),
         "tracker": at.positions(30),
+        "poses": poses(at, 30),
     }
     for name, columns in tables.items():
         with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
@@ -50,13 +61,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_there_is_an_example_for_every_kind() -> None:
     assert "[robot]" in HEADER
     said = set(re.findall(r'observes = "(\w+)"', "".join(EXAMPLES)))
-    assert said == {"position", "socket", "distance", "pair_distance", "plane", "sphere", "indicator"}
+    assert said == {"position", "pose", "socket", "distance", "pair_distance", "plane", "sphere", "indicator"}
 
 
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 def test_example(folder: Path, number: int) -> None:
     path = folder / f"example_{number}.toml"
-    path.write_text(HEADER + EXAMPLES[number], encoding="utf-8")
+    turned = 'tool = "pose"\n' if 'observes = "pose"' in EXAMPLES[number] else ""
+    path.write_text(HEADER + turned + EXAMPLES[number], encoding="utf-8")
     outcome = run(load(path))
     assert not outcome.doubts
     for quantity, after in outcome.metrics["identification"]["after"].items():

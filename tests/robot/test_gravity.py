@@ -100,6 +100,26 @@ def test_what_slides_holds_a_force() -> None:
     np.testing.assert_allclose(torques[0, :2], 0.0, atol=1e-12)
 
 
+def test_a_joint_that_follows_with_an_offset_holds_its_share() -> None:
+    centre, mass = (0.1, -0.2, 0.3), 2.0
+    inertial = f'<inertial><origin xyz="0.1 -0.2 0.3"/><mass value="{mass}"/></inertial>'
+    text = machines.INLINE["mimic"].replace('<link name="tip"/>', f'<link name="tip">{inertial}</link>')
+    robot = load_robot(parse_urdf(text.encode(), "mimic.urdf"), "tip", gravity=DOWN)
+    arm, h = machines.arm(text, "tip"), 1e-5
+    u = np.random.default_rng(3).uniform(-1.5, 1.5, (4, len(robot.readings)))
+
+    def energy(q: Array) -> Array:
+        return -mass * (arm.tips(q) @ [*centre, 1.0])[:, :3] @ np.array(DOWN)
+
+    slopes = [(energy(u + step) - energy(u - step)) / (2 * h) for step in h * np.eye(u.shape[1])]
+    np.testing.assert_allclose(Holding(weights_of(robot))(u), np.stack(slopes, axis=1), rtol=0, atol=1e-7)
+
+
+def test_unless_told_otherwise_gravity_is_standard_and_a_payload_sits_in_the_tip() -> None:
+    assert load_robot(UR10, "tool0").gravity == (0.0, 0.0, -9.80665)
+    assert Payload(2.0).position == (0.0, 0.0, 0.0)
+
+
 def simulation() -> object:
     spec = importlib.util.spec_from_file_location("simulate_irb2400_for_gravity", ROOT / "scripts/simulate_irb2400.py")
     assert spec is not None

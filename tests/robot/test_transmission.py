@@ -8,8 +8,9 @@ import pytest
 
 import calib
 from calib.foundations import rigid
+from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
-from calib.robot.transmission import JointTerm
+from calib.robot.transmission import JointTerm, Transmission
 from tests.identification import machines
 
 Array = np.ndarray
@@ -51,7 +52,15 @@ def test_names_and_units() -> None:
     terms = [JointTerm("a", "gain"), JointTerm("a", "cos", 2), JointTerm("a", "sin", 12), JointTerm("a", "elastic")]
     assert [term.name for term in terms] == ["a.gain", "a.cos_2", "a.sin_12", "a.elastic"]
     assert [term.unit("angle") for term in terms] == ["1", "rad", "rad", "rad/Nm"]
-    assert [terms[k].unit("length") for k in (0, 3)] == ["1", "m/N"]
+    assert [term.unit("length") for term in terms] == ["1", "m", "m", "m/N"]
+    others = [JointTerm("a", kind) for kind in ("torque", "backlash", "thermal")]
+    assert [term.unit("angle") for term in others] == ["rad/Nm", "rad", "rad/K"]
+    assert [term.unit("length") for term in others] == ["m/N", "m", "m/K"]
+
+
+def test_a_drive_that_gives_way_asks_what_it_holds() -> None:
+    with pytest.raises(TypeError, match="has weights"):
+        Transmission((JointTerm("a", "elastic"),), ["a"], np.ones(1)).bases(np.zeros((1, 1)), NO_CONDITIONS)
 
 
 @pytest.mark.parametrize("name", [*ARMS, "irb2400"])

@@ -1,0 +1,146 @@
+"""What scripts/benchmark_peers.py computes by itself: the simulated machine, the judge, medians, ratios, the page."""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib
+from calib.robot.sources import resolve
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    return importlib.import_module("benchmark_peers")
+
+
+@pytest.fixture
+def chain(script: Any) -> Any:
+    return script.chain_of(resolve(script.URDF).read_text(encoding="utf-8"), script.BASE_LINK, script.exchange.TIP)
+
+
+def line(script: Any, program: str, *runs: tuple[float, float], converged: bool = True, extra: bool = False) -> Any:
+    """A line whose runs took so many seconds and missed by so many mm."""
+    entry = script.Entry(program, "default", "`solve()`", extra)
+    made = [
+        script.Run(2.0 * cpu, cpu, error, 27, converged, "4 steps", {"numpy": "1.2.3"}) if cpu > 0.0 else failed(script)
+        for cpu, error in runs
+    ]
+    return script.Line(entry, tuple(made))
+
+
+def failed(script: Any) -> Any:
+    return script.Run(failure="stopped after 10 min")
+
+
+def test_its_kinematics_are_those_of_the_robot(script: Any, chain: Any) -> None:
+    robot = calib.load_robot(script.URDF, tip=script.exchange.TIP)
+    readings = np.random.default_rng(3).uniform(-3.0, 3.0, (20, 6))
+    assert np.allclose(script.tips(chain, readings), robot.tips(readings), atol=1e-12)
+
+
+def test_the_axes_turn_the_home_pose_as_the_chain_does(script: Any, chain: Any) -> None:
+    """Product of exponentials: every peer's own kinematics are built on these axes."""
+    points, directions, home = script.axes(chain)
+    readings = np.random.default_rng(4).uniform(-3.0, 3.0, 6)
+    T = np.eye(4)
+    for q, p, w in zip(readings, points, directions, strict=True):
+        R = script.Rotation.from_rotvec(q * w).as_matrix()
+        T = T @ script.pose(R, p - R @ p)
+    assert np.allclose(T @ home, script.tips(chain, readings[None])[0], atol=1e-12)
+
+
+def test_the_guess_finds_base_and_tool_of_a_nominal_machine(script: Any, chain: Any) -> None:
+    rng = np.random.default_rng(5)
+    base = script.pose(script.Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix(), np.array([2.0, -1.0, 0.5]))
+    tool = np.array([0.05, 0.02, 0.15])
+    T = script.tips(chain, rng.uniform(-3.0, 3.0, (60, 6)))
+    found_base, found_tool = script.guess(T, (base @ T @ np.append(tool, 1.0))[:, :3])
+    assert np.allclose(found_base, base, atol=1e-5)
+    assert np.allclose(found_tool, tool, atol=1e-5)
+
+
+def test_the_simulated_case_has_a_known_floor_and_keeps_what_the_judge_knows(script: Any, chain: Any) -> None:
+    race = script.simulated(chain)
+    assert race.floor == pytest.approx(1e3 * script.NOISE * np.sqrt(3.0), rel=0.05)
+    assert race.measured.shape == (len(race.case.unseen), 3)
+    # The nominal robot is far from the floor: there is something to find.
+    T = script.tips(chain, race.case.unseen)
+    nominal = (race.case.base @ T @ np.append(race.case.tool, 1.0))[:, :3]
+    assert script.held_out(nominal, race.measured) > 20.0 * race.floor
+    again = script.simulated(chain)
+    assert np.array_equal(again.case.measured, race.case.measured)
+    for told in race.case:
+        assert told.shape != race.measured.shape or not np.allclose(told, race.measured, atol=1e-2)
+
+
+def test_the_judge_takes_the_3d_rms_in_mm(script: Any) -> None:
+    measured = np.zeros((4, 3))
+    predicted = np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 5e-3]])
+    assert script.held_out(predicted, measured) == pytest.approx(5.0 / np.sqrt(2.0))
+    predicted[2, 1] = np.nan
+    assert script.held_out(predicted, measured) == np.inf
+    with pytest.raises(ValueError, match=r"\(3, 3\) positions are predicted and \(4, 3\) were measured"):
+        script.held_out(predicted[:3], measured)
+
+
+def test_a_line_is_the_median_of_the_runs_that_ended(script: Any) -> None:
+    found = line(script, "figaroh", (4.0, 0.3), (-1.0, 0.0), (2.0, 0.1), (3.0, 0.2))
+    assert (found.cpu, found.wall, found.error) == (3.0, 6.0, 0.2)
+    assert not script.Line(found.entry, (failed(script),)).done
+
+
+def test_the_ratio_pairs_runs_that_were_made_in_turn(script: Any) -> None:
+    ours = line(script, script.OURS, (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
+    peer = line(script, "figaroh", (3.0, 0.1), (8.0, 0.1), (20.0, 0.1))
+    assert script.ratio(peer, ours) == pytest.approx(40.0)
+    assert script.ratio(line(script, "pybotics", (50.0, 0.1)), ours) == pytest.approx(500.0)
+
+
+def test_the_fastest_peer_counts_only_if_it_converged_at_the_floor(script: Any) -> None:
+    ours = line(script, script.OURS, (0.01, 0.0855))
+    good, better = line(script, "figaroh", (5.0, 0.0856)), line(script, "robotkinecal", (2.0, 0.0857))
+    off, early = line(script, "pybotics", (1.0, 0.3)), line(script, "robotkinecal", (1.0, 0.0856), converged=False)
+    assert script.fastest_peer([ours, good, off, early, better], 0.085) is better
+    assert script.fastest_peer([ours, off, early], 0.085) is None
+    # Where no floor is known, the best of the peers stands for it.
+    assert script.fastest_peer([ours, good, better, off], None) is better
+    assert script.fastest_peer([ours, off], None) is off
+    assert script.fastest_peer([ours], None) is None
+
+
+def test_the_page_says_who_is_at_the_floor_how_many_times_longer_and_what_failed(script: Any, chain: Any) -> None:
+    race = script.simulated(chain)
+    race = script.Race(race.name, race.title, race.case, race.measured, 0.085)
+    lines = [
+        line(script, script.OURS, (0.02, 0.0855)),
+        line(script, "robotkinecal", (1.0, 0.0856)),
+        line(script, "pybotics", (4.0, 0.3), converged=False),
+        line(script, "figaroh", (-1.0, 0.0)),
+    ]
+    text = script.page([(race, lines)], "a machine", 1, "figures/peers.svg")
+    assert "| calib | `solve()` | **0.0855** | 0.020 | 0.040 |  | 27 | 1 |" in text
+    assert "| robotkinecal | `solve()` | **0.0856** | 1.000 | 2.000 | 50.0 | 27 | 1 |" in text
+    assert "| pybotics | `solve()` | 0.3000 | 4.000 | 8.000 | 200.0 | 27 | 1 |" in text
+    assert "| figaroh | `solve()` | stopped after 10 min |  |  |  |  | 1 |" in text
+    assert "robotkinecal (`solve()`), takes 50.0 times as long as calib**" in text
+    assert "- pybotics, default: 4 steps; by its own test not converged." in text
+    assert "- robotkinecal: numpy 1.2.3." in text
+    assert "](figures/peers.svg)" in text
+    columns = {row.count("|") for row in text.splitlines() if row.startswith("|")}
+    assert columns == {9}
+    without = script.page([(race, [lines[0], lines[3]])], "a machine", 1)
+    assert "No peer reaches the floor; calib is at 0.0855 mm." in without
+
+
+def test_runs_that_are_kept_are_read_again_from_several_files(script: Any, tmp_path: Path) -> None:
+    one, two = line(script, "figaroh", (2.0, 0.1), (3.0, 0.2)).runs, line(script, "pybotics", (-1.0, 0.0)).runs
+    script.keep(tmp_path / "a.json", {"real, figaroh, map": list(one), "real, figaroh, none": []})
+    script.keep(tmp_path / "b.json", {"real, pybotics, distances": list(two)})
+    files = [tmp_path / "a.json", tmp_path / "b.json", tmp_path / "missing.json"]
+    assert script.known_from(files) == {"real, figaroh, map": list(one), "real, pybotics, distances": list(two)}
