@@ -80,7 +80,7 @@ class Entry(NamedTuple):
 
 ENTRIES = (
     Entry(OURS, "geometry", "all placements and zeros"),
-    Entry(OURS, "terms", "and the joint terms that it chooses, choice included", extra=True, simulated=False),
+    Entry(OURS, "terms", "with joint terms, the choice of them timed too", extra=True, simulated=False),
     Entry("robotkinecal", "default", "`solve()`"),
     Entry("robotkinecal", "two steps", "`solve(max_iterations=2)`, before its test of convergence"),
     Entry("figaroh", "structural", "`estimation.method: structural`, its default"),
@@ -476,8 +476,16 @@ def verdict(race: Race, lines: Sequence[Line]) -> str:
     what = "that reaches the floor" if race.floor is not None else "that is as good as the best of them"
     return (
         f"**The fastest peer {what}, {peer.entry.program} ({peer.entry.means}), takes {ratio(peer, ours):.1f} times as "
-        f"long as calib**, and misses by {peer.error:.4f} mm, calib by {ours.error:.4f} mm.\n"
+        f"long as calib**, and misses by {peer.error:.4f} mm, calib by {ours.error:.4f} mm."
+        f"{''.join(map(beside, lines))}\n"
     )
+
+
+def beside(line: Line) -> str:
+    """Return what an extra line of ours is good for."""
+    if not line.entry.extra or not line.done:
+        return ""
+    return f" {line.entry.program} {line.entry.means}, misses by {line.error:.4f} mm, in {line.cpu:.2g} s."
 
 
 def remarks(lines: Sequence[Line]) -> str:
@@ -498,7 +506,8 @@ LIMITS = """## What each cannot do here
   leaves of it goes into the axes. Steps are not held back, and where the data lack a direction it leaves out the last
   parameters. That two steps would do is known only afterwards: stopped there, it says that it has not converged.
 - figaroh wants a subclass with a cost function, a configuration file and a table of its own form. Its default method
-  chooses parameters for the tip itself, without regard to the unknown tool point, and so too few of them.
+  chooses parameters for the tip itself, without regard to the unknown tool point, and so too few of them. `map_cv` and
+  `cv_subset` fit many times over by cross-validation and are not run.
 - pybotics has modified DH numbers only, and no URDF. They cannot say that parallel axes lean, and three of a UR10's are
   parallel. Its own function of errors is a distance: no sign, and not smooth where it vanishes, which is where the
   solution is.

@@ -41,7 +41,6 @@ from calib.measurement.table import read_table
 from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
 from calib.presentation.meshes import primitive, read_mesh
-from calib.presentation.report.page import render_page
 from calib.presentation.visuals import visuals
 from calib.robot import dh
 from calib.robot.collision import self_collision
@@ -205,7 +204,7 @@ def _fleet(data: bytes) -> None:
     lines = fleet_lines([Done(FleetJob(Path("job.toml"), "job", out))])
     json.loads(summary_json(lines))
     summary_csv(lines)
-    render_page(fleet_report(lines))
+    fleet_report(lines)
 
 
 def _model_file(data: bytes) -> None:

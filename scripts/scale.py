@@ -142,7 +142,7 @@ HEADINGS = ("what", "poses", "s", "MiB before", "MiB at most")
 
 PAGE = """# Many poses
 
-Made by `python scripts/scale.py --markdown docs/scale.md`, one BLAS thread, on {machine}.
+Made by `python scripts/scale.py --markdown docs/benchmark_scale.md`, one BLAS thread, on {machine}.
 
 A Panda of 7 joints, every placement, zero, base and tool free, each run in a process of its own. Memory is the peak of
 the whole process: libraries, data and all; before: with the data in memory and nothing identified. Residuals and

@@ -62,7 +62,7 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
         if weak:
             times, unit = factor.get(parameter.unit, (1.0, parameter.unit))
-            judged = "its prior" if parameter.prior is not None else "an ordinary deviation"
+            judged = "its prior" if parameter.hold == 1.0 else "an ordinary deviation"
             said.append(
                 Advice(
                     "weak",

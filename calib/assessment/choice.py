@@ -225,8 +225,11 @@ class _System:
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
         given = None if losses is None else tuple(losses)
-        self._problem = replace(posed(full, sets), reference=frames, held=held, given_losses=given)
-        parameters = self._problem.parameters
+        whole = posed(full, sets)
+        # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
+        known = {parameter.name: parameter.prior for parameter in geometric.parameters}
+        parameters = tuple(replace(p, prior=known.get(p.name, p.prior)) for p in whole.parameters)
+        self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
@@ -236,10 +239,10 @@ class _System:
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
-        with_prior = np.array([parameter.prior is not None for parameter in parameters])
-        self._priors = np.where(with_prior, 1.0, USABLE**2)
+        hold = np.array([parameter.hold for parameter in parameters])
+        self._priors = np.where(hold > 0.0, hold, USABLE) ** 2
         # A prior pulls towards zero; the weak hold is about the geometric fit.
-        self._pull = np.where(with_prior, self._x / scales(parameters), 0.0)
+        self._pull = np.where(hold > 0.0, self._x / scales(parameters), 0.0)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
         """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""

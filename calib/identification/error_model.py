@@ -12,9 +12,9 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.words import near
-from calib.identification.joint_terms import links, moments_of, ordinary, terms_of
+from calib.identification.joint_terms import group_of, links, moments_of, ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import Parameter, ParameterKind
+from calib.identification.parameters import Parameter, ParameterKind, Prior
 from calib.identification.relations import Relation
 from calib.identification.targets import Target
 from calib.robot import deviation
@@ -28,24 +28,33 @@ Selection = Literal["all", "none"] | Sequence[str]
 BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
+# Parameters that are alike share a prior whose width is learned; by kind, and whether they are lengths.
+_GROUPS = {
+    ("placement", True): "link translations",
+    ("placement", False): "link rotations",
+    ("offset", True): "offsets of joints that slide",
+    ("offset", False): "offsets of joints that turn",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class TermPriors:
     """Standard deviations that amounts of joint terms are expected to have, about zero; None where nobody knows.
 
-    ``harmonics`` in rad; ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and
-    ``elastic_sliding`` of those that slide, in m/N.
+    "learned": as the data teach them, for the harmonics of every reading, or for all compliances. ``harmonics`` in rad;
+    ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those that
+    slide, in m/N.
     """
 
-    harmonics: float | None = None
-    elastic: float | None = None
-    elastic_sliding: float | None = None
+    harmonics: Prior | None = None
+    elastic: Prior | None = None
+    elastic_sliding: Prior | None = None
 
-    def by_name(self, robot: Robot, terms: Sequence[JointTerm]) -> dict[str, float]:
+    def by_name(self, robot: Robot, terms: Sequence[JointTerm]) -> dict[str, Prior]:
         """Return the priors of these terms of a robot by their names; terms without one are left out."""
         dimensions = {reading.name: reading.dimension for reading in robot.readings}
 
-        def prior(term: JointTerm) -> float | None:
+        def prior(term: JointTerm) -> Prior | None:
             if term.kind == "elastic":
                 return self.elastic if dimensions[term.reading] == "angle" else self.elastic_sliding
             return self.harmonics if term.order else None
@@ -64,7 +73,8 @@ class ErrorModel:
     then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
     ``terms``: names of those joint terms of the robot that are free; ``term_priors``: standard deviations, by name, of
-    those with a prior. ``base_pose`` (4, 4) and ``tool_poses`` are the values where base and tools are fixed.
+    those with a prior, or "learned", as ``prior_length`` and ``prior_angle`` may be. ``base_pose`` (4, 4) and
+    ``tool_poses`` are the values where base and tools are fixed.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
@@ -73,15 +83,15 @@ class ErrorModel:
     placements: tuple[tuple[str, str], ...]
     base: BaseFreedom
     tool: ToolFreedom
-    prior_length: float | None = None
-    prior_angle: float | None = None
+    prior_length: Prior | None = None
+    prior_angle: Prior | None = None
     base_pose: Array = field(default_factory=lambda: read_only(np.eye(4)))
     tool_poses: Mapping[str, Array] = field(default_factory=dict)
     dh: DhFrames | None = None
     targets: Mapping[str, Target] = field(default_factory=dict)
     relations: tuple[Relation, ...] = ()
     terms: tuple[str, ...] = ()
-    term_priors: Mapping[str, float] = field(default_factory=dict)
+    term_priors: Mapping[str, Prior] = field(default_factory=dict)
 
     @property
     def urdf_robot(self) -> Robot:
@@ -99,7 +109,9 @@ class ErrorModel:
 
         def free(name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool) -> None:
             prior = (self.prior_length if length else self.prior_angle) if kind in ("offset", "placement") else None
-            found.append(Parameter(name, "m" if length else "rad", kind, direction, prior))
+            group = _GROUPS[kind, length] if prior == "learned" else None
+            stated = None if prior == "learned" else prior
+            found.append(Parameter(name, "m" if length else "rad", kind, direction, stated, group=group))
 
         for (joint, component), direction in zip(self.placements, self._directions(), strict=True):
             free(f"{joint}.{component}", "placement", *direction, length=component in ("tx", "ty", "tz", "a", "d"))
@@ -112,7 +124,10 @@ class ErrorModel:
             if term.name in self.terms:
                 unit = term.unit(dimensions.get(term.reading, "angle"))
                 prior = self.term_priors.get(term.name)
-                found.append(Parameter(term.name, unit, "term", ((layout.terms + t, 1.0),), prior, ordinary(unit)))
+                group = group_of(term, dimensions.get(term.reading, "angle")) if prior == "learned" else None
+                stated = None if prior == "learned" else prior
+                direction = ((layout.terms + t, 1.0),)
+                found.append(Parameter(term.name, unit, "term", direction, stated, ordinary(unit), group))
         if self.base == "pose":
             for k, component in enumerate(POSE):
                 free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)
@@ -159,11 +174,11 @@ def error_model(
     expansion: Selection | Literal["arm"] = "none",
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
-    prior_length: float | None = None,
-    prior_angle: float | None = None,
-    prior_harmonics: float | None = None,
-    prior_elastic: float | None = None,
-    prior_elastic_sliding: float | None = None,
+    prior_length: Prior | None = None,
+    prior_angle: Prior | None = None,
+    prior_harmonics: Prior | None = None,
+    prior_elastic: Prior | None = None,
+    prior_elastic_sliding: Prior | None = None,
     base_pose: npt.ArrayLike | None = None,
     tool_poses: Mapping[str, npt.ArrayLike] | None = None,
     targets: Mapping[str, Target] | None = None,
@@ -195,6 +210,8 @@ def error_model(
     ``targets``: what is known of sockets, anchors, balls and planes by name; others are found. ``relations``: what is
     known between targets.
     ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every offset and placement.
+    Any prior may be "learned": parameters that are alike - all link translations, all link rotations, all joint
+    offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
 
     Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
     the same frame.
@@ -227,14 +244,16 @@ def error_model(
         ("prior elastic", prior_elastic),
         ("prior elastic sliding", prior_elastic_sliding),
     ):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
+        if isinstance(value, str) and value != "learned":
+            raise JobError(f'{name}: {value!r} is neither a positive number nor "learned".')
+        if value is not None and not isinstance(value, str) and not (np.isfinite(value) and value > 0.0):
             raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
     dimensions = {reading.dimension for reading in robot.readings}
     for value, unit, needed, does in (
         (prior_elastic, "rad/Nm", "angle", "turns"),
         (prior_elastic_sliding, "m/N", "length", "slides"),
     ):
-        if value is not None and needed not in dimensions:
+        if value not in (None, "learned") and needed not in dimensions:
             raise JobError(f"prior.elastic: {unit} is of a joint that {does}, and the arm has none that is read.")
     for name, value_, allowed in (
         ("base", base, ("pose", "fixed")),
@@ -291,11 +310,11 @@ def error_model(
     return with_terms(model, terms, priors.by_name(robot, terms))
 
 
-def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, float] | None = None) -> ErrorModel:
+def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, Prior] | None = None) -> ErrorModel:
     """Return the model with these joint terms, all of them free, in the place of its own.
 
-    ``priors``: standard deviations of their amounts, by name and in SI units; where there is none, none. Raises
-    JobError for a link that gives way where DH parameters are free: their frames are not at its ends.
+    ``priors``: standard deviations of their amounts, by name and in SI units, or "learned"; where there is none, none.
+    Raises JobError for a link that gives way where DH parameters are free: their frames are not at its ends.
     """
     if model.dh is not None and (of_link := next((term for term in terms if term.of_link), None)):
         raise JobError(

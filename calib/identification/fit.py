@@ -8,6 +8,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
+from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
 from calib.identification.noise import Noise
@@ -31,7 +32,7 @@ class Fit:
     priors see well enough.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
-    ``losses``: of every set.
+    ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
     ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
     """
 
@@ -57,6 +58,7 @@ class Fit:
     evaluations: int
     step: float
     converged: bool
+    learned: tuple[LearnedPrior, ...] = ()
 
     @property
     def robot(self) -> Robot:

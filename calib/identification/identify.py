@@ -13,6 +13,7 @@ from calib.foundations.linear import one_thread
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
+from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
@@ -82,7 +83,8 @@ def _identify(
         problem = replace(problem, given_losses=tuple(losses))
     before_fit = residuals(model.robot, sets, nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
-    found = solve(problem, x0, variances, at_start=before_fit if begin is None else None)
+    problem, found, learned = solve_learning(problem, x0, variances, at_start=before_fit if begin is None else None)
+    parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
     kept, directions = identifiability.told(found.start, usable, parameters)
@@ -120,6 +122,7 @@ def _identify(
         evaluations=found.evaluations,
         step=found.step,
         converged=found.converged,
+        learned=learned,
     )
 
 

@@ -42,6 +42,13 @@ def harmonic(reading: str, order: int) -> tuple[JointTerm, JointTerm]:
     return JointTerm(reading, "cos", order), JointTerm(reading, "sin", order)
 
 
+def group_of(term: JointTerm, dimension: str) -> str:
+    """Return the name of those harmonics, or compliances, that are like this one: they may share a prior."""
+    if term.order:
+        return f"harmonics of {term.reading}"
+    return "compliances" if dimension == "angle" else "compliances of joints that slide"
+
+
 def terms_of(
     robot: Robot,
     gain: Sequence[str],

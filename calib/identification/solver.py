@@ -248,9 +248,10 @@ def _gauge(problem: LeastSquares, directions: Directions, rank: int) -> Array:
 
 
 def _prior_rows(problem: LeastSquares, z: Array) -> Array:
-    """Return ``[J r]`` of the priors, x / sigma: a scaled parameter with a prior is its own whitened residual."""
-    with_prior = [k for k, parameter in enumerate(problem.parameters) if parameter.prior is not None]
-    return np.column_stack([np.eye(len(z))[with_prior], z[with_prior]])
+    """Return ``[J r]`` of the priors, x / sigma: a scaled parameter times its hold is a whitened residual."""
+    hold = np.array([parameter.hold for parameter in problem.parameters])
+    with_prior = hold > 0.0
+    return np.column_stack([np.diag(hold)[with_prior], (hold * z)[with_prior]])
 
 
 def _keep(fixed: Sequence[float | None], estimated: Sequence[float]) -> tuple[float, ...]:

@@ -145,7 +145,7 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
     parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    if any(parameter.prior is not None for parameter in parameters):
+    if any(parameter.prior is not None or parameter.group is not None for parameter in parameters):
         raise JobError("the total differential knows no priors; leave them out or use identify.")
     if model.terms:
         raise JobError("the total differential knows no joint terms; leave them out or use identify.")

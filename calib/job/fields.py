@@ -125,6 +125,19 @@ def _compliance(text: object) -> object:
     return _quantity("sliding compliance" if slides else "turning compliance", "more")(text)
 
 
+def _or_learned(check: Callable[[object], object]) -> Callable[[object], object]:
+    """Return a validator of the width of a prior: what ``check`` accepts, or the word for what the data teach."""
+
+    def checked(text: object) -> object:
+        if text == "learned":
+            return text
+        if isinstance(text, str) and text.isalpha():
+            raise ValueError(f'{shown(text)} is neither a number with a unit nor "learned".')
+        return check(text)
+
+    return checked
+
+
 def in_pixels(text: str) -> bool:
     """Return whether a quantity is in pixels."""
     return text.rstrip().endswith("px")
@@ -137,10 +150,12 @@ LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
 Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
 PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
 Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
-PositiveCompliance = Annotated[str, BeforeValidator(_compliance)]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
+LengthPrior = Annotated[str, BeforeValidator(_or_learned(_quantity("length", "more")))]
+AnglePrior = Annotated[str, BeforeValidator(_or_learned(_quantity("angle", "more")))]
+CompliancePrior = Annotated[str, BeforeValidator(_or_learned(_compliance))]
 Position = Annotated[tuple[Length, Length, Length], BeforeValidator(list_of(3, "three lengths x, y, z"))]
 MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
 Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]

@@ -16,6 +16,7 @@ from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, TermPriors, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import unseen
+from calib.identification.parameters import Prior
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
@@ -335,8 +336,8 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             expansion=section.expansion,
             base=section.base,
             tool=section.tool,
-            prior_length=_si(section.prior.length, "length"),
-            prior_angle=_si(section.prior.angle, "angle"),
+            prior_length=_prior(section.prior.length, "length"),
+            prior_angle=_prior(section.prior.angle, "angle"),
             prior_harmonics=priors.harmonics,
             prior_elastic=priors.elastic,
             prior_elastic_sliding=priors.elastic_sliding,
@@ -444,11 +445,20 @@ def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
 def term_priors(section: PriorSection) -> TermPriors:
     """Return the priors of joint terms in SI units."""
     elastic, sliding = section.elastic, None
-    if elastic is not None and elastic.rstrip().endswith("/N"):
+    if elastic == "learned":
+        sliding = elastic
+    elif elastic is not None and elastic.rstrip().endswith("/N"):
         elastic, sliding = None, elastic
     return TermPriors(
-        _si(section.harmonics, "angle"), _si(elastic, "turning compliance"), _si(sliding, "sliding compliance")
+        _prior(section.harmonics, "angle"),
+        _prior(elastic, "turning compliance"),
+        _prior(sliding, "sliding compliance"),
     )
+
+
+def _prior(text: str | None, dimension: Dimension) -> Prior | None:
+    """Return the SI value of a prior that the schema has accepted, or "learned"."""
+    return "learned" if text == "learned" else _si(text, dimension)
 
 
 def _si(text: str | None, dimension: Dimension) -> float | None:

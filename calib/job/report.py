@@ -24,6 +24,7 @@ SECTIONS: tuple[Callable[[Outcome], Section | None], ...] = (
     lambda o: sections.parameters(o.fit),
     lambda o: sections.correlations(o.fit),
     lambda o: sections.seen(o.fit),
+    lambda o: sections.priors(o.fit),
     lambda o: sections.noise(o.fit),
     lambda o: sections.provenance(f"calib calibrate {o.inputs.path.name} -o out", versions(), o.inputs.hashes),
 )

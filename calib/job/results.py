@@ -213,6 +213,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             ],
         },
         "advice": [advised.sentence for advised in advice(fit)],
+        "learned_priors": [asdict(prior) for prior in fit.learned],
         "parameters": fit.records(),
         "covariance": fit.covariance.tolist(),
         "singular_values": fit.singular_values.tolist(),

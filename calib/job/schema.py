@@ -9,18 +9,20 @@ from calib.identification.relations import RelationKind
 from calib.job.fields import (
     Angle,
     AngleFromZero,
+    AnglePrior,
+    CompliancePrior,
     Direction,
     Gravity,
     Length,
     LengthFromZero,
     LengthOrPixelsFromZero,
+    LengthPrior,
     LinkSelection,
     MassFromZero,
     Name,
     Pixels,
     Position,
     PositiveAngle,
-    PositiveCompliance,
     PositiveLength,
     PositivePixels,
     Quaternion,
@@ -79,12 +81,15 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of joint terms."""
+    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of joint terms.
 
-    length: PositiveLength | None = None
-    angle: PositiveAngle | None = None
-    harmonics: PositiveAngle | None = None
-    elastic: PositiveCompliance | None = None
+    Or "learned": what the data teach of parameters that are alike.
+    """
+
+    length: LengthPrior | None = None
+    angle: AnglePrior | None = None
+    harmonics: AnglePrior | None = None
+    elastic: CompliancePrior | None = None
 
 
 class ErrorModelSection(_Section):

@@ -4,7 +4,7 @@ import html
 
 from calib.identification.fit import Fit
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import noise_sentences, rank_sentences
+from calib.presentation.sheets import noise_sentences, prior_sentences, rank_sentences
 from calib.presentation.tables import fit_sheets, table
 
 
@@ -16,7 +16,7 @@ def attach(kind: type[Fit]) -> None:
 
 def fit_html(fit: Fit) -> str:
     """Return a fit as HTML for a notebook: errors before and after on its own data, its parameters and its doubts."""
-    sentences = (*noise_sentences(fit), *rank_sentences(fit))
+    sentences = (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
     parts = [*map(_sheet, fit_sheets(fit)), *(f"<p>{html.escape(sentence)}</p>" for sentence in sentences)]
     return f"<div>{''.join(parts)}</div>"
 

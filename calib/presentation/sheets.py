@@ -137,6 +137,23 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
     return tuple(said)
 
 
+def prior_sentences(fit: Fit) -> tuple[str, ...]:
+    """Return how wide the priors are that the data were to teach, and how many parameters taught each."""
+    said = []
+    for prior in fit.learned:
+        factor, unit = SHOWN[prior.unit]
+        width = f"{prior.width * factor:.3g} {unit}"
+        of = f"{prior.taught:.1f} of {prior.parameters}"
+        what = {
+            "learned": f"{width}, learned from data that determine {of} parameters",
+            "too few": f"{width}, as the data determine {of} parameters, too few to learn from",
+            "nothing shows": f"{width}, which the data could not notice: its {prior.parameters} parameters do not show",
+            "widest": f"{width}, the widest: as good as no prior",
+        }[prior.outcome]
+        said.append(f"Prior of {prior.group}: {what}.")
+    return tuple(said)
+
+
 def rank_sentences(fit: Fit) -> tuple[str, ...]:
     """Return what the data see, and what was done about the rest."""
     blind, held = len(fit.blind_directions), len(fit.held)

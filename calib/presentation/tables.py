@@ -12,14 +12,21 @@ from calib.assessment.metrics import metrics
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 from calib.presentation.report.document import Sheet
-from calib.presentation.sheets import count, error_sheet, noise_sentences, parameter_sheet, rank_sentences
+from calib.presentation.sheets import (
+    count,
+    error_sheet,
+    noise_sentences,
+    parameter_sheet,
+    prior_sentences,
+    rank_sentences,
+)
 
 WIDTH = 80
 
 
 def table(fit: Fit) -> str:
     """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
-    sentences = (*noise_sentences(fit), *rank_sentences(fit))
+    sentences = (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
     return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, sentences)))
 
 

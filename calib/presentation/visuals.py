@@ -1,19 +1,23 @@
-"""What a URDF says of its looks, shape by shape: a shape that makes no sense is missing, and costs nothing else."""
+"""What a URDF says of its looks, shape by shape: one that makes no sense is missing, and costs nothing else.
 
+yourdfpy reads them. It gives up a whole robot for one bad number, so it is given every shape by itself, of a document
+that was read strictly before.
+"""
+
+import io
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.foundations.rigid import placement, rotation_of_rpy
-from calib.foundations.units import NUMBER
 from calib.presentation.meshes import Rgb
 from calib.robot.urdf import Element, Urdf, read_document
 
 # In m, of sizes, places and scales: larger ones are mistakes, and would make all else a dot.
 _LARGEST = 1e4
-_SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
 
 
 class Shape(NamedTuple):
@@ -40,44 +44,63 @@ def visuals(urdf: Urdf, otherwise: Rgb) -> Mapping[str, Sequence[Shape | None]]:
 
 
 def _shape(visual: Element, colours: Mapping[str, Rgb], otherwise: Rgb) -> Shape | None:
-    T = np.eye(4)
-    for origin in _all(visual, "origin")[:1]:
-        xyz, rpy = (_numbers(origin.attributes.get(name, "0 0 0"), 3) for name in ("xyz", "rpy"))
-        if xyz is None or rpy is None:
-            return None
-        T = placement(rotation_of_rpy(np.array(rpy)), np.array(xyz))
+    # Its colour by itself: a bad one is not to hide the shape.
+    link = ElementTree.Element("link", name="link")
+    _copied(replace(visual, children=tuple(c for c in visual.children if c.tag != "material")), link)
+    robot = _read(link)
+    if robot is None:
+        return None
     rgb = otherwise
     for material in _all(visual, "material")[:1]:
         rgb = _colour(material) or colours.get(material.attributes.get("name", ""), otherwise)
-    shapes = [shape for geometry in _all(visual, "geometry")[:1] for shape in geometry.children]
-    if len(shapes) != 1:
+    (found,) = robot.links[0].visuals
+    T = np.eye(4) if found.origin is None else np.asarray(found.origin, dtype=np.float64)
+    shape, file = found.geometry, ""
+    sizes: Sequence[float]
+    if shape.mesh is not None:
+        scale = 1.0 if shape.mesh.scale is None else shape.mesh.scale
+        kind, sizes, file = "mesh", np.broadcast_to(scale, 3).tolist(), shape.mesh.filename or ""
+    elif shape.box is not None:
+        kind, sizes = "box", shape.box.size.tolist()
+    elif shape.sphere is not None:
+        kind, sizes = "sphere", [shape.sphere.radius]
+    else:
+        kind, sizes = "cylinder", [shape.cylinder.radius, shape.cylinder.length]
+    wrong = (kind == "box" and len(sizes) != 3) or (kind != "mesh" and min(sizes) < 0.0)
+    if wrong or not np.all(np.abs([*sizes, *T.ravel()]) <= _LARGEST):
         return None
-    kind, a = shapes[0].tag, shapes[0].attributes
-    if kind == "mesh":
-        scale = _numbers(a.get("scale", "1 1 1"), 3)
-        return None if scale is None else Shape(kind, scale, a.get("filename", ""), T, rgb)
-    names = _SIZES.get(kind, ())
-    sizes = _numbers(" ".join(a.get(name, "") for name in names), 3 if kind == "box" else len(names))
-    return None if not sizes or min(sizes) < 0.0 else Shape(kind, sizes, "", T, rgb)
+    return Shape(kind, tuple(sizes), file, T, rgb)
+
+
+def _colour(material: Element) -> Rgb | None:
+    around = ElementTree.Element("robot")
+    _copied(material, around)
+    robot = _read(*around)
+    rgba = None if robot is None or robot.materials[0].color is None else robot.materials[0].color.rgba
+    if rgba is None or len(rgba) != 4 or not np.all(np.isfinite(rgba)):
+        return None
+    r, g, b = np.clip(rgba[:3], 0.0, 1.0).tolist()
+    return r, g, b
+
+
+def _read(element: ElementTree.Element) -> Any:
+    """Return yourdfpy's robot of one link or material, None if it makes no sense."""
+    import yourdfpy  # noqa: PLC0415 - import calib must not load it
+
+    document = ElementTree.Element("robot", name="robot")
+    document.append(element)
+    try:
+        source = io.BytesIO(ElementTree.tostring(document))
+        return yourdfpy.URDF.load(source, load_meshes=False, build_scene_graph=False).robot
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+        return None
+
+
+def _copied(element: Element, into: ElementTree.Element) -> None:
+    copy = ElementTree.SubElement(into, element.tag, dict(element.attributes))
+    for child in element.children:
+        _copied(child, copy)
 
 
 def _all(element: Element, tag: str) -> list[Element]:
     return [child for child in element.children if child.tag == tag]
-
-
-def _colour(material: Element) -> Rgb | None:
-    for colour in _all(material, "color")[:1]:
-        rgba = _numbers(colour.attributes.get("rgba", ""), 4)
-        if rgba is not None:
-            r, g, b = np.clip(rgba[:3], 0.0, 1.0).tolist()
-            return r, g, b
-    return None
-
-
-def _numbers(text: str, count: int) -> tuple[float, ...] | None:
-    """Return ``count`` plain numbers, None where a text is not these."""
-    words = text.split()
-    if len(words) != count or not all(map(NUMBER.fullmatch, words)):
-        return None
-    values = tuple(map(float, words))
-    return values if max(map(abs, values), default=0.0) <= _LARGEST else None

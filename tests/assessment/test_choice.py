@@ -86,6 +86,18 @@ def test_the_linear_figures_are_those_of_fits(observes: str) -> None:
     assert choice.taken == 1
 
 
+def test_widths_are_learned_by_geometry_before_and_by_the_chosen_terms_after() -> None:
+    model, data, _ = measured(5, 60, {(1, 3): 3e-4, (1, 6): 3e-4})
+    learning = replace(model, prior_length="learned", prior_angle="learned")
+    offered = [Candidate(harmonic(model.robot.readings[1].name, k)) for k in (3, 6)]
+    choice = choose_terms(learning, data, offered=offered, priors=TermPriors(harmonics="learned"))
+    assert {prior.group for prior in choice.geometric.learned} >= {"link translations", "link rotations"}
+    assert choice.taken == 2
+    (waves,) = [prior for prior in calib.identify(choice.model, data).learned if prior.group.startswith("harmonics")]
+    assert (waves.parameters, waves.outcome) == (4, "learned")
+    assert 1e-4 < waves.width < 6e-4
+
+
 def test_neither_the_order_of_rows_nor_the_frame_moves_the_choice() -> None:
     model, data, _ = measured(5, 120, {(1, 3): 2e-4, (2, 6): 2e-4})
     choice = choose_terms(model, data)

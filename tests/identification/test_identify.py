@@ -261,3 +261,16 @@ def test_a_fit_tells_what_it_found() -> None:
         assert (record["sigma"] is None) == blind == np.isnan(sigma)
     with pytest.raises(KeyError):
         fit.value("wrist_2_joint.tq")
+
+
+@pytest.mark.parametrize("tool", ["position", "fixed"])
+def test_rows_that_weigh_alike_are_aligned_as_well_as_they_are_fitted(tool: str) -> None:
+    """Alignment alone gives their nominal machine; weights that differ by nothing to speak of have it fitted."""
+    lab = Lab()
+    data = lab.measure(150)
+    almost = np.array(data.sigma)
+    almost[0, 0] *= 1.0 + 1e-12
+    aligned, fitted = (calib.identify(lab.model(tool=tool), each) for each in (data, replace(data, sigma=almost)))
+    np.testing.assert_allclose(aligned.nominal.frames.base, fitted.nominal.frames.base, atol=1e-10)
+    np.testing.assert_allclose(aligned.nominal.frames.tools, fitted.nominal.frames.tools, atol=1e-10)
+    np.testing.assert_allclose(aligned.values, fitted.values, atol=1e-9)

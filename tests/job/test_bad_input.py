@@ -130,6 +130,7 @@ CASES: dict[str, Edit] = {
     "prior of wind-up a number": job(('tool = "position"', 'prior = { elastic = 1e-5 }\ntool = "position"')),
     "prior of wind-up negative": job(('tool = "position"', 'prior = { elastic = "-1 um/N" }\ntool = "position"')),
     "prior of wind-up that slides": job(('tool = "position"', 'prior = { elastic = "1 um/N" }\ntool = "position"')),
+    "prior learnt": job(('tool = "position"', 'prior = { angle = "learnt" }\ntool = "position"')),
     "prior a number": job(('tool = "position"', 'prior = 3\ntool = "position"')),
     "nothing free": job(('offsets = "all"', ""), ('placements = "all"', ""), FIXED_BASE, FIXED_TOOL),
     "nothing to identify from": job(('observes = "position"', 'observes = "position"\nuse = "validate"')),

@@ -41,6 +41,7 @@ from calib.presentation.sheets import (
     lost_sentences,
     noise_sentences,
     parameter_sheet,
+    prior_sentences,
     rank_sentences,
 )
 from calib.presentation.sheets import Level as LevelFigures
@@ -294,6 +295,12 @@ def seen(fit: Fit) -> Section:
     if fit.blind_directions:
         blocks.append(Prose(tuple(map(str, fit.blind_directions)), "list"))
     return Section("rank", "What the data can see", tuple(blocks))
+
+
+def priors(fit: Fit) -> Section | None:
+    """Return the priors whose width was learned, and what taught them; None where all are stated."""
+    said = prior_sentences(fit)
+    return Section("priors", "Learned priors", (Prose(said, brief=True),)) if said else None
 
 
 def noise(fit: Fit) -> Section:

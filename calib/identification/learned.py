@@ -1,0 +1,177 @@
+"""Priors whose width the data teach: solve, learn the widths where all is linear, solve again until they stay.
+
+A group that too few directions of the data speak of keeps the width of an ordinary deviation: a width of one or two
+numbers would be chance. One of which nothing shows comes to what could hide from the data. One at the widest that is
+allowed is as good as without a prior.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray
+from calib.identification import weights
+from calib.identification.identifiability import USABLE
+from calib.identification.parameters import Parameter, ParameterUnit, scales
+from calib.identification.solver import Solution, solve
+from calib.identification.system import Problem, evaluate, residuals
+from calib.identification.unseen import without
+from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
+
+Outcome = Literal["learned", "too few", "nothing shows", "widest"]
+
+# Directions of a group that the data must see, given priors of an ordinary deviation, before they may teach a width.
+_FEWEST = 3.0
+# Normal equations hold half of a double's digits, and must tell the widest prior from none. Rows with less noise than
+# that allows, a fraction of a micrometre, are taken to have so much.
+_MOST_INFORMATION = 1e10
+_MOST_ROUNDS = 8
+_NEGLIGIBLE_CHANGE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedPrior:
+    """The standard deviation, in ``unit``, that the parameters of a group have about zero, and what taught it.
+
+    ``parameters``: how many are in the group; ``taught``: how many of them, in sum, the data determine rather than the
+    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is an ordinary deviation; "nothing shows"
+    where the data are no likelier with the group than without it, so that the width is what they could not notice; or
+    the "widest" that is allowed.
+    """
+
+    group: str
+    unit: ParameterUnit
+    width: float
+    parameters: int
+    taught: float
+    outcome: Outcome
+
+
+def solve_learning(
+    problem: Problem,
+    x0: Array,
+    variances: Sequence[float | None] | None,
+    *,
+    at_start: Sequence[Array] | None = None,
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
+    """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
+
+    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
+
+    Raises what :func:`calib.identification.solver.solve` raises.
+    """
+    names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
+    if not names:
+        return problem, solve(problem, x0, variances, at_start=at_start), ()
+    widths = np.ones(len(names))
+    problem = _with_widths(problem, names, widths)
+    found = solve(problem, x0, variances, at_start=at_start)
+    rows = _rows(problem, found, variances, names)
+    seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
+    few = np.asarray(seen < _FEWEST)
+    taught, shown = seen, ~few
+    for _ in range(_MOST_ROUNDS):
+        new, taught, shown = _learned(rows, widths, few)
+        change = float(np.max(np.abs(np.log(new / widths))))
+        widths = new
+        problem = _with_widths(problem, names, widths)
+        found = solve(problem, found.x, variances)
+        if change < _NEGLIGIBLE_CHANGE:
+            break
+        rows = _rows(problem, found, variances, names)
+    taught = np.where(few, seen, taught)
+    return problem, found, tuple(_told(problem.parameters, names, widths, taught, few, shown))
+
+
+def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Problem:
+    known: Mapping[str | None, float] = dict(zip(names, widths.tolist(), strict=True))
+    return replace(
+        problem,
+        parameters=tuple(
+            p if p.group is None else replace(p, prior=known[p.group] * p.ordinary) for p in problem.parameters
+        ),
+    )
+
+
+def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]) -> Rows:
+    """Return the equations at a solution, shifted to where priors have their means; others are held weakly there."""
+    at = problem.machine(found.x)
+    r = residuals(problem.model.robot, problem.measurements, at)
+    sigmas = weights.sigmas_of(problem, found.variances, r)
+    evaluation = evaluate(problem, sigmas, found.x)
+    parameters = problem.parameters
+    p = len(parameters)
+    hold = np.array([parameter.hold for parameter in parameters])
+    shift = np.eye(p + 1)
+    shift[:p, p] = np.where(hold > 0.0, -found.x / scales(parameters), 0.0)
+
+    def gram(triangle: Array) -> Array:
+        seen = triangle.copy()
+        if evaluation.unseen.size:
+            seen[:, :-1] = without(seen[:, :-1], evaluation.unseen)
+        shifted = seen @ shift
+        return np.asarray(shifted.T @ shifted)
+
+    known = gram(evaluation.relations)
+    learned = np.array([parameter.group is not None for parameter in parameters])
+    known[range(p), range(p)] += np.where(learned, 0.0, np.where(hold > 0.0, hold, USABLE) ** 2)
+    least, counts = [], []
+    for component in problem.components:
+        instrument = problem.measurements[component.measurements].sigma[:, component.columns]
+        total = sigmas[component.measurements][:, component.columns]
+        least.append(np.sqrt(np.mean(instrument**2) / np.mean(total**2)))
+        counts.append(instrument.size)
+    given = [None] * len(counts) if variances is None else list(variances)
+    # Where rows that lie off weigh less, their number says too little; the solver alone finds the noise.
+    fixed = [v is not None or problem.robust for v in given]
+    grams = np.stack([gram(triangle) for triangle in evaluation.triangles])
+    finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
+    coarser = np.maximum(finest, 1.0)
+    return Rows(
+        grams / coarser[:, None, None] ** 2,
+        np.array(counts, dtype=np.float64),
+        known,
+        np.maximum(least, finest) / coarser,
+        np.array(fixed),
+        np.array([-1 if q.group is None else names.index(q.group) for q in parameters], dtype=np.intp),
+    )
+
+
+def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
+    """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep an ordinary width."""
+    new, taught, shown = np.ones(len(widths)), np.zeros(len(widths)), ~few
+    if few.all():
+        return new, taught, shown
+    number = np.append(np.where(few, -1, np.cumsum(~few) - 1), -1)
+    kept = np.append(few, False)[rows.group]
+    p = len(rows.group)
+    known = rows.known.copy()
+    known[range(p), range(p)] += np.where(kept, 1.0, 0.0)
+    found = likeliest(rows._replace(known=known, group=number[rows.group]), widths[~few])
+    new[~few], taught[~few], shown[~few] = found.widths, found.gamma, found.shown
+    return new, taught, shown
+
+
+def _told(
+    parameters: Sequence[Parameter],
+    names: Sequence[str],
+    widths: Array,
+    taught: Array,
+    few: BoolArray,
+    shown: BoolArray,
+) -> list[LearnedPrior]:
+    told = []
+    for k, name in enumerate(names):
+        own = [parameter for parameter in parameters if parameter.group == name]
+        outcome: Outcome = "learned"
+        if few[k]:
+            outcome = "too few"
+        elif not shown[k]:
+            outcome = "nothing shows"
+        elif widths[k] > WIDEST / (1.0 + _NEGLIGIBLE_CHANGE):
+            outcome = "widest"
+        width = float(widths[k] * own[0].ordinary)
+        told.append(LearnedPrior(name, own[0].unit, width, len(own), float(taught[k]), outcome))
+    return told

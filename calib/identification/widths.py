@@ -1,0 +1,121 @@
+"""How wide are priors? As wide as the data say: the widths of the largest marginal likelihood.
+
+The parameters of one group are taken as drawn from one normal distribution about zero, of unknown width w. Near the fit
+all is linear, so that the likelihood of the data, parameters integrated out, is known in closed form. Its slope by the
+logarithm of a width is ``sum x^2 / w^2 - gamma``, where ``gamma = n - tr(C) / w^2`` counts how many of the group's n
+parameters the data have determined rather than the prior, and C is their posterior covariance (D. J. C. MacKay,
+*Bayesian interpolation*, Neural Computation 4, 1992, 4.4). A direction that the data do not see adds nothing to the sum
+and nothing to gamma, so that no width is taken from it.
+
+Where little shows, the likelihood is often largest at width zero, and amounts that are there would be said to be none
+with certainty. So the likelihood is multiplied by w for every group, which keeps widths about one standard error off
+zero and is hardly felt elsewhere: at the top ``w^2 = sum x^2 / (gamma - 1)`` (Y. Chung, S. Rabe-Hesketh, V. Dorie, A.
+Gelman, J. Liu, *A nondegenerate penalized likelihood estimator for variance parameters in multilevel models*,
+Psychometrika 78, 2013).
+
+The sigmas of the noise are found together with the widths, as each decides what is left for the other. Parameters
+without a learned prior are integrated out as well, which makes this a restricted likelihood.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from calib.foundations.arrays import Array, BoolArray, IntArray
+
+# From a thousandth to a hundred ordinary deviations: an amount of the one shows nowhere, the other holds nothing.
+NARROWEST, WIDEST = 1e-3, 1e2
+# A component's noise may come out so many times larger than the fit has found it, or smaller.
+_MOST_NOISE = 1e3
+_MOST_STEPS = 300
+
+
+class Rows(NamedTuple):
+    """Linear equations ``r + J z`` of all data, about z = 0, where learned priors have their means.
+
+    ``grams`` (c, p + 1, p + 1): of ``[J r]`` of every component, whitened; ``counts`` (c,): its rows. ``known`` (p + 1,
+    p + 1): of all that is known beside these. ``least`` (c,): factors below which a component's sigmas cannot fall, as
+    the instrument has that noise; ``fixed`` (c,): its sigmas are given. ``group`` (p,): number of the group whose width
+    is learned, -1 for none.
+    """
+
+    grams: Array
+    counts: Array
+    known: Array
+    least: Array
+    fixed: BoolArray
+    group: IntArray
+
+
+class Likelihood(NamedTuple):
+    """-2 log likelihood, its slopes by the logarithms of widths (g,) and factors (c,), and ``gamma`` (g,)."""
+
+    value: float
+    by_widths: Array
+    by_factors: Array
+    gamma: Array
+
+
+class Widths(NamedTuple):
+    """Widths (g,) of the groups, in units of the columns; factors (c,) of the sigmas; ``gamma`` (g,) that taught.
+
+    ``shown`` (g,): whether the data are likelier with the group than without it.
+    """
+
+    widths: Array
+    factors: Array
+    gamma: Array
+    shown: BoolArray
+
+
+def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
+    """Return the marginal likelihood for widths (g,) of the groups and factors (c,) of the components' sigmas."""
+    p = len(rows.group)
+    own = rows.group >= 0
+    hold = np.append(widths**-2.0, 0.0)[rows.group]
+    gram = rows.known + np.tensordot(factors**-2.0, rows.grams, 1)
+    H, b = gram[:p, :p].copy(), gram[:p, p]
+    H[range(p), range(p)] += hold
+    lower = cho_factor(H, lower=True)
+    C = cho_solve(lower, np.eye(p))
+    x = np.append(-C @ b, 1.0)
+    count = np.bincount(rows.group[own], minlength=len(widths))
+
+    def sums(values: Array) -> Array:
+        return np.asarray(np.bincount(rows.group[own], weights=(values * hold)[own], minlength=len(widths)))
+
+    gamma = count - sums(np.diag(C))
+    # The sum of squares at its least, in a form that is not negative by rounding: x and what holds it, each by itself.
+    value = float(x @ gram @ x + np.sum(x[:p] ** 2 * hold) + 2.0 * np.sum(np.log(np.diag(lower[0]))))
+    value += float(2.0 * count @ np.log(widths) + 2.0 * rows.counts @ np.log(factors))
+    used = np.array([(np.sum(C * g[:p, :p]) + x @ g @ x) for g in rows.grams]) / factors**2
+    return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
+
+
+def likeliest(rows: Rows, start: Array) -> Widths:
+    """Return the widths of the largest likelihood times widths; ``start`` (g,): those to begin with."""
+    g = len(start)
+    low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
+    high = np.where(rows.fixed, 1.0, _MOST_NOISE)
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        found = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:]))
+        slopes = np.concatenate([found.by_widths - 2.0, found.by_factors])
+        return found.value - 2.0 * float(np.sum(theta[:g])), slopes
+
+    bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
+    result = minimize(
+        cost,
+        np.clip(np.log(np.concatenate([start, np.ones(len(low))])), bounds[:, 0], bounds[:, 1]),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": _MOST_STEPS, "ftol": 1e-13, "gtol": 1e-4},
+    )
+    widths, factors = np.exp(result.x[:g]), np.exp(result.x[g:])
+    found = likelihood(rows, widths, factors)
+    without = np.where(np.eye(g, dtype=bool), NARROWEST, widths)
+    shown = np.array([likelihood(rows, narrow, factors).value > found.value for narrow in without], dtype=bool)
+    return Widths(widths, factors, found.gamma, shown)
