@@ -530,19 +530,27 @@ def machine_name() -> str:
 def draw(races: Sequence[tuple[Race, Sequence[Line]]], path: Path) -> None:
     import matplotlib as mpl  # noqa: PLC0415 - only where a figure is asked for
     from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.ticker import FormatStrFormatter  # noqa: PLC0415
 
     mpl.rcParams["svg.hashsalt"] = "peers"
-    figure = Figure(figsize=(4.2 * len(races), 3.4), layout="constrained")
+    colours = dict(zip((OURS, *PINS), ("C0", "C2", "C1", "C3"), strict=True))
+    figure = Figure(figsize=(4.4 * len(races), 4.2), layout="constrained")
     for panel, (race, lines) in zip(figure.subplots(1, len(races), squeeze=False)[0], races, strict=True):
+        panel.set(xscale="log", yscale="log", xlabel="process time to solve, s", ylabel="held-out error, mm")
+        panel.set_title(race.title.split(",")[0])
         for line in lines:
             if line.done:
-                panel.loglog(line.cpu, line.error, "s" if line.entry.program == OURS else "o")
-                name = f"{line.entry.program}: {line.entry.setting}"
-                panel.annotate(name, (line.cpu, line.error), xytext=(4, 4), textcoords="offset points", fontsize=6.5)
+                colour = colours[line.entry.program]
+                panel.plot(line.cpu, line.error, "s" if line.entry.program == OURS else "o", color=colour)
+                name = f"   {line.entry.program}: {line.entry.setting}"
+                panel.text(line.cpu, line.error, name, rotation=60, rotation_mode="anchor", fontsize=7, color=colour)
         if race.floor is not None:
             panel.axhline(race.floor, color="0.6", linewidth=0.8, linestyle="--")
-        panel.set(xlabel="process time to solve, s", ylabel="held-out error, mm", title=race.title.split(",")[0])
-        panel.margins(x=0.25, y=0.15)
+        errors = [line.error for line in lines if line.done]
+        panel.set_ylim(0.8 * min(errors), 2.2 * max(errors))
+        panel.margins(x=0.2)
+        panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        panel.yaxis.set_minor_formatter(FormatStrFormatter("%g"))
     figure.savefig(path, metadata={"Date": None})
 
 

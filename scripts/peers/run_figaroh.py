@@ -50,7 +50,7 @@ def solve(case: Case, urdf: Path, setting: str) -> Solved:
             result = calibration.solve(enable_logging=False)
         settings = calibration.calib_config | {"NbSample": len(case.unseen)}
         flat = calc_updated_fkm(calibration.model, calibration.data, result.x, case.unseen, settings)
-    left_out = settings.get("absorbed_param_name") or []
+    left_out = [name for name in settings.get("absorbed_param_name") or [] if name not in settings["param_name"]]
     weak = [name for name, _ in settings.get("estimation_report", {}).get("removal_order", [])]
     said = f"{result.nfev} steps and differences; {len(left_out)} parameters left out as absorbed by others"
     if weak:
