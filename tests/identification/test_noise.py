@@ -66,3 +66,14 @@ def test_an_instrument_that_promises_too_much_is_corrected_in_position_and_orien
             assert np.isnan(noise.chi_square)
     # The rows that the parameters have used up: 30 directions, shared by both components.
     assert sum(noise.degrees_of_freedom for noise in fit.noise) == pytest.approx(6 * 400 - 30)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy"])
+def test_robust_losses_give_back_what_they_take_from_ordinary_rows(loss: str) -> None:
+    """Where no row lies off, the noise is that of the rows, whatever the loss."""
+    rng = np.random.default_rng(6)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 600), rng=rng, sigma=0.05e-3, stated=(0.0, 0.0))
+    fit = calib.identify(calib.error_model(robot, offsets=["elbow_joint"]), data, losses=[loss])
+    assert fit.noise[0].total == pytest.approx(0.05e-3, rel=0.05)

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse
 from calib.robot.load import load_robot
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import Deviations, Robot, segments
+from calib.robot.skeleton import end_frame, skeleton
 from calib.robot.sources import examples
 from calib.robot.urdf import parse_urdf, read_urdf
 from tests.identification import machines
@@ -104,6 +105,13 @@ def test_the_offset_of_a_driver_moves_what_follows_it_and_that_of_a_follower_onl
 def test_the_reach_bounds_how_far_the_tip_comes() -> None:
     # Links of 0.4 + 0.353 + 0.3 + 0.1 m and a quill that slides up to 0.7 m.
     assert load(machines.INLINE["scara"]).reach == pytest.approx(0.4 + np.hypot(0.35, 0.05) + 0.3 + 0.1 + 0.7)
+
+
+def test_the_frame_of_the_base_link_is_the_root() -> None:
+    arm = load(machines.INLINE["scara"])
+    frame = end_frame(skeleton(segments(arm), np.full((len(arm.chain), 6), 0.1)), -1)
+    assert frame.joint == -1
+    np.testing.assert_array_equal(frame.placement, np.eye(4))
 
 
 # ---- deviations

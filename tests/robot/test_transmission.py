@@ -8,6 +8,7 @@ import pytest
 
 import calib
 from calib.foundations import rigid
+from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
 from calib.robot.transmission import JointTerm, Transmission
@@ -107,3 +108,8 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
         np.testing.assert_allclose(
             driven[:, :, k], twist(robot.tips(u + step, d), robot.tips(u - step, d)), rtol=0, atol=2e-8
         )
+
+
+def test_a_term_asks_for_the_condition_that_it_needs() -> None:
+    with pytest.raises(RobotError, match=r"a\.thermal needs to be told 'temperature' of every row\."):
+        Transmission((JointTerm("a", "thermal"),), ["a"], np.ones(1)).bases(np.zeros((1, 1)), NO_CONDITIONS)
