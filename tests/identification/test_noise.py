@@ -26,6 +26,7 @@ def test_the_model_variance_solves_its_equation_at_any_scale(size: float) -> Non
         ([1.0, -1.0, 1.0], [1.0, 1.0, 1.0], 3.0, 0.0),  # the instrument suffices
         ([1.0, -2.0, 1.0], [0.0, 0.0, 0.0], 2.0, 3.0),  # the instrument is not known
         ([1.0, -2.0, 1.0], [1.0, 1.0, 1.0], 2.0, 2.0),
+        ([1.0, -2.0, 1.0], [1e-6, 1e-6, 1e-6], 2.0, 3.0),  # the instrument hardly counts
         ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 2.0, 0.0),
         ([0.0, 2.0], [0.0, 0.0], 0.0, 0.0),  # nothing left to judge by
     ],
