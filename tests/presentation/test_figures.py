@@ -39,7 +39,11 @@ def test_every_case_has_its_pictures_and_the_page_shows_them(script: ModuleType)
         for job in ROOT.glob("robots/*/calibration*.toml")
         for kind in ("scene", "report", "phone")
     }
-    assert shown == made == {file.name for file in (ROOT / "docs/figures").glob("*.png")}
+    assert shown == made
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").glob("*.md"))
+    assert {file.name for file in (ROOT / "docs/figures").iterdir()} == set(
+        re.findall(r"\(figures/(\w+\.\w+)\)", pages)
+    )
     assert sum(file.stat().st_size for file in (ROOT / "docs/figures").glob("*.png")) < 3_000_000
 
 

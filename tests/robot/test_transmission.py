@@ -11,7 +11,7 @@ from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
-from calib.robot.transmission import JointTerm, Transmission
+from calib.robot.transmission import Flexures, JointTerm, TermKind, Transmission
 from tests.identification import machines
 
 Array = np.ndarray
@@ -59,9 +59,13 @@ def test_names_and_units() -> None:
     assert [term.unit("length") for term in others] == ["m/N", "m", "m/K"]
 
 
+def alone(kind: TermKind) -> Transmission:
+    return Transmission((JointTerm("a", kind),), ["a"], np.ones(1), Flexures((), (range(0),)), ())
+
+
 def test_a_drive_that_gives_way_asks_what_it_holds() -> None:
     with pytest.raises(TypeError, match="has weights"):
-        Transmission((JointTerm("a", "elastic"),), ["a"], np.ones(1)).bases(np.zeros((1, 1)), NO_CONDITIONS)
+        alone("elastic").moved(np.zeros((1, 1)), NO_CONDITIONS)
 
 
 @pytest.mark.parametrize("name", [*ARMS, "irb2400"])
@@ -112,4 +116,4 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
 
 def test_a_term_asks_for_the_condition_that_it_needs() -> None:
     with pytest.raises(RobotError, match=r"a\.thermal needs to be told 'temperature' of every row\."):
-        Transmission((JointTerm("a", "thermal"),), ["a"], np.ones(1)).bases(np.zeros((1, 1)), NO_CONDITIONS)
+        alone("thermal").moved(np.zeros((1, 1)), NO_CONDITIONS)
