@@ -227,7 +227,9 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
     many = [f"job_{k}.toml" for k in range(12)]
     for name in many:
         (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
-    command = [sys.executable, "-W", "error", "-c", MAIN, "fleet", *jobs(*many), "-j", "2"]
+    # Where the tests themselves run in the background, Ctrl-C is ignored, and that is inherited.
+    listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {MAIN}"
+    command = [sys.executable, "-W", "error", "-c", listening, "fleet", *jobs(*many), "-j", "2"]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
     while running.poll() is None and not list(folder.glob("fleet/job_*/result.json")):
         time.sleep(0.01)
