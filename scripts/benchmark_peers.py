@@ -547,7 +547,7 @@ def draw(races: Sequence[tuple[Race, Sequence[Line]]], path: Path) -> None:
         if race.floor is not None:
             panel.axhline(race.floor, color="0.6", linewidth=0.8, linestyle="--")
         errors = [line.error for line in lines if line.done]
-        panel.set_ylim(0.8 * min(errors), 2.2 * max(errors))
+        panel.set_ylim(0.8 * min(errors), 3.0 * max(errors))
         panel.margins(x=0.2)
         panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         panel.yaxis.set_minor_formatter(FormatStrFormatter("%g"))
