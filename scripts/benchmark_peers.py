@@ -434,9 +434,9 @@ def preface(race: Race) -> str:
     if race.floor is None:
         return (
             "The rows of a random third are held out (`default_rng(0)`). What no model explains of a real robot is not "
-            f"known: a peer counts when it is within {100 * (AT_THE_FLOOR - 1.0):.0f} % of the best of them. Many poses "
-            "were visited twice, and the split parts some of these twins: that flatters models with many terms, not "
-            "geometry.\n"
+            f"known: a peer counts when it is within {100 * (AT_THE_FLOOR - 1.0):.0f} % of the best of them. Many "
+            "poses were visited twice, and the split parts some of these twins: that flatters models with many terms, "
+            "not geometry.\n"
         )
     return (
         f"Every link of example-robot-data's UR10 is off by {1e3 * SPREAD_LENGTH:g} mm and {1e3 * SPREAD_ANGLE:g} mrad "
@@ -508,8 +508,8 @@ LIMITS = """## What each cannot do here
   leaves of it goes into the axes. Steps are not held back, and where the data lack a direction it leaves out the last
   parameters. That two steps would do is known only afterwards: stopped there, it says that it has not converged.
 - figaroh wants a subclass with a cost function, a configuration file and a table of its own form. Its default method
-  chooses parameters for the tip itself, without regard to the unknown tool point, and so too few of them where that is
-  off the last axis. `map_cv` and `cv_subset` fit many times over by cross-validation and are not run.
+  chooses parameters for the tip itself, without regard to the unknown tool point, and so too few where that is off the
+  last axis. `map_cv` and `cv_subset` fit many times over by cross-validation and are not run.
 - pybotics has modified DH numbers only, and no URDF. They cannot say that parallel axes lean, and three of a UR10's are
   parallel. Its own function of errors is a distance: no sign, and not smooth where it vanishes, which is where the
   solution is.
