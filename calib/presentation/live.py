@@ -146,7 +146,7 @@ def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
         if shown.shape != (len(factors),):
             raise ValueError("not one number for every reading")
         readings = (shown * factors)[None]
-        if not max(np.abs(readings).max(), abs(apart)) <= _LARGEST_NUMBER:
+        if not np.all(np.abs([*readings[0], apart]) <= _LARGEST_NUMBER):
             raise ValueError("not finite, or beyond all machines")
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return {"sentence": "This is no question that the server knows."}

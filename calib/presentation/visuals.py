@@ -58,15 +58,15 @@ def _shape(visual: Element, colours: Mapping[str, Rgb], otherwise: Rgb) -> Shape
     shape, file = found.geometry, ""
     sizes: Sequence[float]
     if shape.mesh is not None:
-        scale = 1.0 if shape.mesh.scale is None else shape.mesh.scale
-        kind, sizes, file = "mesh", np.broadcast_to(scale, 3).tolist(), shape.mesh.filename or ""
+        scale = [1.0] if shape.mesh.scale is None else np.ravel(shape.mesh.scale).tolist()
+        kind, sizes, file = "mesh", 3 * scale if len(scale) == 1 else scale, shape.mesh.filename or ""
     elif shape.box is not None:
         kind, sizes = "box", shape.box.size.tolist()
     elif shape.sphere is not None:
         kind, sizes = "sphere", [shape.sphere.radius]
     else:
         kind, sizes = "cylinder", [shape.cylinder.radius, shape.cylinder.length]
-    wrong = (kind == "box" and len(sizes) != 3) or (kind != "mesh" and min(sizes) < 0.0)
+    wrong = (kind in ("box", "mesh") and len(sizes) != 3) or (kind != "mesh" and min(sizes) < 0.0)
     if wrong or not np.all(np.abs([*sizes, *T.ravel()]) <= _LARGEST):
         return None
     return Shape(kind, tuple(sizes), file, T, rgb)
