@@ -3,8 +3,8 @@
     python scripts/versions.py [lowest] [newest] [--folder out/versions] [-- arguments of pytest]
 
 Every set of versions has an environment of its own, made by uv with this Python. Lowest: every direct dependency at
-its lower bound, what these need as new as it gets. Where bounds exclude each other - the lowest pin needs a newer NumPy
-than the lowest one - those left above their bound are held at it in a further environment.
+its lower bound, what these need as new as it gets. Where bounds exclude each other, those left above their bound are
+held at it in a further environment.
 """
 
 import argparse
