@@ -89,9 +89,10 @@ def _read(element: ElementTree.Element) -> Any:
 
     document = ElementTree.Element("robot", name="robot")
     document.append(element)
+    source = io.BytesIO(ElementTree.tostring(document))
     try:
-        source = io.BytesIO(ElementTree.tostring(document))
-        return yourdfpy.URDF.load(source, load_meshes=False, build_scene_graph=False).robot
+        with np.errstate(all="ignore"):  # what is not finite is found in the result
+            return yourdfpy.URDF.load(source, load_meshes=False, build_scene_graph=False).robot
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return None
 
