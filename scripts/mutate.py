@@ -48,7 +48,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "identification/test_joint_terms",
         "identification/test_conditions",
     ),
-    "robot/gravity": ("robot/test_gravity", "robot/test_transmission"),
+    "robot/flexures": ("robot/test_flexures", "identification/test_links"),
+    "robot/gravity": ("robot/test_gravity", "robot/test_flexures", "identification/test_links"),
     "identification/relations": (
         f"{OBSERVATIONS}::test_relations_match_central_differences",
         f"{OBSERVATIONS}::test_known_distances_between_sockets_give_the_size",
@@ -57,7 +58,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "identification/unseen": ("identification/test_observations", "identification/test_pixels"),
     "identification/noise": ("identification/test_noise", "assessment/test_nist"),
     "identification/weights": ("identification/test_noise", "assessment/test_nist", "assessment/test_outliers"),
-    "identification/losses": ("assessment/test_outliers",),
+    "identification/losses": ("identification/test_losses", "assessment/test_outliers"),
+    "identification/widths": ("identification/test_learned_priors",),
     "identification/identifiability": ("identification/test_identifiability", "properties/test_calibrations"),
     "identification/system": (
         "identification/test_jacobian",

@@ -1,0 +1,42 @@
+"""Weights of robust losses against the derivatives of the losses themselves, and their shrinkage against chance."""
+
+import numpy as np
+import pytest
+
+from calib.identification.losses import Loss, scatter_weight, shrinkage, weight
+
+# rho(z) of z = (t / c)^2, as in scipy.optimize.least_squares, and c.
+RHO = {
+    "huber": (lambda z: np.where(z <= 1.0, z, 2.0 * np.sqrt(z) - 1.0), 1.345),
+    "soft_l1": (lambda z: 2.0 * (np.sqrt(1.0 + z) - 1.0), 1.0),
+    "cauchy": (np.log1p, 2.385),
+}
+
+
+@pytest.mark.parametrize("loss", RHO)
+def test_a_weight_is_the_slope_of_the_loss(loss: Loss) -> None:
+    rho, c = RHO[loss]
+    t = np.array([0.1, 0.7, 1.2, 1.5, 2.3, 4.0, 30.0])
+    z, h = (t / c) ** 2, 1e-5
+    assert np.allclose(weight(loss, t), (rho(z * (1.0 + h)) - rho(z * (1.0 - h))) / (2.0 * h * z), rtol=1e-6)
+    assert weight(loss, np.zeros(1)) == 1.0
+
+
+def test_squares_weigh_all_alike() -> None:
+    assert np.array_equal(weight("linear", np.array([0.0, 1.0, 1e6])), np.ones(3))
+    assert shrinkage("linear", 3) == 1.0
+
+
+@pytest.mark.parametrize(("loss", "bound"), [("huber", 1.345**2), ("soft_l1", 1.0), ("cauchy", 2.385**2)])
+def test_no_row_adds_more_to_the_scatter_than_a_bound(loss: Loss, bound: float) -> None:
+    t = np.array([1e3, 1e6])
+    assert np.allclose(scatter_weight(loss, t) * t**2, bound, rtol=1e-5)
+    assert scatter_weight(loss, np.zeros(1)) == 1.0
+
+
+@pytest.mark.parametrize("loss", RHO)
+@pytest.mark.parametrize("d", [1, 3])
+def test_shrinkage_is_what_ordinary_rows_lose(loss: Loss, d: int) -> None:
+    r = np.random.default_rng(0).normal(size=(400_000, d))
+    square = np.mean(r**2, axis=1)
+    assert np.mean(scatter_weight(loss, np.sqrt(square)) * square) == pytest.approx(shrinkage(loss, d), rel=0.01)
