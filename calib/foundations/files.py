@@ -64,6 +64,15 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def stamp(path: Path) -> tuple[int, int, int] | None:
+    """Return what changes when a file does: its number, size and time; None where there is none."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
 def encoded(text: str) -> bytes:
     """Return text as UTF-8; what cannot be, the bytes of a file's name that are no text, as escapes."""
     return text.encode(errors="backslashreplace")

@@ -11,7 +11,7 @@ from calib.assessment.validation import groups
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, PoseError
-from calib.foundations.files import read_bytes, sha256
+from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, TermPriors, error_model
 from calib.identification.losses import Loss
@@ -97,10 +97,12 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     Doubtful but usable things are returned as findings.
     """
     progress("reading the job")
+    stamps = {path: stamp(path)}
     arm = load_arm(path)
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
+    stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     sets = [_shared_out(_measurements(section, job, robot, folder, arms, doubts), section) for section in sections]
@@ -121,14 +123,15 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     findings += signatures(model, chosen)
     _refuse(findings)
     hashes = {
-        name: sha256(read_bytes(file, JobError))
-        for name, file in (
-            (path.name, path),
-            (job.robot.urdf, urdf),
-            *((section.file, folder / section.file) for section in sections),
-            *((name, file) for arm in arms.values() for name, file in arm.files.items()),
-        )
+        path.name: sha256(read_bytes(path, JobError)),
+        job.robot.urdf: sha256(robot.urdf.source),
+        **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
+        **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
+    # The hashes are to be those of what was read.
+    for file, before in stamps.items():
+        if stamp(file) != before:
+            raise JobError(f"{file}: has changed while it was read; run again when it is whole.")
     findings += [*_not_held_out(job, hashes, path), *_unseen(model, chosen, path)]
     return Inputs(
         job=job,

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError, PoseError
-from calib.foundations.files import reading_folder
+from calib.foundations.files import reading_folder, stamp
 from calib.foundations.units import UNITS
 from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
@@ -99,11 +99,11 @@ async def _run(
     listener.setblocking(False)
     server.add_socket(listener)
     started(f"http://{ADDRESS}:{listener.getsockname()[1]}/")
-    seen = _stamp(folder)
+    seen = stamp(folder)
     try:
         while True:
             await asyncio.sleep(_EVERY)
-            now = _stamp(folder)
+            now = stamp(folder)
             if now not in (seen, None):
                 try:
                     model, seen = load_model(folder), now
@@ -170,12 +170,3 @@ def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
 
 def _literally(name: str) -> str:
     return name.replace(".", r"\.")
-
-
-def _stamp(folder: Path) -> tuple[int, int] | None:
-    """Return what changes when a folder of results is replaced; None while it is away."""
-    try:
-        found = folder.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_mtime_ns

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from calib.foundations.errors import CalibError, JobError
-from calib.foundations.files import encoded, read_bytes, write_atomically
+from calib.foundations.files import encoded, read_bytes, sha256, write_atomically
+from calib.job.inputs import load
 from tests.job.cases import JOB, TABLE, URDF, copy_case, run, write
 
 NO_FILE = "is not a regular file."
@@ -107,3 +108,27 @@ def test_a_job_names_files_and_never_writes_them(folder: Path) -> None:
     assert said.err.startswith(f"Error: ../{folder.name}/secret:1: column ")
     assert not (folder / "out").exists()
     assert (folder / "secret").read_text(encoding="utf-8") == "root:x:0:0:secret words\n"
+
+
+@pytest.mark.parametrize("name", [JOB, TABLE])
+def test_a_file_that_changes_before_its_hash_is_taken(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result names what was read by its hash."""
+
+    def meanwhile(model: object, sets: object) -> list[object]:
+        (folder / name).write_bytes((folder / name).read_bytes() + b"\n")
+        return []
+
+    monkeypatch.setattr("calib.job.inputs.signatures", meanwhile)
+    sentence = f"Error: {name}: has changed while it was read; run again when it is whole.\n"
+    assert run("check", JOB) == (1, "", sentence)
+
+
+def test_a_urdf_that_changes_is_known_by_what_was_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = sha256((folder / URDF).read_bytes())
+
+    def meanwhile(model: object, sets: object) -> list[object]:
+        (folder / URDF).write_bytes(b"<robot/>")
+        return []
+
+    monkeypatch.setattr("calib.job.inputs.signatures", meanwhile)
+    assert load(folder / JOB).hashes[URDF] == before
