@@ -15,7 +15,7 @@ from calib.measurement.kinds import WITH_TARGET
 
 # What is found by chance in one of a hundred calibrations is told.
 LEVEL = 0.01
-# Of more rows only these, the least likely, are kept: what is told of them is 1e-4 of it or less.
+# Of more rows only these, the least likely, are kept: all others are quite ordinary.
 _MOST_ROWS = 10_000
 
 

@@ -16,7 +16,7 @@ from calib.identification import weights
 from calib.identification.identifiability import USABLE
 from calib.identification.parameters import Parameter, ParameterUnit, scales
 from calib.identification.solver import Solution, solve
-from calib.identification.system import Problem, evaluate, residuals
+from calib.identification.system import Problem
 from calib.identification.unseen import without
 from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
 
@@ -97,10 +97,8 @@ def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Probl
 
 def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]) -> Rows:
     """Return the equations at a solution, shifted to where priors have their means; others are held weakly there."""
-    at = problem.machine(found.x)
-    r = residuals(problem.model.robot, problem.measurements, at)
-    sigmas = weights.sigmas_of(problem, found.variances, r)
-    evaluation = evaluate(problem, sigmas, found.x)
+    sigmas = weights.sigmas_of(problem, found.variances, problem.residuals(found.x))
+    evaluation = problem.evaluate(sigmas, found.x)
     parameters = problem.parameters
     p = len(parameters)
     hold = np.array([parameter.hold for parameter in parameters])
