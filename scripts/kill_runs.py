@@ -65,7 +65,7 @@ def case(folder: Path) -> tuple[Path, Path]:
 
 
 def half_written(out: Path) -> bool:
-    return any(out.parent.glob(f".{out.name}.*.new"))
+    return any(out.parent.glob(f".{out.name}.*.calib"))
 
 
 def writing_takes(job: Path, out: Path) -> float:

@@ -13,7 +13,8 @@ from calib.cli.options import Json, Quiet, ResultFolder, app
 from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import reading_folder, write_atomically
+from calib.foundations.files import write_atomically
+from calib.foundations.folders import reading_folder
 from calib.job.results import DH_FILE
 from calib.presentation.console import sentence, show, warning, write
 from calib.robot import dh

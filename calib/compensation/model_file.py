@@ -25,7 +25,8 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertain
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder
+from calib.foundations.files import LARGEST_JSON, read_bytes
+from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames

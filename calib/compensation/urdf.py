@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import read_bytes, write_atomically
 from calib.identification.fit import Fit
 from calib.robot import deviation
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -90,8 +90,8 @@ def write_urdf(fit: Fit, path: str | Path) -> None:
     path = Path(path)
     robot = fit.robot
     try:
-        there = path.read_bytes()
-    except OSError:  # nothing there; any other reason shows when it is written
+        there = read_bytes(path, OutputError, len(robot.urdf.source))
+    except OutputError:  # nothing there, or another file; any other reason shows when it is written
         there = b""
     if there == robot.urdf.source:
         raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")

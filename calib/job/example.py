@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 
 from calib.foundations.errors import OutputError
-from calib.foundations.files import replace_folder
+from calib.foundations.folders import write_folder
 
 JOB = "calibration.toml"
 TARGETS = "targets.csv"
@@ -35,10 +35,8 @@ def copy_example(folder: Path) -> tuple[Path, Path, Path]:
     if folder.exists() or folder.is_symlink():
         raise OutputError(f"{folder}: is there already; choose another name.")
     source = example_folder()
-    with replace_folder(folder) as new:
-        for name in _FILES:
-            (new / name).write_bytes((source / name).read_bytes())
-        (new / TARGETS).write_text(_targets((source / "test.csv").read_text(encoding="utf-8")), encoding="utf-8")
+    files: dict[str, bytes | str] = {name: (source / name).read_bytes() for name in _FILES}
+    write_folder(folder.resolve(), {**files, TARGETS: _targets((source / "test.csv").read_text(encoding="utf-8"))})
     return folder / JOB, folder / TARGETS, folder / RESULTS
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import LARGEST_JSON, read_bytes, reading_folder, sha256
+from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
+from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.inputs import Progress

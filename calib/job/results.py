@@ -29,7 +29,8 @@ from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_js
 from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import LARGEST_JSON, encoded, previous_folder, read_bytes, reading_folder, replace_folder
+from calib.foundations.files import LARGEST_JSON, read_bytes
+from calib.foundations.folders import reading_folder, write_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
@@ -68,8 +69,11 @@ _STEPS_OF_WRITING = 4
 _LARGEST_VALUE = 1e6
 
 
-def refuse_folder(out: Path, inputs: Inputs) -> None:
-    """Raise OutputError when results cannot or may not be written to a folder, before any work is done for them."""
+def refuse_folder(out: Path, inputs: Inputs) -> Path:
+    """Raise OutputError when results cannot or may not be written to a folder, before any work is done for them.
+
+    Returns the folder that is meant where ``out`` is a link to one.
+    """
     try:
         out = out.resolve()
         for file in inputs.files:
@@ -79,20 +83,21 @@ def refuse_folder(out: Path, inputs: Inputs) -> None:
             raise OutputError(f"{out}: is the current folder or holds it, and is replaced as a whole; choose another.")
         if out.exists() and not out.is_dir():
             raise OutputError(f"{out}: is a file, and the results need a folder.")
-        # What an earlier run was about to remove when it was killed is removed with the old results.
-        for folder in (out, previous_folder(out)):
-            _refuse_foreign(folder)
+        _refuse_foreign(out)
         _refuse_unwritable(out)
     except (OSError, RuntimeError) as e:
         if isinstance(e, OutputError):
             raise
         reason = e.strerror if isinstance(e, OSError) else "a symbolic link leads in a circle"
         raise OutputError(f"{out}: cannot hold the results ({reason}).") from e
+    return out
 
 
 def _refuse_foreign(folder: Path) -> None:
-    entries = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-    foreign = [name for name in entries if name not in (*_RESULTS, *_LEFT_BEHIND)]
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    entries = [entry.name for entry in found]
+    known = (*_RESULTS, *_LEFT_BEHIND)
+    foreign = [entry.name for entry in found if entry.name not in known or entry.is_symlink() or not entry.is_file()]
     if foreign:
         raise OutputError(
             f"{folder}: holds {foreign[0]!r}, which is no result of this tool, and results replace the whole folder; "
@@ -107,15 +112,16 @@ def _refuse_unwritable(out: Path) -> None:
     parent = next(folder for folder in out.parents if folder.exists())
     if not parent.is_dir():
         raise OutputError(f"{out}: cannot be made, as {parent} is a file.")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{out}: cannot be written, as {parent} is read-only.")
+    for folder in (parent, out):
+        if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
+            raise OutputError(f"{out}: cannot be written, as {folder} is read-only.")
     if out.is_mount():
         raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
 
 
 def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:
     """Write the folder of results; on any error it stays as it was."""
-    refuse_folder(out, outcome.inputs)
+    out = refuse_folder(out, outcome.inputs)  # a link stays a link: what it points to is replaced
     fit, robot = outcome.fit, outcome.fit.robot
     progress("writing the calibrated URDF")
     calibrated = calibrated_urdf(robot, fit.deviations)
@@ -138,9 +144,7 @@ def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: No
         **_residual_model(outcome),
     }
     progress("writing the results")
-    with replace_folder(out, (*_RESULTS, *_LEFT_BEHIND)) as folder:
-        for name, contents in files.items():
-            (folder / name).write_bytes(encoded(contents) if isinstance(contents, str) else contents)
+    write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
 
 
 def _residual_model(outcome: Outcome) -> dict[str, bytes]:

@@ -77,7 +77,10 @@ def _hint(name: str, section: type[BaseModel]) -> str:
     """Return the end of the sentence about an unknown key: where it belongs, or which key is near."""
     homes = [header for other, header in _HEADERS.items() if name in _keys(other)]
     if homes:
-        return f"it belongs in {' or '.join(homes)}." if homes != [""] else "it belongs at the top of the file."
+        places = ["at the top of the file"] if "" in homes else []
+        if sections := " or ".join(filter(None, homes)):
+            places.append(f"in {sections}")
+        return f"it belongs {' or '.join(places)}."
     known = _keys(section)
     if likest := near(name, known, 1):
         return f"did you mean {likest[0]!r}?"

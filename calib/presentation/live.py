@@ -6,6 +6,7 @@ what moves is computed by the calibrated model.
 """
 
 import json
+import os
 import socket
 from collections.abc import Callable, Coroutine
 from pathlib import Path
@@ -15,7 +16,8 @@ import numpy as np
 
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError, PoseError
-from calib.foundations.files import reading_folder, stamp
+from calib.foundations.files import read_inside, stamp
+from calib.foundations.folders import reading_folder
 from calib.foundations.units import UNITS
 from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
@@ -27,6 +29,7 @@ _EVERY = 1.0
 # Shown of joints without limits: one turn, or one metre, to both sides.
 _TURN, _METRE = np.pi, 1.0
 _LONGEST_MESSAGE = 100_000
+_LARGEST_PAGE = 200_000_000
 _LARGEST_NUMBER = 1e6
 
 
@@ -39,8 +42,9 @@ def serve(
     one. ``started`` is told the address. Raises OutputError when there is nothing to show, or no port.
     """
     model = load_model(folder)
-    if not (folder / page).is_file():
+    if not os.path.lexists(folder / page):
         raise OutputError(f"{folder}: holds no {page}; run calib calibrate again.")
+    read_inside(folder, page, OutputError, _LARGEST_PAGE)
 
     async def run() -> None:
         await _run(folder, model, (page, *others), port, started)
@@ -63,9 +67,9 @@ async def _run(
         def get(self, name: str) -> None:
             try:
                 with reading_folder(folder):
-                    contents = (folder / (name or pages[0])).read_bytes()
+                    contents = read_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
                 self.finish(contents)
-            except OSError:  # a page that older results have not
+            except OutputError:  # a page that older results have not, or that is a link or no file
                 self.send_error(404)
 
         def set_default_headers(self) -> None:

@@ -11,7 +11,9 @@ import pytest
 import calib
 from calib.compensation.model_file import model_json
 from calib.foundations.errors import OutputError
+from tests.foundations.swaps import left
 from tests.identification import machines
+from tests.job.cases import tree
 
 TOOLS = {"left": machines.pose((0.05, 0.02, 0.15)), "right": machines.pose((-0.05, 0.01, 0.1))}
 
@@ -85,16 +87,15 @@ def test_current_folder_and_text_path(folder: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_reading_removes_nothing(folder: Path) -> None:
-    previous = folder.with_name(f".{folder.name}.previous")
-    previous.mkdir()
-    (previous / "mine.txt").write_text("mine")
+    hidden = left(folder.with_name(f".{folder.name}.0123abcd.calib"), new=False)
+    before = tree(hidden)
     calib.load_model(folder)
-    assert (previous / "mine.txt").read_text() == "mine"
+    assert tree(hidden) == before
 
 
 def test_results_of_a_killed_run_are_found(folder: Path) -> None:
     place = folder.with_name("moved")
-    folder.rename(folder.with_name(".moved.previous"))
+    folder.rename(left(folder.with_name(".moved.0123abcd.calib"), old=False) / "old")
     assert calib.load_model(place).robot.tip == "tip"
 
 

@@ -112,6 +112,6 @@ def test_nominal_urdf_is_never_overwritten(fit: calib.Fit, tmp_path: Path) -> No
 
 def test_no_place_to_write(fit: calib.Fit, tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "no" / "such.urdf", tmp_path / ("x" * 300)):
-        with pytest.raises(OutputError, match="cannot be"):
+        with pytest.raises(OutputError, match=r"cannot be|is not a regular file"):
             write_urdf(fit, path)
     assert list(tmp_path.iterdir()) == []

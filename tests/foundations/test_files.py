@@ -1,5 +1,6 @@
-"""Files appear whole or not at all, and what a killed run leaves is put right."""
+"""Files are read with a guard, and appear whole or not at all."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_bytes, recover_folder, replace_folder, sha256, write_atomically
+from calib.foundations.files import read_bytes, read_inside, sha256, write_atomically
+from tests.foundations.swaps import at_operation, swap
 
 as_root = os.geteuid() == 0
 
@@ -36,6 +38,50 @@ def test_read_bytes(tmp_path: Path) -> None:
         read_bytes(path, JobError, largest=2)
 
 
+def test_read_inside(tmp_path: Path) -> None:
+    folder, secret = tmp_path / "folder", tmp_path / "secret"
+    folder.mkdir()
+    secret.write_bytes(b"secret")
+    (folder / "a").write_bytes(b"abc")
+    (folder / "link").symlink_to(secret)
+    (folder / "zeros").symlink_to("/dev/zero")
+    (folder / "sub").mkdir()
+    os.mkfifo(folder / "fifo")
+    assert read_inside(folder, "a", JobError) == b"abc"
+    (tmp_path / "named").symlink_to("folder")  # the folder itself is named by the user, in any way
+    assert read_inside(tmp_path / "named", "a", JobError) == b"abc"
+    for bad in ("link", "zeros", "sub", "fifo", ".."):
+        with pytest.raises(JobError) as caught:
+            read_inside(folder, bad, JobError)
+        assert str(caught.value) == f"{folder / bad}: is not a regular file."
+    with pytest.raises(JobError, match="there is no such file"):
+        read_inside(folder, "b", JobError)
+    with pytest.raises(JobError, match="is larger than 2 bytes"):
+        read_inside(folder, "a", JobError, 2)
+    with pytest.raises(JobError, match="cannot be read"):
+        read_inside(tmp_path / "no", "a", JobError)
+
+
+@pytest.mark.parametrize("swapped", ["link", "fifo"])
+def test_what_takes_the_place_of_a_file_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"abc")
+    (tmp_path / "secret").write_bytes(b"secret")
+    opened = os.open
+
+    def late(name: str | Path, *flags: int, **options: int) -> int:
+        if str(name).endswith("a"):
+            path.unlink()
+            path.symlink_to("secret") if swapped == "link" else os.mkfifo(path)
+        return opened(name, *flags, **options)
+
+    monkeypatch.setattr(os, "open", late)
+    with pytest.raises(JobError, match=r"cannot be read|is not a regular file"):
+        read_inside(tmp_path, "a", JobError)
+
+
 def test_sha256() -> None:
     assert sha256(b"") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
 
@@ -47,7 +93,73 @@ def test_write_atomically_replaces_and_leaves_nothing_beside(tmp_path: Path) -> 
     write_atomically(path, b"\0new")
     assert path.read_bytes() == b"\0new"
     assert names(tmp_path) == ["result.json"]
-    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])
+def test_write_atomically_obeys_the_umask(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        write_atomically(tmp_path / "a", "")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~umask
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling", "folder", "pipe", "device"])
+def test_write_atomically_takes_the_place_of_files_alone(tmp_path: Path, kind: str) -> None:
+    """As root, ``--plot /dev/null`` would otherwise be the end of that device."""
+    (tmp_path / "mine").write_text("mine")
+    path = tmp_path / "a"
+    match kind:
+        case "link":
+            path.symlink_to("mine")
+        case "dangling":
+            path.symlink_to("nothing")
+        case "folder":
+            path.mkdir()
+        case "pipe":
+            os.mkfifo(path)
+        case _:
+            path = Path("/dev/null")
+    before = path.lstat()
+    with pytest.raises(OutputError) as caught:
+        write_atomically(path, "new")
+    what = "a link" if kind in ("link", "dangling") else "not a regular file"
+    assert str(caught.value) == f"{path}: is {what}, and is not replaced; choose another name."
+    assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode)
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert [name for name in names(tmp_path) if name.endswith(".part")] == []
+
+
+def test_write_atomically_leaves_other_names_of_the_file_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "a").hardlink_to(tmp_path / "mine")
+    write_atomically(tmp_path / "a", "new")
+    assert ((tmp_path / "mine").read_text(), (tmp_path / "a").read_text()) == ("mine", "new")
+
+
+def test_write_atomically_stays_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder gives way to a link to another, at every single operation."""
+    done, n = False, 0
+    while not done:
+        here, home, away = (tmp_path / f"{name}{n}" for name in ("here", "home", "away"))
+        here.mkdir()
+        home.mkdir()
+        (home / "a").write_text("mine")
+        with monkeypatch.context() as patched:
+            swapped = at_operation(patched, n, lambda here=here, home=home, away=away: swap(here, away, home))
+            with contextlib.suppress(OutputError):
+                write_atomically(here / "a", "new")
+        done = not swapped
+        assert {path.name: path.read_text() for path in home.iterdir()} in (
+            {"a": "mine"},
+            # Swapped before the folder was opened: the user's path leads there, and what he named is replaced.
+            {"a": "new"},
+        )
+        if n > 0:
+            assert (home / "a").read_text() == "mine"
+        n += 1
+    assert n > 5
 
 
 def test_write_atomically_says_why_it_cannot(tmp_path: Path) -> None:
@@ -55,8 +167,8 @@ def test_write_atomically_says_why_it_cannot(tmp_path: Path) -> None:
         write_atomically(tmp_path / "no" / "a", "")
     assert str(caught.value) == f"{tmp_path / 'no' / 'a'}: cannot be written (No such file or directory)."
     (tmp_path / "folder").mkdir()
-    with pytest.raises(OutputError, match="Is a directory"):
-        write_atomically(tmp_path / "folder", "")
+    with pytest.raises(OutputError, match="is not the name of a file"):
+        write_atomically(tmp_path / "a\0b", "")
     assert names(tmp_path) == ["folder"]
 
 
@@ -82,61 +194,6 @@ def test_a_killed_writer_leaves_the_old_contents_or_the_new(tmp_path: Path) -> N
             time.sleep(delay)
             writer.kill()
         assert path.read_bytes() in (old, new)
-
-
-def test_replace_folder(tmp_path: Path) -> None:
-    out = tmp_path / "deep" / "out"
-    for content in ("first", "second"):
-        with replace_folder(out) as new:
-            assert names(new) == []
-            (new / "sub").mkdir()
-            (new / "sub" / "a").write_text(content)
-        assert (out / "sub" / "a").read_text() == content
-        assert names(out.parent) == ["out"]
-    assert out.stat().st_mode & 0o777 == 0o755
-
-
-@pytest.mark.parametrize("error", [KeyError("x"), KeyboardInterrupt(), JobError("x")])
-def test_replace_folder_leaves_the_old_one_when_the_block_raises(tmp_path: Path, error: BaseException) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "a").write_text("old")
-    with pytest.raises(type(error)), replace_folder(out) as new:
-        (new / "a").write_text("new")
-        raise error
-    assert (out / "a").read_text() == "old"
-    assert names(tmp_path) == ["out"]
-
-
-def test_replace_folder_says_why_it_cannot(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.write_text("mine")
-    with pytest.raises(OutputError) as caught, replace_folder(file):
-        pass
-    assert str(caught.value) == f"{file}: is a file, and the results need a folder."
-    with pytest.raises(OutputError) as caught, replace_folder(file / "out"):
-        pass
-    assert str(caught.value) == f"{file / 'out'}: the results cannot be written (File exists)."
-    assert file.read_text() == "mine"
-    with pytest.raises(OutputError, match="No space left"), replace_folder(tmp_path / "out"):
-        raise OSError(28, "No space left on device")
-    assert names(tmp_path) == ["file"]
-
-
-def test_what_a_killed_exchange_left_is_put_right(tmp_path: Path) -> None:
-    out, previous = tmp_path / "out", tmp_path / ".out.previous"
-    previous.mkdir()
-    (previous / "a").write_text("old")
-    recover_folder(out)  # killed between the two renames
-    assert (out / "a").read_text() == "old"
-    previous.mkdir()
-    (previous / "a").write_text("older")
-    recover_folder(out)  # killed before the old one was removed, which the next writer does
-    assert (out / "a").read_text() == "old"
-    with replace_folder(out) as new:
-        (new / "a").write_text("new")
-    assert names(tmp_path) == ["out"]
-    assert (out / "a").read_text() == "new"
 
 
 def test_every_error_is_a_calib_error() -> None:

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from calib.foundations import files
+from calib.foundations import folders
 from calib.foundations.errors import OutputError
-from calib.foundations.files import reading_folder, recover_folder, replace_folder
+from calib.foundations.files import opened_folder
+from calib.foundations.folders import reading_folder, write_folder
 
 OURS = ("model.json", "result.json", "report.html")
 
@@ -28,7 +29,7 @@ from pathlib import Path
 # The package without what it imports: a small process forks fast.
 sys.modules["calib"] = types.ModuleType("calib")
 sys.modules["calib"].__path__ = [sys.argv[2]]
-from calib.foundations.files import reading_folder, recover_folder, replace_folder
+from calib.foundations.folders import reading_folder, write_folder
 
 OURS = ("model.json", "result.json", "report.html")
 root = Path(sys.argv[1])
@@ -40,9 +41,7 @@ def contents(folder):
 
 
 def write(word):
-    with replace_folder(root / "out", OURS) as new:
-        for name in OURS[:2] if word == "new" else OURS:
-            (new / name).write_text(word)
+    write_folder(root / "out", dict.fromkeys(OURS[:2] if word == "new" else OURS, word), OURS)
 
 
 def killed_at(n, what):
@@ -117,7 +116,7 @@ print(total, seen)
 
 def test_killed_at_every_operation(tmp_path: Path) -> None:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-W", "error", "-c", KILLER, str(tmp_path), str(Path(files.__file__).parents[1])]
+    command = [sys.executable, "-W", "error", "-c", KILLER, str(tmp_path), str(Path(folders.__file__).parents[1])]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     operations, seen = done.stdout.split(" ", 1)
@@ -140,7 +139,7 @@ def held(folder: Path, kind: int) -> Iterator[threading.Event]:
     begun, enough = threading.Event(), threading.Event()
 
     def run() -> None:
-        with files._locked(folder, kind):
+        with opened_folder(folder.parent) as above, folders._locked(folders._Place(folder, above), kind):
             begun.set()
             enough.wait()
 
@@ -156,41 +155,44 @@ def held(folder: Path, kind: int) -> Iterator[threading.Event]:
 
 def test_a_writer_waits_for_a_reader_or_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    with replace_folder(out) as new:
-        (new / "a").write_text("old")
+    write_folder(out, {"a": "old"})
     with held(out, fcntl.LOCK_SH) as enough:
         with monkeypatch.context() as hasty:
-            hasty.setattr(files, "_PATIENCE", 0.05)
-            with pytest.raises(OutputError) as caught, replace_folder(out):
-                pass
+            hasty.setattr(folders, "_PATIENCE", 0.05)
+            with pytest.raises(OutputError) as caught:
+                write_folder(out, {"a": "new"}, ("a",))
         assert str(caught.value) == f"{out}: another run is busy with it or beside it; try again when it has ended."
         assert names(tmp_path) == ["out"]
         threading.Timer(0.1, enough.set).start()
-        with replace_folder(out) as new:
-            assert enough.is_set()
-            (new / "a").write_text("new")
+        write_folder(out, {"a": "new"}, ("a",))
+        assert enough.is_set()
     assert (out / "a").read_text() == "new"
     assert names(tmp_path) == ["out"]
 
 
-def test_two_writers_at_once_leave_whole_folders_and_the_last_one_stands(tmp_path: Path) -> None:
+def test_two_writers_at_once_leave_whole_folders_and_the_last_one_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
-    with replace_folder(out) as first:
-        (first / "a").write_text("first")
-        (first / "b").write_text("first")
-        with replace_folder(out) as second:
-            (second / "a").write_text("second")
+    create = folders.create
+
+    def meanwhile(name: str, folder: int, data: bytes) -> None:
+        if name == "b":
+            write_folder(out, {"a": "second"}, ("a", "b"))
             with reading_folder(tmp_path / "other"):
                 pass
-        assert names(out) == ["a"]
-        assert (out / "a").read_text() == "second"
+            assert {path.name: path.read_text() for path in out.iterdir()} == {"a": "second"}
+        create(name, folder, data)
+
+    monkeypatch.setattr(folders, "create", meanwhile)
+    write_folder(out, {"a": "first", "b": "first"}, ("a", "b"))
     assert {path.name: path.read_text() for path in out.iterdir()} == {"a": "first", "b": "first"}
     assert names(tmp_path) == ["out"]
 
 
 def test_readers_do_not_wait_for_one_another_but_for_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    monkeypatch.setattr(files, "_PATIENCE", 0.05)
+    monkeypatch.setattr(folders, "_PATIENCE", 0.05)
     with held(out, fcntl.LOCK_SH), reading_folder(out), reading_folder(tmp_path / "other"):
         pass
     with held(out, fcntl.LOCK_EX), pytest.raises(OutputError, match="another run is busy"), reading_folder(out):
@@ -202,16 +204,15 @@ def test_where_no_lock_is_to_be_had(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    left = tmp_path / ".out.abcd1234.new"
+    left = tmp_path / ".out.0123abcd.calib"
     left.mkdir()
-    with replace_folder(tmp_path / "out") as new:
-        (new / "a").write_text("new")
-    with reading_folder(tmp_path / "out"):
-        assert (tmp_path / "out" / "a").read_text() == "new"
-    assert left.is_dir()  # it may be another run's
+    for word in ("old", "new"):
+        write_folder(tmp_path / "out", {"a": word}, ("a",))
+        with reading_folder(tmp_path / "out"):
+            assert (tmp_path / "out" / "a").read_text() == word
+    assert names(tmp_path) == [left.name, "out"]  # it may be another run's
     monkeypatch.undo()
-    with replace_folder(tmp_path / "out"):
-        pass
+    write_folder(tmp_path / "out", {"a": "new"}, ("a",))
     assert names(tmp_path) == ["out"]
 
 
@@ -226,18 +227,23 @@ def failing(number: int) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EIO], ids=errno.errorcode.get)
-@pytest.mark.parametrize("operation", ["tempfile.mkdtemp", "os.fsync", "pathlib.Path.chmod", "pathlib.Path.rename"])
+@pytest.mark.parametrize("operation", ["mkdir", "open", "fsync", "rename"])
 def test_a_disk_that_fails_costs_neither_the_old_nor_a_trace(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, operation: str, number: int
 ) -> None:
     out = tmp_path / "out"
-    with replace_folder(out) as new:
-        (new / "a").write_text("old")
+    write_folder(out, {"a": "old"})
+    works = getattr(os, operation)
+
+    def broken(*arguments: object, **options: object) -> object:
+        writing = operation != "open" or bool(int(str(arguments[1])) & os.O_CREAT)
+        return failing(number)() if writing else works(*arguments, **options)
+
     for folder in (out, tmp_path / "deep" / "er" / "out"):
-        with monkeypatch.context() as broken:
-            broken.setattr(operation, failing(number))
-            with pytest.raises(OutputError) as caught, replace_folder(folder) as new:
-                (new / "a").write_text("new")
+        with monkeypatch.context() as patched:
+            patched.setattr(os, operation, broken)
+            with pytest.raises(OutputError) as caught:
+                write_folder(folder, {"a": "new"}, ("a",))
         assert str(caught.value) == f"{folder}: the results cannot be written ({os.strerror(number)})."
         assert (out / "a").read_text() == "old"
         assert names(tmp_path) == ["out"]
@@ -245,28 +251,41 @@ def test_a_disk_that_fails_costs_neither_the_old_nor_a_trace(
 
 def test_the_second_of_the_two_renames_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    with replace_folder(out) as new:
-        (new / "a").write_text("old")
-    rename = Path.rename
+    write_folder(out, {"a": "old"})
+    rename = os.rename
 
-    def fail_once(self: Path, target: Path) -> Path:
-        if self.name.endswith(".new"):
+    def fail_once(name: str, to: str, **options: int) -> None:
+        if name == "new":
             failing(errno.EIO)()
-        return rename(self, target)
+        rename(name, to, **options)
 
-    monkeypatch.setattr(Path, "rename", fail_once)
-    with pytest.raises(OutputError, match="Input/output error"), replace_folder(out) as new:
-        (new / "a").write_text("new")
+    monkeypatch.setattr(os, "rename", fail_once)
+    with pytest.raises(OutputError, match="Input/output error"):
+        write_folder(out, {"a": "new"}, ("a",))
     assert (out / "a").read_text() == "old"
     assert names(tmp_path) == ["out"]
 
 
 def test_what_cannot_be_put_right_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / ".out.previous").mkdir()
-    monkeypatch.setattr(Path, "rename", failing(errno.EROFS))
-    for reading in (lambda: recover_folder(tmp_path / "out"), lambda: reading_folder(tmp_path / "out").__enter__()):
-        with pytest.raises(OutputError) as caught:
-            reading()
-        assert str(caught.value) == (
-            f"{tmp_path / 'out'}: what an interrupted run left cannot be put right (Read-only file system)."
-        )
+    out = tmp_path / "out"
+    write_folder(out, {"a": "old"})
+
+    class Killed(BaseException):
+        pass
+
+    def die(name: str, to: str, **options: int) -> None:
+        if to == "old":
+            rename(name, to, **options)
+        raise Killed
+
+    rename = os.rename
+    monkeypatch.setattr(os, "rename", die)
+    with pytest.raises(Killed):
+        write_folder(out, {"a": "new"}, ("a",))
+    monkeypatch.setattr(os, "rename", failing(errno.EROFS))
+    with pytest.raises(OutputError) as caught, reading_folder(out):
+        pass
+    assert str(caught.value) == f"{out}: what an interrupted run left cannot be put right (Read-only file system)."
+    monkeypatch.undo()
+    with reading_folder(out):
+        assert (out / "a").read_text() == "old"

@@ -20,6 +20,18 @@ FIRST = next(line for line in (CASE / TABLE).read_text(encoding="utf-8").splitli
 FIRST_NUMBER = FIRST.split(",")[0]
 
 
+def test_a_key_that_belongs_at_the_top_and_in_sections(folder: Path) -> None:
+    """Every place is named in words: the top of the file has no header."""
+    for key, places in (
+        ("schema", "at the top of the file"),
+        ("base", "at the top of the file or in [robot] or [error_model]"),
+        ("tip", "in [robot] or [instruments.NAME]"),
+    ):
+        write(JOB, f'schema = 1\n[[measurements]]\n{key} = "x"\n')(folder)
+        said = run("check", JOB)
+        assert said == (1, "", f"Error: {JOB}: measurements[0].{key}: is not a known key; it belongs {places}.\n")
+
+
 def together(*edits: Edit) -> Edit:
     def apply(folder: Path) -> None:
         for one in edits:
@@ -268,14 +280,24 @@ def test_out_is_a_folder_of_another_tool(folder: Path) -> None:
     refused(folder, "out", why)
 
 
-def test_folder_that_would_be_removed_with_the_results_is_somebody_elses(folder: Path) -> None:
-    (folder / ".out.previous").mkdir()
-    write(".out.previous/thesis.tex", "mine")(folder)
+@pytest.mark.parametrize("kind", ["link", "folder", "pipe"])
+def test_out_holds_what_is_called_as_a_result_and_is_none(folder: Path, kind: str) -> None:
+    write("thesis.tex", "mine")(folder)
+    (folder / "out").mkdir()
+    for name in ("result.json", "model.json"):
+        write(f"out/{name}", "{}")(folder)
+    match kind:
+        case "link":
+            (folder / "out" / "report.md").symlink_to(folder / "thesis.tex")
+        case "folder":
+            (folder / "out" / "report.md").mkdir()
+        case _:
+            os.mkfifo(folder / "out" / "report.md")
     refused(
         folder,
         "out",
-        f"{folder}/.out.previous: holds 'thesis.tex', which is no result of this tool, and results replace the whole "
-        "folder; choose another.",
+        f"{folder}/out: holds 'report.md', which is no result of this tool, and results replace the whole folder; "
+        "choose another.",
     )
 
 

@@ -1,12 +1,14 @@
 """What the commands say when a disk is full, and that older results outlive it."""
 
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.foundations.swaps import left
 from tests.job.cases import JOB, copy_case, run, tree
 
 MAIN = "from calib.cli import main; main()"
@@ -44,19 +46,25 @@ def test_a_file_that_may_not_grow(folder: Path) -> None:
 
 def test_commands_read_what_an_interrupted_run_left(folder: Path) -> None:
     assert run("calibrate", JOB, "-o", "out", "-q").code == 0
-    out, aside = folder / "out", folder / ".out.previous"
+    out, hidden = folder / "out", folder / ".out.0123abcd.calib"
+
+    def kill() -> None:
+        """Leave what a run does that is killed between the two steps."""
+        shutil.rmtree(hidden, ignore_errors=True)
+        out.rename(left(hidden, old=False) / "old")
+
     before = tree(out)
     for command in (
         ("compare", "out", "out"),
         ("sensitivity", JOB, "--errors", "out"),
         ("export", "out", "--to", "ros", "-o", "a.yaml"),
     ):
-        out.rename(aside)
+        kill()
         said = run(*command)
         assert (said.code, said.err) == (0, "")
         assert tree(out) == before
-        assert not aside.exists()
-    out.rename(aside)
+        assert not (hidden / "old").exists()
+    kill()
     assert run("calibrate", JOB, "-o", "out", "-q").code == 0
     assert tree(out) == before
-    assert not aside.exists()
+    assert not hidden.exists()

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import re
 import shutil
 import signal
@@ -158,6 +159,49 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(out: Path, tmp_path: Path)
     said = run("view", out)
     assert (said.code, said.err) == (1, f"Error: {out}: holds no scene.html; run calib calibrate again.\n")
     assert run("view", out, "--port", "70000").code == 2
+
+
+@pytest.mark.parametrize("kind", ["link", "zeros", "pipe", "folder"])
+def test_only_regular_files_of_the_folder_are_served(
+    server: tuple[subprocess.Popen[str], str], out: Path, tmp_path: Path, kind: str
+) -> None:
+    (tmp_path / "secret").write_text("secret")
+    _, address = server
+    for name in ("scene.html", "report.html"):
+        (out / name).unlink()
+        spoiled(out / name, kind, tmp_path / "secret")
+        assert fetch(address + name) == (404, b"")
+    assert fetch(address) == (404, b"")
+    said = run("view", out)
+    assert (said.code, said.out, said.err) == (1, "", f"Error: {out}/scene.html: is not a regular file.\n")
+
+
+def spoiled(path: Path, kind: str, secret: Path) -> None:
+    match kind:
+        case "link":
+            path.symlink_to(secret)
+        case "zeros":
+            path.symlink_to("/dev/zero")
+        case "pipe":
+            os.mkfifo(path)
+        case _:
+            path.mkdir()
+
+
+@pytest.mark.parametrize("kind", ["zeros", "pipe", "folder"])
+@pytest.mark.parametrize("name", ["model.json", "nominal.urdf"])
+def test_results_that_are_no_files_are_said_in_a_sentence(out: Path, tmp_path: Path, name: str, kind: str) -> None:
+    (out / name).unlink()
+    spoiled(out / name, kind, tmp_path)
+    said = run("view", out)
+    assert (said.code, said.out) == (1, "")
+    assert said.err.endswith(f"{out}/{name}: is not a regular file.\n")
+    assert said.err.count("\n") == 1
+
+
+def test_a_page_that_is_too_large_is_not_served(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calib.presentation.live._LARGEST_PAGE", 1000)
+    assert run("view", out) == (1, "", f"Error: {out}/scene.html: is larger than 1000 bytes.\n")
 
 
 def test_a_port_that_is_taken_is_said_in_a_sentence(out: Path) -> None:

@@ -1,0 +1,296 @@
+"""Folders that appear whole or not at all.
+
+A folder cannot take another's place in one step everywhere, so it is done in two, within a hidden folder beside it,
+``.<name>.XXXXXXXX.calib``: the new one is written there as ``new``; the old one steps aside to ``old``, and ``new``
+becomes ``<name>``. Killed before, the old one is there; killed after, the new one; killed between, the next reader or
+writer puts the old one back. A lock on the folder above, which the system frees however a process ends, keeps others
+from seeing the moment between.
+
+What a killed run left is touched only where the hidden folder is of this user and holds the list that the run began
+with; of what is in it, only regular files on that list are removed. All is done by descriptors of folders, never by
+paths and never through links: a folder or a link that takes the place of another changes nothing elsewhere.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import secrets
+import stat
+import time
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.files import create, encoded, is_regular, lstat, names_in, opened_folder
+
+# In the hidden folder: the one that is written, the one that stood there, and the list of what may be removed in both.
+_NEW, _OLD, _LIST = "new", "old", "list.json"
+_MARK = "files of an unfinished run of calib, which the next one removes"
+_LARGEST_LIST = 100_000
+# How long to wait for another run to read or write beside a folder, in s: it takes moments.
+_PATIENCE = 30.0
+_LOOK = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a folder is to be: its path, for sentences, and the descriptor of the folder above."""
+
+    path: Path
+    above: int
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def taken(self) -> bool:
+        return lstat(self.name, self.above) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """A hidden folder of ours: its name, its descriptor, and the names of files that may be removed in it."""
+
+    name: str
+    handle: int
+    listed: frozenset[str]
+
+
+def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection[str] = ()) -> None:
+    """Write a folder of files, which takes the place of ``path`` (no link: resolved) when all are on the disk.
+
+    On any error ``path`` is untouched and nothing is left. Of a folder that is there already, regular files called as
+    one of ``older`` are removed; anything else, which somebody has put there, is moved to the new one. Without
+    ``older`` none may be there. Raises OutputError when the disk is full, the folder read-only, or another run keeps it
+    for too long.
+    """
+    made: list[Path] = []
+    try:
+        if os.path.lexists(path) and (path.is_symlink() or not path.is_dir()):
+            raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
+        made = [folder for folder in path.parents if not folder.exists()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with opened_folder(path.parent) as above:
+            _write(_Place(path, above), files, older)
+        made = []
+    except CalibError:
+        raise
+    except (OSError, RuntimeError, ValueError) as e:
+        raise OutputError(f"{path}: the results cannot be written ({_why(e)}).") from e
+    finally:
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def reading_folder(path: Path) -> Iterator[None]:
+    """Keep a folder as it is while the block reads it: another run waits before it replaces it.
+
+    What a killed run left is put right first. Whether there is such a folder, the block finds out. Raises OutputError
+    when what was left cannot be put right, or another run keeps the folder for too long.
+    """
+    with contextlib.ExitStack() as closing:
+        place = None
+        # What no path leads to, the block cannot read, and says so; a folder whose names may not be listed is not kept.
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            path = path.resolve()
+            place = _Place(path, closing.enter_context(opened_folder(path.parent)))
+        if place is None:
+            yield
+            return
+        while True:
+            with _locked(place, fcntl.LOCK_SH):
+                if place.taken() or not any(map(_stands_aside, _works(place))):
+                    yield
+                    return
+            _recover(place)
+
+
+def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[str]) -> None:
+    with contextlib.ExitStack() as ending:
+        with _locked(place, fcntl.LOCK_EX):
+            _clean(place)
+            work = ending.enter_context(_begun(place, {*files, *older}))
+        os.mkdir(_NEW, dir_fd=work.handle)
+        with opened_folder(_NEW, work.handle) as new:
+            for name, contents in files.items():
+                create(name, new, encoded(contents) if isinstance(contents, str) else contents)
+            os.fsync(new)
+        os.fsync(work.handle)
+        with _locked(place, fcntl.LOCK_EX):
+            try:
+                _exchange(place, work, replaced=bool(older))
+            finally:
+                with contextlib.suppress(OSError):  # what stays does no harm, and the next run comes back to it
+                    _end(place, work)
+
+
+@contextlib.contextmanager
+def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
+    """Make a hidden folder, which only this user can enter; in the end nothing is left of it."""
+    name = f".{place.name}.{secrets.token_hex(4)}.calib"
+    os.mkdir(name, 0o700, dir_fd=place.above)
+    with opened_folder(name, place.above) as handle:
+        if names_in(handle):
+            raise OutputError(f"{place.path}: another folder has taken the place of {name}; try again.")
+        _had(handle, fcntl.LOCK_EX)  # tells others that it is being written
+        work = _Work(name, handle, frozenset(listed))
+        try:
+            create(_LIST, handle, json.dumps({"calib": _MARK, "files": sorted(listed)}).encode())
+            os.fsync(place.above)
+            yield work
+        finally:
+            with contextlib.suppress(OSError):
+                _end(place, work)
+
+
+def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
+    _clean(place)
+    found = lstat(place.name, place.above) if replaced else None
+    if found is not None:
+        if not stat.S_ISDIR(found.st_mode):
+            raise OutputError(f"{place.path}: is no folder any more; choose another.")
+        os.rename(place.name, _OLD, src_dir_fd=place.above, dst_dir_fd=work.handle)
+    try:
+        os.rename(_NEW, place.name, src_dir_fd=work.handle, dst_dir_fd=place.above)
+    except OSError as e:
+        if found is not None and place.taken():
+            kept = place.path.with_name(work.name) / _OLD
+            raise OutputError(f"{place.path}: another has taken its place meanwhile; what was there is {kept}.") from e
+        raise
+    os.fsync(place.above)
+
+
+def _end(place: _Place, work: _Work) -> None:
+    """Put the old folder back if it has no successor; else remove it, what was half written, and the hidden folder."""
+    _put_back(place, work)
+    if not _stands_aside(work):
+        with contextlib.ExitStack() as closing:
+            successor = None
+            with contextlib.suppress(OSError):
+                successor = closing.enter_context(opened_folder(place.name, place.above))
+            _remove(work, _OLD, successor)
+        _remove(work, _NEW)
+    if names_in(work.handle) == [_LIST]:
+        os.unlink(_LIST, dir_fd=work.handle)
+    os.rmdir(work.name, dir_fd=place.above)
+
+
+def _stands_aside(work: _Work) -> bool:
+    """Return whether a run was killed between the two steps, so that the old folder has no successor yet."""
+    return lstat(_OLD, work.handle) is not None and lstat(_NEW, work.handle) is not None
+
+
+def _put_back(place: _Place, work: _Work) -> None:
+    """Let the old folder be there again, where it has no successor and nobody has put another since."""
+    if _stands_aside(work) and not place.taken():
+        os.rename(_OLD, place.name, src_dir_fd=work.handle, dst_dir_fd=place.above)
+
+
+def _remove(work: _Work, part: str, successor: int | None = None) -> None:
+    """Remove a folder in a hidden one, but no file that is not listed: such go to its successor, or stay."""
+    with contextlib.suppress(OSError), opened_folder(part, work.handle) as folder:
+        for name in names_in(folder):
+            with contextlib.suppress(OSError):
+                if name in work.listed and is_regular(name, folder):
+                    os.unlink(name, dir_fd=folder)
+                elif successor is not None and lstat(name, successor) is None:
+                    os.rename(name, name, src_dir_fd=folder, dst_dir_fd=successor)
+        os.rmdir(part, dir_fd=work.handle)
+
+
+def _works(place: _Place) -> Iterator[_Work]:
+    """Give the hidden folders beside a folder that are of this user and hold a list; others are nobody's business."""
+    pattern = re.compile(rf"\.{re.escape(place.name)}\.[0-9a-f]{{8}}\.calib")
+    for name in names_in(place.above):
+        if pattern.fullmatch(name):
+            with contextlib.ExitStack() as closing:
+                try:
+                    handle = closing.enter_context(opened_folder(name, place.above))
+                    listed = _list_in(handle)
+                except OSError:  # a link, a file, somebody else's; or its own run has just removed it
+                    continue
+                if listed is not None:
+                    yield _Work(name, handle, listed)
+
+
+def _list_in(folder: int) -> frozenset[str] | None:
+    """Return the list that a run of this user began with; an empty one where it was killed before it could write it."""
+    if os.fstat(folder).st_uid != os.geteuid():
+        return None
+    there = names_in(folder)
+    if not there:
+        return frozenset()
+    handle = os.open(_LIST, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
+    with os.fdopen(handle, "rb") as file:
+        found = os.fstat(handle)
+        if not (stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and found.st_nlink == 1):
+            return None
+        data = file.read(_LARGEST_LIST)
+    if not data and there == [_LIST]:
+        return frozenset()
+    try:
+        contents = json.loads(data)
+        return frozenset(map(str, contents["files"])) if contents["calib"] == _MARK else None
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return None
+
+
+def _recover(place: _Place) -> None:
+    """Put right what a killed run left: where only the old folder is there, aside, it takes its place again."""
+    try:
+        with _locked(place, fcntl.LOCK_EX):
+            for work in _works(place):
+                _put_back(place, work)
+    except CalibError:
+        raise
+    except OSError as e:
+        raise OutputError(f"{place.path}: what an interrupted run left cannot be put right ({_why(e)}).") from e
+
+
+def _clean(place: _Place) -> None:
+    """End what runs that were killed have begun; what a living one writes, it has locked."""
+    for work in _works(place):
+        _put_back(place, work)
+        if _had(work.handle, fcntl.LOCK_EX):
+            with contextlib.suppress(OSError):
+                _end(place, work)
+
+
+@contextlib.contextmanager
+def _locked(place: _Place, kind: int) -> Iterator[None]:
+    """Hold a lock on the folder above.
+
+    The folder itself is locked: nothing is left behind, and readers need not write. A file system that has no such
+    locks does without. Raises OutputError when another run holds it for too long.
+    """
+    until = time.monotonic() + _PATIENCE
+    while (had := _had(place.above, kind)) is None:
+        if time.monotonic() > until:
+            raise OutputError(f"{place.path}: another run is busy with it or beside it; try again when it has ended.")
+        time.sleep(_LOOK)
+    try:
+        yield
+    finally:
+        if had:
+            fcntl.flock(place.above, fcntl.LOCK_UN)
+
+
+def _had(handle: int, kind: int) -> bool | None:
+    """Return whether a lock was got, or None where another process holds it."""
+    try:
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return None
+    except OSError:  # some network file systems
+        return False
+    return True
+
+
+def _why(e: Exception) -> str:
+    reason = e.strerror if isinstance(e, OSError) else None
+    return reason or str(e)
