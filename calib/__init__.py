@@ -11,6 +11,7 @@
 SI units inside and in every argument: m, rad.
 """
 
+from calib.foundations import system as _system  # noqa: F401 # isort: skip - says where this runs
 from calib.assessment.acceptance import verify
 from calib.assessment.advice import advice
 from calib.assessment.bootstrap import bootstrap

@@ -1,12 +1,13 @@
 """The command line: one command for each thing a person does with an arm; a module for every group of them."""
 
 import sys
+import warnings
 from typing import Annotated
 
 import typer
 
 import calib
-from calib.cli.options import BAD_INPUT, app
+from calib.cli.options import BAD_INPUT, INTERRUPTED, app
 from calib.foundations.errors import CalibError
 from calib.presentation.console import show_error
 
@@ -29,8 +30,14 @@ def version(show: Annotated[bool, typer.Option("--version", help="Print the vers
 
 def main() -> None:
     """Run the command line; an error of the user's is one line and exit code 1, a bug shows its traceback."""
+    if not sys.warnoptions:  # what a library warns of is for whoever works on this program, and asks for it with -W
+        warnings.simplefilter("ignore")
     try:
         app(prog_name="calib")
     except CalibError as error:
         show_error(str(error))
         sys.exit(BAD_INPUT)
+    except SystemExit as ending:
+        if ending.code == INTERRUPTED:
+            sys.stderr.write("Interrupted.\n")
+        raise

@@ -16,6 +16,8 @@ app = typer.Typer(
 
 BAD_INPUT = 1
 NOT_TRUSTED = 3
+# As a shell has it: 128 and the number of the signal.
+INTERRUPTED = 130
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="The job file (TOML).", show_default=False)]
 OutFolder = Annotated[

@@ -3,8 +3,10 @@
 import os
 import re
 import signal
+import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
@@ -250,8 +252,13 @@ def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
 
 
 def _serve(parent: int) -> None:
-    """Let Ctrl-C, which every process of a terminal gets, be the business of the parent, and end when it is gone."""
+    """Let Ctrl-C, which every process of a terminal gets, be the business of the parent, and end when it is gone.
+
+    What libraries warn of is shown where somebody asks for it with -W, as by the parent.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -6,6 +6,8 @@ is left out, and said.
 """
 
 import itertools
+import re
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import RobotError
+from calib.foundations.files import read_bytes
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
@@ -178,13 +181,24 @@ def _shape(element: _Element, roots: Sequence[Path]) -> _Shape:
 def _mesh(attributes: dict[str, str], roots: Sequence[Path], at: str) -> object:
     name = attributes.get("filename", "")
     path = find_mesh(name, roots)
-    if path is None or path.suffix.lower() not in _FORMATS or path.stat().st_size > _LARGEST_MESH:
+    if path is None or path.suffix.lower() not in _FORMATS:
         raise RobotError(f"{at} is the mesh {name[-80:]!r}, which is not found or not read, and is not judged.")
     scale = _numbers(attributes.get("scale", "1 1 1"), 3, at)
     try:
-        return coal.MeshLoader().load(str(path), scale)
-    except (RuntimeError, ValueError) as e:
+        data = read_bytes(path, RobotError, _LARGEST_MESH)
+        # The reader opens files by name, and of an OBJ the materials that it names: it gets a copy that stands alone.
+        with tempfile.TemporaryDirectory() as folder:
+            alone = Path(folder) / f"mesh{path.suffix.lower()}"
+            alone.write_bytes(_without_materials(data) if alone.suffix == ".obj" else data)
+            return coal.MeshLoader().load(str(alone), scale)
+    except (RobotError, RuntimeError, ValueError, OSError) as e:
         raise RobotError(f"{at} is the mesh {name[-80:]!r}, which cannot be read, and is not judged.") from e
+
+
+def _without_materials(data: bytes) -> bytes:
+    """Return an OBJ without lines that start with an m (``mtllib``, ``mg``), also where a line goes on in the next."""
+    lines = re.sub(rb"\r\n?", b"\n", data)
+    return re.sub(rb"(?m)^[ \t\v\f]*[mM].*$", b"", lines.replace(b"\\\n", b" "))
 
 
 def _numbers(text: str, count: int, at: str) -> Array:

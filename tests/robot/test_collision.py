@@ -1,12 +1,13 @@
 """Self-collision against geometry that can be worked out: balls on the links of arms."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
-from calib.robot.collision import self_collision
+from calib.robot.collision import _without_materials, self_collision
 from calib.robot.urdf import parse_urdf
 from tests.identification import machines
 
@@ -110,6 +111,24 @@ FACES = "1 2 4,1 4 3,5 7 8,5 8 6,1 5 6,1 6 2,3 4 8,3 8 7,1 3 7,1 7 5,2 6 8,2 8 4
 CUBE = "\n".join(
     [f"v {x} {y} {z}" for x, y, z in np.ndindex(2, 2, 2)] + [f"f {corners}" for corners in FACES.split(",")]
 )
+
+
+@pytest.mark.parametrize(
+    "named", ["mtllib trap.mtl\n", " mtllib trap.mtl\r\n", "\tmtllib \\\ntrap.mtl\n", "mtl\\\r\nlib trap.mtl\n"]
+)
+def test_materials_that_a_mesh_names_are_not_opened(tmp_path: Path, named: str) -> None:
+    """A pipe of that name, or an endless device, would never be read to its end."""
+    os.mkfifo(tmp_path / "trap.mtl")
+    os.mkfifo(tmp_path / "cube.mtl")
+    (tmp_path / "cube.obj").write_bytes((named + CUBE).encode())
+    assert b"trap.mtl" not in _without_materials((named + CUBE).encode()).replace(b"mtl lib trap.mtl", b"")
+    slide = machines.urdf(("x", "prismatic", "0 0 0", "0 0 0", "1 0 0"), ("y", "prismatic", "0 0 0", "0 0 0", "0 1 0"))
+    mesh = '<collision><geometry><mesh filename="cube.obj" scale="0.1 0.2 0.1"/></geometry></collision>'
+    robot = robot_of(with_shapes(slide, {"base": mesh, "tip": ball((0, 0, 0.05), 0.05)}))
+    found = self_collision(robot, (tmp_path,), np.array([[0.5, 0.5]]))
+    assert found is not None
+    assert found.notes == ()
+    assert found.colliding(np.array([[0.14, 0.05], [0.16, 0.05]])).tolist() == [True, False]
 
 
 def test_meshes_are_read_below_the_roots_only_and_scaled(tmp_path: Path) -> None:

@@ -1,0 +1,9 @@
+"""Where this toolkit runs: said before anything is loaded that would fail in its own words."""
+
+import sys
+
+if sys.platform == "win32":
+    raise ImportError(
+        "calib runs on Linux and macOS. On Windows, install and run it in WSL, the Windows Subsystem for Linux "
+        "(docs/windows.md)."
+    )

@@ -1,0 +1,90 @@
+"""How the command starts and how Ctrl-C ends it: one line and 130, whenever it comes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.job.cases import JOB, copy_case
+
+# Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.
+TERMINAL = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+AT_IMPORT = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+"""
+AT_OPEN = """
+import os, signal, sys
+def hook(event, arguments):
+    if event == "open" and str(arguments[0]).endswith({name!r}):
+        os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(hook)
+"""
+MAIN = "from calib_start import main; main()"
+
+
+def start(code: str, *arguments: str, options: tuple[str, ...] = ("-W", "error")) -> tuple[int, str, str]:
+    command = [sys.executable, *options, "-c", code, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "scipy.spatial.transform", "calib.cli.export"])
+def test_interrupted_while_it_is_loaded(module: str) -> None:
+    assert start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "--version") == (130, "", "Interrupted.\n")
+
+
+def test_interrupted_while_it_works(tmp_path: Path) -> None:
+    job = copy_case(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    code = TERMINAL + AT_OPEN.format(name="identification.csv") + MAIN
+    assert start(code, "calibrate", str(job), "-o", str(tmp_path / "out")) == (130, "", "Interrupted.\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_where_interrupts_are_ignored_they_stay_so(tmp_path: Path) -> None:
+    ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    for trap in (AT_IMPORT.format(module="numpy"), AT_OPEN.format(name=JOB)):
+        code, out, err = start(ignoring + trap + MAIN, "check", str(copy_case(tmp_path)))
+        assert (code, err) == (0, "")
+        assert "nothing to remark" in out
+
+
+def test_windows_is_sent_to_wsl() -> None:
+    said = (
+        "calib runs on Linux and macOS. On Windows, install and run it in WSL, the Windows Subsystem for Linux "
+        "(docs/windows.md).\n"
+    )
+    windows = "import sys; sys.platform = 'win32'\n"
+    assert start(windows + MAIN, "--version") == (1, "", f"Error: {said}")
+    code, out, err = start(windows + "import calib")
+    assert (code, out) == (1, "")
+    assert err.endswith(f"ImportError: {said}")
+
+
+def test_what_cannot_be_imported_elsewhere_is_a_bug_and_shown() -> None:
+    code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN)
+    assert (code, out) == (1, "")
+    assert "Traceback" in err
+
+
+WARNING = """
+import warnings, numpy as np, calib.cli
+def app(prog_name):
+    warnings.warn("a warning")
+    np.float64(1.0) / np.float64(0.0)
+    print("done")
+calib.cli.app = app
+calib.cli.main()
+"""
+
+
+def test_warnings_of_libraries_are_not_for_users() -> None:
+    assert start(WARNING, options=()) == (0, "done\n", "")
+    assert "a warning" in start(WARNING)[2]
+    assert "divide by zero" in start(WARNING, options=("-W", "default"))[2]
