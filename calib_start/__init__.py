@@ -3,6 +3,7 @@
 Not a part of ``calib``: whatever is imported from there loads all of it first.
 """
 
+import contextlib
 import os
 import signal
 import sys
@@ -35,5 +36,6 @@ def _on_windows() -> bool:
 
 def _leave(_number: int, _frame: FrameType | None) -> None:
     """End at once: an exception would come out of the middle of some library, which may catch it or show it."""
-    os.write(2, b"Interrupted.\n")
+    with contextlib.suppress(OSError):  # nobody may be listening any more
+        os.write(2, b"Interrupted.\n")
     os._exit(INTERRUPTED)
