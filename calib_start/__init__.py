@@ -37,5 +37,5 @@ def _on_windows() -> bool:
 def _leave(_number: int, _frame: FrameType | None) -> None:
     """End at once: an exception would come out of the middle of some library, which may catch it or show it."""
     with contextlib.suppress(OSError):  # nobody may be listening any more
-        os.write(2, b"Interrupted.\n")
+        os.write(2, b"Error: interrupted.\n")
     os._exit(INTERRUPTED)

@@ -36,14 +36,14 @@ def start(code: str, *arguments: str, options: tuple[str, ...] = ("-W", "error")
 
 @pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "scipy.spatial.transform", "calib.cli.export"])
 def test_interrupted_while_it_is_loaded(module: str) -> None:
-    assert start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "--version") == (130, "", "Interrupted.\n")
+    assert start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "--version") == (130, "", "Error: interrupted.\n")
 
 
 def test_interrupted_while_it_works(tmp_path: Path) -> None:
     job = copy_case(tmp_path)
     before = sorted(path.name for path in tmp_path.iterdir())
     code = TERMINAL + AT_OPEN.format(name="identification.csv") + MAIN
-    assert start(code, "calibrate", str(job), "-o", str(tmp_path / "out")) == (130, "", "Interrupted.\n")
+    assert start(code, "calibrate", str(job), "-o", str(tmp_path / "out")) == (130, "", "Error: interrupted.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 

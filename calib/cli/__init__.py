@@ -38,6 +38,7 @@ def main() -> None:
         show_error(str(error))
         sys.exit(BAD_INPUT)
     except SystemExit as ending:
-        if ending.code == INTERRUPTED:
-            sys.stderr.write("Interrupted.\n")
+        # A command that has more to say of its interruption has said it.
+        if ending.code == INTERRUPTED and isinstance(getattr(ending.__context__, "__cause__", None), KeyboardInterrupt):
+            show_error("interrupted.")
         raise

@@ -5,14 +5,12 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import BAD_INPUT, NOT_TRUSTED, Json, Quiet, app
+from calib.cli.options import BAD_INPUT, INTERRUPTED, NOT_TRUSTED, Json, Quiet, app
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
 from calib.job.fleet_summary import fleet_lines, summary_json, write_summary
 from calib.presentation.console import progress, sentence, show, show_error, warning, write
 from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
 from calib.presentation.tables import sheet_table
-
-_INTERRUPTED = 130
 
 JobFiles = Annotated[list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False)]
 
@@ -45,7 +43,7 @@ def fleet(
             finished = run_fleet(chosen, workers, dask, say, again=again)
     except KeyboardInterrupt:
         show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
-        raise typer.Exit(_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
     lines = fleet_lines(finished)
     write_summary(lines, out)
     if as_json:
