@@ -77,7 +77,7 @@ def _places(measurements: Sequence[Measurements]) -> list[str | None]:
 
 def _both_ends(data: Measurements) -> Array:
     """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
-    return np.hstack([data.readings, data.readings if data.other is None else data.other.readings])
+    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:

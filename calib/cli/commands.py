@@ -146,9 +146,7 @@ def compensate(
         model = load_model(results)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
-        found = targets_of.corrections(
-            model, wanted, what=what, frame=frame, residuals=model.residual_model, clamp=clamp
-        )
+        found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
         write_atomically(out, targets_of.corrected_csv(model, wanted, found))
     if as_json:
         missed_rows = [

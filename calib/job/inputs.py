@@ -23,6 +23,7 @@ from calib.identification.targets import Target, shapes
 from calib.job.arm import Arm, read_arm, touched
 from calib.job.read import read_job
 from calib.job.schema import (
+    CouplingSection,
     FrameSection,
     InstrumentSection,
     Job,
@@ -42,6 +43,7 @@ from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
+from calib.robot.urdf import Urdf, read_urdf
 
 Progress = Callable[[str], None]
 
@@ -87,7 +89,7 @@ def load_arm(path: Path) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
     job = read_job(path)
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
-    robot = _robot(job, urdf)
+    robot = _robot(job, urdf, path)
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
@@ -181,17 +183,26 @@ def _refuse_levels(job: Job, path: Path) -> None:
         raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
 
 
-def _robot(job: Job, urdf: Path) -> Robot:
-    section = job.robot
+def _robot(job: Job, urdf: Path, path: Path) -> Robot:
+    section, document = job.robot, read_urdf(urdf)
     return load_robot(
-        urdf,
+        document,
         section.tip,
         section.base,
-        couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
+        couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
         payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
+    slides = {joint.name for joint in document.joints if joint.type == "prismatic"}
+    dimension: Dimension = "length" if section.joint in slides else "angle"
+    offset = 0.0
+    if section.offset is not None:
+        offset = parse_quantity(section.offset, dimension, f"{path}: robot.coupling[{i}].offset")
+    return Coupling(section.joint, section.drivers, offset)
 
 
 def _payload(section: PayloadSection) -> Payload:
@@ -201,10 +212,11 @@ def _payload(section: PayloadSection) -> Payload:
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
     for data in sets:
-        try:
-            robot.joint_positions(data.readings)
-        except PoseError as e:
-            raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
+        for end in data.ends:
+            try:
+                robot.joint_positions(end.readings)
+            except PoseError as e:
+                raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _refuse(findings: Sequence[Finding]) -> None:

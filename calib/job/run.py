@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -122,8 +123,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         lost_in_urdf(
             fit.robot,
             fit.deviations,
-            np.concatenate([judged.data.readings for judged in judged_sets]),
-            joined([judged.data.conditions for judged in judged_sets]),
+            np.concatenate([end.readings for judged in judged_sets for end in judged.data.ends]),
+            joined([end.conditions for judged in judged_sets for end in judged.data.ends]),
         ),
         choice,
     )
@@ -208,9 +209,7 @@ def _judged(
     for file, data, b, a in zip(files, sets, before, after, strict=True):
         if known is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
-            a[:, :3] -= known.shifts(
-                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations, data.conditions), data.readings
-            )
+            a[:, :3] -= known.shifts(fit.machine.frames.base, data.tips(fit.robot, fit.deviations), data.readings)
         yield JudgedSet(use, file, data, b, a)
 
 
@@ -221,8 +220,11 @@ def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
 def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
     parameters = posed(inputs.model, inputs.identify).parameters
-    frames = [p.name for p in parameters if p.kind in ("base", "tool")]
-    judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
+    frames = [escape(p.name) for p in parameters if p.kind in ("base", "tool")]
+    judged = fit
+    if frames:
+        sigmas, losses = _flat(inputs.model_sigmas), inputs.losses
+        judged = identify(inputs.model, inputs.identify, free=frames, start=fit, model_sigmas=sigmas, losses=losses)
     sets = inputs.validate or inputs.identify
     found = residuals_of(judged, sets, judged.machine)
     return metrics((data.kind, r) for data, r in zip(sets, found, strict=True))

@@ -9,11 +9,12 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.robot import Deviations, Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OtherEnd:
-    """The other end of every row that has two: ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
+class End:
+    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
 
     readings: Array
     tool: IntArray
@@ -54,7 +55,7 @@ class Measurements:
     tool: IntArray
     targets: tuple[str, ...]
     target: IntArray
-    other: OtherEnd | None
+    other: End | None
     offsets: tuple[str, ...]
     offset: int
     group: tuple[str, ...] | None
@@ -65,6 +66,19 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    @property
+    def ends(self) -> tuple[End, ...]:
+        """Where the robot was: the one end of every row, and the other one in kinds that have two."""
+        own = End(self.readings, self.tool, self.conditions)
+        return (own,) if self.other is None else (own, self.other)
+
+    def tips(self, robot: Robot, deviations: Deviations | None = None) -> Array:
+        """Return the tip placements (N, 4, 4) of a robot in its base link, under the conditions of the rows.
+
+        Raises as :meth:`calib.Robot.tips` does.
+        """
+        return robot.tips(self.readings, deviations, self.conditions)
 
     @property
     def of_boards(self) -> bool:
@@ -86,7 +100,7 @@ class Measurements:
             target=read_only_view(self.target[index]),
             other=None
             if other is None
-            else OtherEnd(
+            else End(
                 read_only_view(other.readings[index]), read_only_view(other.tool[index]), other.conditions.subset(index)
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
