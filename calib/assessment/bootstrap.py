@@ -77,6 +77,7 @@ def bootstrap(
     where = np.asarray(readings, dtype=np.float64)
     rng = np.random.default_rng(seed)
     poses = [pose_groups(data) for data in fit.measurements]
+    seen = {name for data in fit.measurements for name in data.seen_targets}
     free = [escape(parameter.name) for parameter in fit.parameters]
     values, positions, failed = [], [], 0
     for done in range(repetitions):
@@ -84,9 +85,13 @@ def bootstrap(
             sets = [data.subset(_drawn(rows, rng)) for data, rows in zip(fit.measurements, poses, strict=True)]
         else:
             sets = _with_other_residuals(fit, rng)
+        if {name for data in sets for name in data.seen_targets} != seen:  # nothing says where the others are
+            failed += 1
+            progress(done + 1, repetitions)
+            continue
         # A minimal set was chosen once and for all: what it does not hold is not free here.
         try:
-            again = identify(fit.model, sets, free=free, start=fit, blind="nearest", losses=fit.losses)
+            again = identify(fit.model.within(sets), sets, free=free, start=fit, blind="nearest", losses=fit.losses)
         except IdentificationError:
             failed += 1
         else:

@@ -50,12 +50,17 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Everything a job names, read and checked. ``hashes``: SHA-256 of every input file by its name in the job."""
+    """Everything a job names, read and checked.
+
+    ``model``: with what is known of targets that are identified from; ``targets``: what is known of all. ``hashes``:
+    SHA-256 of every input file by its name in the job.
+    """
 
     job: Job
     path: Path
     robot: Robot
     model: ErrorModel
+    targets: Mapping[str, Target]
     identify: tuple[Measurements, ...]
     validate: tuple[Measurements, ...]
     nodes: tuple[Measurements, ...]
@@ -115,6 +120,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
     _refuse_wrong_shapes(job, sets, path)
+    known, model = model.targets, model.within(chosen)
     _refuse_no_noise(job, sets, path)
     findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
@@ -140,6 +146,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         path=path,
         robot=robot,
         model=model,
+        targets=known,
         identify=chosen,
         validate=held_out,
         nodes=nodes,
@@ -246,12 +253,24 @@ def _refuse_unknown_points(
 
 
 def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
-    """Refuse a plane that is said to be at a point, and a point with a normal."""
+    """Refuse a plane that is said to be at a point, a point with a normal, and what was not measured at all."""
     found = shapes(sets)
+    listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
+        if name not in found:
+            raise JobError(f"{path}: targets: {name!r} is in no measurement; they have {listed}.")
         said = "point" if target.normal is None else "plane"
-        if found.get(name, said) != said:
+        # Boards and cameras have a position as points have.
+        if found[name] not in (said, "frame" if said == "point" else said):
             raise JobError(f"{path}: targets.{name}: is said to be a {said}, and was measured as a {found[name]}.")
+    for relation in job.relations:
+        shape = "point" if relation.kind == "distance" else "plane"
+        for name in relation.targets:
+            if name not in found:
+                raise JobError(
+                    f"{path}: relations: a known {relation.kind} is between two {shape}s, and {name!r} is in no "
+                    "measurement."
+                )
 
 
 def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
@@ -286,7 +305,8 @@ def _shared_out(data: Measurements, section: MeasurementsSection) -> Measurement
         raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
     many = min(max(round(section.hold_out * number), 1), number - 1)
     out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
-    return data.subset(out if section.use == "validate" else ~out)
+    # A target of which no row is left is none of the part's: it would be taken for found.
+    return data.subset(out if section.use == "validate" else ~out).with_own_names()
 
 
 def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:

@@ -173,29 +173,37 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     if not inputs.job.levels:
         progress("identifying")
         sigmas = _flat(inputs.model_sigmas)
-        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses), ()
+        fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses)
+        return _knowing(fit, inputs), ()
     given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
     by_file = dict(zip(inputs.tables("identify"), given, strict=True))
-    fit: Fit | None = None
+    found: Fit | None = None
     reports: list[LevelReport] = []
     for level in inputs.job.levels:
         if level.residual_model is not None:
             continue
         progress(f"identifying level {level.name}")
         chosen = [by_file[file] for file in level.measurements or by_file]
-        fit = identify(
-            inputs.model,
-            [data for data, _, _ in chosen],
+        sets = [data for data, _, _ in chosen]
+        found = identify(
+            inputs.model.within(sets),
+            sets,
             free=level.free,
-            start=fit,
+            start=found,
             blind=policy,
             model_sigmas=_flat(group for _, group, _ in chosen),
             losses=[loss for _, _, loss in chosen],
         )
-        reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
-    if fit is None:
+        found = _knowing(found, inputs)
+        reports.append(LevelReport(level.name, len(found.parameters), found.rank, _judge(inputs, found)))
+    if found is None:
         raise TypeError("a job with levels has a first one")
-    return fit, tuple(reports)
+    return found, tuple(reports)
+
+
+def _knowing(fit: Fit, inputs: Inputs) -> Fit:
+    """Return the fit with what the job knows of all targets, also of those that it was not identified from."""
+    return replace(fit, model=replace(fit.model, targets=inputs.targets))
 
 
 def _judged(
@@ -225,6 +233,7 @@ def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     if frames:
         sigmas, losses = _flat(inputs.model_sigmas), inputs.losses
         judged = identify(inputs.model, inputs.identify, free=frames, start=fit, model_sigmas=sigmas, losses=losses)
+        judged = _knowing(judged, inputs)
     sets = inputs.validate or inputs.identify
     found = residuals_of(judged, sets, judged.machine)
     return metrics((data.kind, r) for data, r in zip(sets, found, strict=True))

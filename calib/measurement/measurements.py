@@ -81,9 +81,31 @@ class Measurements:
         return robot.tips(self.readings, deviations, self.conditions)
 
     @property
+    def seen_targets(self) -> tuple[str, ...]:
+        """Those of ``targets`` that some row is about."""
+        return tuple(self.targets[t] for t in np.unique(self.target) if t >= 0)
+
+    @property
     def of_boards(self) -> bool:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
+
+    def with_own_names(self) -> "Measurements":
+        """Return the measurements with those of ``tools`` and ``targets`` alone that some row has.
+
+        Nothing is then known, or looked for, of the others.
+        """
+        tools, number = _used(self.tools, *(end.tool for end in self.ends))
+        targets, target = _used(self.targets, self.target)
+        other = self.other
+        return replace(
+            self,
+            tools=tools,
+            tool=read_only_view(number[self.tool]),
+            targets=targets,
+            target=read_only_view(target[self.target]),
+            other=None if other is None else replace(other, tool=read_only_view(number[other.tool])),
+        )
 
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
         """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay."""
@@ -107,6 +129,15 @@ class Measurements:
             lines=read_only_view(self.lines[index]),
             conditions=self.conditions.subset(index),
         )
+
+
+def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:
+    """Return the names that some row has, and the new number of every old one; -1 stays what it is: none."""
+    there = np.unique(np.concatenate(numbers))
+    there = there[there >= 0]
+    new = np.full(len(names) + 1, -1, dtype=np.intp)
+    new[there] = np.arange(len(there))
+    return tuple(names[k] for k in there), new
 
 
 def unmeasured(
