@@ -267,6 +267,7 @@ def build(features: Sequence[Feature], folder: Path, seed: int = 0) -> Case:
     for section in job["measurements"]:
         file = section["file"]
         n = FRESH if section["use"] == "validate" else ROWS
+        n *= 2 if section["observes"] == "pixels" else 1  # two numbers a row, and two cameras
         if file == "nodes.csv":
             columns = case.nodes()
         elif file.startswith("positions"):
