@@ -312,7 +312,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("known: relation",),
         tuple(f"observes: {kind}" for kind in ("position", "pose", "pair_distance", "indicator", "pixels")),
-        "relations: a known distance is between two points, and 's0' is (in no measurement|a plane|a frame)",
+        "relations: a known distance is between two points, and 's[01]' is (in no measurement|a plane|a frame)",
     ),
     Refusal(
         ("known: renamed",),

@@ -50,9 +50,8 @@ PAIRS = refused_pairs()
 @pytest.mark.parametrize("number", range(len(PAIRS)), ids=lambda k: " + ".join(f.label for f in PAIRS[k][:2]))
 def test_a_pair_that_does_not_go_together_is_refused_by_its_sentence(number: int, tmp_path: Path) -> None:
     a, b, sentence = PAIRS[number]
-    case = build(with_usual(a, b), tmp_path)
     with pytest.raises(CalibError) as caught:
-        run_job(load(case.path))
+        run_job(load(build(with_usual(a, b), tmp_path).path))
     assert matches(sentence, str(caught.value)), caught.value
     assert "\n" not in str(caught.value)
 

@@ -78,6 +78,8 @@ class Walked:
         field = self.case.draft.levels in ("grid", "gaussian") and self.case.draft.kind in ("position", "pose")
         # A minimal set holds more than the data ask for, where the nominal machine is far off the measurements.
         field = field or self.case.draft.error_model["blind"] == "minimal"
+        if field and quantity == "orientation":
+            return 4.0 * BOUNDS[quantity]
         return BOUNDS.get(quantity, BOUND_OF_FIELD if field else BOUND)
 
 
