@@ -20,6 +20,7 @@ from calib.identification.identify import identify
 from calib.job.inputs import load
 from calib.presentation.performance_tables import performance_markdown, performance_table
 from calib.presentation.tables import plain
+from calib.robot.conditions import Conditions
 from calib.robot.robot import Robot
 
 CASE = Path(__file__).resolve().parent.parent / "robots" / "arm_cmm"
@@ -41,8 +42,8 @@ class Arm:
     def tools(self) -> dict[str, Array]:
         return dict(zip(self.fit.measurements[0].tools, self.fit.machine.frames.tools, strict=True))
 
-    def tips(self, readings: Array, /) -> Array:
-        return np.asarray(self.robot.tips(readings, self.fit.machine.deviations))
+    def placements(self, readings: Array, /, conditions: Conditions) -> Array:
+        return np.asarray(self.robot.tips(readings, self.fit.machine.deviations, conditions))
 
 
 def figures(cosine: Array, sine: Array) -> tuple[Performance, Performance]:

@@ -140,9 +140,9 @@ def commanded(
 ) -> dict[str, Array]:
     """Return how far the true reflector is from where the nominal robot would be, commanded plainly and corrected."""
     frames = fit.machine.frames
-    calibrated = calib.CalibratedModel(fit.robot, fit.deviations, frames.base, {"tool": frames.tools[0]})
+    calibrated = calib.CalibratedModel(fit.robot, fit.deviations, frames.base, {"tool": frames.tools[0]}, grid)
     wanted = (frames.base @ fit.robot.tips(np.radians(targets)) @ frames.tools[0])[:, :3, 3] * 1e3
-    corrected = for_joint_targets(calibrated, np.radians(targets), residuals=grid)
+    corrected = for_joint_targets(calibrated, np.radians(targets))
     reached = corrected.reached
     sent = np.degrees(corrected.readings[reached])
     return {

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from calib.assessment.metrics import Metrics, metrics
-from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors
+from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors, refuse_lacking
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
@@ -92,26 +92,26 @@ def verify(
     *,
     limit: float | None = None,
     refit: bool = False,
-    shifts: Array | None = None,
 ) -> Verification:
     """Judge new measurements of a calibrated machine by a limit in m, and by what it says of its own uncertainty.
 
-    ``refit``: the base decides where it is found anew, as after moving the instrument. ``shifts`` (N, 3): what a
-    residual grid adds to the predicted positions, in m. Where the table does not state the instrument's noise, that of
-    the calibration stands in.
+    ``refit``: the base decides where it is found anew, as after moving the instrument. Where the table does not state
+    the instrument's noise, that of the calibration stands in.
 
-    Raises MeasurementError when a tool was not identified, when orientations are judged by a calibration that saw none,
-    or when the base is to be found anew from fewer than three positions.
+    Raises MeasurementError when a tool was not identified, when a joint term needs a condition that the rows do not
+    have, when orientations are judged by a calibration that saw none, or when the base is to be found anew from fewer
+    than three positions.
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
     data = _known_tools(uncertainty, data)
+    refuse_lacking(uncertainty.robot, data.conditions, data.where)
     sigma = _sigma(uncertainty, data)
-    as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, shifts, base=False)
+    as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, base=False)
     refitted, moved = None, None
     if data.sigma.size > 6 and len(data) >= 3:
-        machine = _realigned(uncertainty, data, shifts)
-        refitted = _judged(uncertainty, machine, data, sigma, shifts, base=True)
+        machine = _realigned(uncertainty, data)
+        refitted = _judged(uncertainty, machine, data, sigma, base=True)
         change = rigid.inverse(uncertainty.machine.frames.base) @ machine.frames.base
         moved = float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
     elif refit:
@@ -148,25 +148,22 @@ def _with_model(instrument: Array, level: NoiseLevel) -> Array:
     return np.asarray(np.where(instrument > 0.0, stated, level.total))
 
 
-def _realigned(uncertainty: Uncertainty, data: Measurements, shifts: Array | None) -> Machine:
+def _realigned(uncertainty: Uncertainty, data: Measurements) -> Machine:
     """Return the machine with its base where it explains the rows best."""
     machine = uncertainty.machine
-    tips = uncertainty.robot.tips(data.readings, machine.deviations)
+    tips = uncertainty.tips(data.readings, data.conditions)
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
     tools = machine.frames.tools
     assert data.position is not None, "positions and poses have one"
-    position = data.position if shifts is None else data.position - shifts
-    base, _ = align(Rows(tips, position, turned, data.tool), Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools)
+    base, _ = align(Rows(tips, data.position, turned, data.tool), Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools)
     return replace(machine, frames=Frames(base, tools))
 
 
-def _judged(
-    uncertainty: Uncertainty, machine: Machine, data: Measurements, sigma: Array, shifts: Array | None, *, base: bool
-) -> Judgement:
+def _judged(uncertainty: Uncertainty, machine: Machine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
     (r,) = residuals(uncertainty.robot, [data], machine)
-    if shifts is not None:
-        r = r.copy()
-        r[:, :3] -= shifts
+    if uncertainty.residual_model is not None:
+        bare = data.tips(uncertainty.robot, machine.deviations)
+        r[:, :3] -= uncertainty.residual_model.shifts(machine.frames.base, bare, data.readings)
     with one_thread():
         F = common_errors(replace(uncertainty, machine=machine), data) / sigma[:, :, None]
         w, F = (r / sigma).ravel(), F.reshape(r.size, -1)
@@ -188,7 +185,7 @@ def _judged(
 def _base_motion(uncertainty: Uncertainty, machine: Machine, data: Measurements) -> Array:
     """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
     tools = machine.frames.tools[data.tool]
-    in_base = uncertainty.robot.tips(data.readings, machine.deviations) @ tools
+    in_base = data.tips(uncertainty.robot, machine.deviations) @ tools
     local = rigid.adjoint(rigid.inverse(in_base))
     placed = machine.frames.base @ in_base
     motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)

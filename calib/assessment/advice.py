@@ -149,7 +149,7 @@ def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames:
 
 
 def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
-    placed = frames.base @ model.robot.tips(data.readings) @ frames.tools[data.tool]
+    placed = frames.base @ data.tips(model.robot) @ frames.tools[data.tool]
     sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 

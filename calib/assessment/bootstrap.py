@@ -8,6 +8,7 @@ have in common; it also shows what the choice of poses does to an answer whose m
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from typing import Literal
 
 import numpy as np
@@ -76,15 +77,21 @@ def bootstrap(
     where = np.asarray(readings, dtype=np.float64)
     rng = np.random.default_rng(seed)
     poses = [pose_groups(data) for data in fit.measurements]
+    seen = {name for data in fit.measurements for name in data.seen_targets}
+    free = [escape(parameter.name) for parameter in fit.parameters]
     values, positions, failed = [], [], 0
     for done in range(repetitions):
         if kind == "poses":
             sets = [data.subset(_drawn(rows, rng)) for data, rows in zip(fit.measurements, poses, strict=True)]
         else:
             sets = _with_other_residuals(fit, rng)
+        if {name for data in sets for name in data.seen_targets} != seen:  # nothing says where the others are
+            failed += 1
+            progress(done + 1, repetitions)
+            continue
         # A minimal set was chosen once and for all: what it does not hold is not free here.
         try:
-            again = identify(fit.model, sets, free=[p.name for p in fit.parameters], start=fit, blind="nearest")
+            again = identify(fit.model.within(sets), sets, free=free, start=fit, blind="nearest", losses=fit.losses)
         except IdentificationError:
             failed += 1
         else:

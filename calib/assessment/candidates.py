@@ -16,6 +16,7 @@ from calib.identification.parameters import scales
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import unmeasured
 from calib.robot.collision import SelfCollision
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Robot, TipModel
 from calib.robot.sampling import closing, joint_limits
 
@@ -73,6 +74,7 @@ def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observe
         readings,
         placed[:, :3, 3],
         placed[:, :3, :3] if observes == "pose" else None,
+        conditions=ordinary(readings),
         where="candidates",
     )
     parameters = model.parameters()

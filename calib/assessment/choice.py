@@ -130,7 +130,7 @@ def candidates(
     except RobotError:
         weighed = False
         guessed = moments(robot)
-    told = joined([data.conditions for data in measurements])
+    told = joined([end.conditions for data in measurements for end in data.ends])
     warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
     for k, reading in enumerate(robot.readings):
         found.append(Candidate((JointTerm(reading.name, "gain"),)))

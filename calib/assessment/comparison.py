@@ -224,7 +224,7 @@ def _finder(
     def find(rows: Rows) -> Fit:
         progress(*next(told))
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
-        here = rows.within(model)
+        here = model.within(rows.sets)
         if choosing:
             choice = choose_terms(here, rows.sets, priors=priors, model_sigmas=sigmas, losses=own_losses)
             if not choice.taken:

@@ -75,6 +75,8 @@ class Comparison:
 def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
     """Compare two calibrations of one machine. Raises MeasurementError when they are of different ones."""
     robot = old.robot
+    if [reading.name for reading in robot.readings] != [reading.name for reading in new.robot.readings]:
+        raise MeasurementError("the two calibrations are not of one machine: other joints of theirs are read.")
     if _joints(robot) != _joints(new.robot) or not np.allclose(
         [joint.placement for joint in robot.chain], [joint.placement for joint in new.robot.chain], atol=1e-9
     ):
@@ -197,7 +199,7 @@ def _stated(u: Uncertainty, readings: Array, tool: str) -> float:
 def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array, tool: str) -> Array:
     """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
     before, after = old.tools.index(tool), new.tools.index(tool)
-    tips = [u.robot.tips(readings, u.machine.deviations) for u in (old, new)]
+    tips = [u.tips(readings) for u in (old, new)]
     target = (tips[1] @ new.machine.frames.tools[after])[:, :3, 3]
     guess = old.machine.frames.tools[before : before + 1]
     rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))

@@ -11,7 +11,7 @@ the arm does. It is found as that of every such probe, from a cone touched in ma
 for the nominal and the calibrated arm: see :func:`probe_point`. SI throughout.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, cast
@@ -19,15 +19,17 @@ from typing import Literal, Protocol, cast
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
+from calib.assessment.uncertainty import refuse_lacking
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.identification.pivot import pivot
-from calib.measurement.table import Table, nearest, read_table
+from calib.measurement.conditions import conditions
+from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, Robot
 
 Kind = Literal["cone", "length", "sphere", "articulations"]
-Tips = Callable[[Array], Array]  # readings (N, nr) in rad and m -> placements (N, 4, 4) of the tip link in the base
 
 # What a table needs beside the joints, words first, and what it may have; its kind follows from what is there.
 _WORDS: Mapping[Kind, tuple[str, ...]] = {
@@ -45,6 +47,13 @@ _SIZES: Mapping[Kind, tuple[str, ...]] = {
 _PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
 
 
+class Tips(Protocol):
+    """Where an arm's tip link is."""
+
+    def __call__(self, readings: Array, /, *, conditions: Conditions) -> Array:
+        """Return its placements (N, 4, 4) in the base at readings (N, nr) in rad and m."""
+
+
 # ---- touches
 
 
@@ -54,6 +63,7 @@ class Touches:
 
     ``readings`` (N, nr) in rad and m; ``words``: the columns target, pair, group, each N words, as far as ``kind`` has
     them; ``sizes``: the columns length, diameter, ball, each (N,) in m. ``lines`` (N): where a row stands in ``where``.
+    ``conditions``: what joint terms need to be told.
     """
 
     kind: Kind
@@ -62,6 +72,7 @@ class Touches:
     sizes: Mapping[str, Array]
     where: str
     lines: IntArray
+    conditions: Conditions = NO_CONDITIONS
 
 
 def read_touches(path: str | Path, robot: Robot) -> Touches:
@@ -91,6 +102,7 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
         listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
         raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
     known = {*dimensions, *words, "group", "direction"} | _PASSED_OVER
+    known |= {f"{what}{reading.name}" for what in (APPROACH, TORQUE) for reading in readings}
     for name in columns:
         if name not in known:
             near = nearest(name, sorted(known - columns.keys()))
@@ -107,6 +119,7 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
         {name: numbers[name] for name in sizes},
         table.where,
         table.lines,
+        conditions(table, readings),
     )
 
 
@@ -314,7 +327,7 @@ class Arm(Protocol):
     def tools(self) -> Mapping[str, Array]:
         """Poses (4, 4) of tools in the tip link."""
 
-    def tips(self, readings: Array, /) -> Array:
+    def placements(self, readings: Array, /, conditions: Conditions) -> Array:
         """Return the placements (N, 4, 4) of the calibrated arm's tip link in its base."""
 
 
@@ -329,10 +342,12 @@ def before_and_after(
     better choice, since the tests' own cones would lose three degrees of freedom to the probe. Without any cone, the
     first tool of the calibrated arm serves both.
 
-    Raises MeasurementError when a test cannot be evaluated.
+    Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs to be told.
     """
+    for test in (*tests, *(() if probe is None else (probe,))):
+        refuse_lacking(arm.robot, test.conditions, test.where)
     tool = next(iter(arm.tools.values()))[:3, 3]
-    return performance(arm.robot.tips, tests, probe, tool), performance(arm.tips, tests, probe, tool)
+    return performance(arm.robot.tips, tests, probe, tool), performance(arm.placements, tests, probe, tool)
 
 
 def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, guess: Array) -> Performance:
@@ -345,13 +360,13 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
     cones = [test for test in tests if test.kind == "cone"] if probe is None else [probe]
     point = guess
     if cones:
-        frames = np.concatenate([tips(cone.readings) for cone in cones])
+        frames = np.concatenate([tips(cone.readings, conditions=cone.conditions) for cone in cones])
         # The same name in two tables is not the same cone.
         names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
         point = probe_point(frames, names, guess)
     results: list[Result] = []
     for test in tests:
-        frames = tips(test.readings)
+        frames = tips(test.readings, conditions=test.conditions)
         results += _results(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
     return Performance(read_only(point), tuple(results))
 

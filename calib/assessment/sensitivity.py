@@ -129,6 +129,9 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     J, parameters = _jacobian(problem, x), problem.parameters
     motion = np.linalg.norm(J, axis=1)
     scaled = J.reshape(-1, len(parameters)) * scales(parameters)
+    # A joint whose axis runs through the tip moves it by rounding: that is nothing, and no direction of its own.
+    size = np.linalg.norm(scaled, axis=0)
+    scaled = np.where(size > identifiability.RANK_TOLERANCE * size.max(initial=0.0), scaled, 0.0)
     seen = identifiability.directions(scaled)
     _, blind = identifiability.told(scaled, seen.rank, parameters)
     return Sensitivity(

@@ -6,6 +6,7 @@ see has no covariance; how far it would move the tool is told beside it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +22,10 @@ from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import Problem, blocks
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements, unmeasured
-from calib.robot.conditions import ordinary
+from calib.robot.conditions import Conditions, ordinary
 from calib.robot.robot import Deviations, Robot
 from calib.robot.sampling import random_readings
+from calib.robot.transmission import lacking
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -41,6 +43,20 @@ class NoiseLevel:
     degrees_of_freedom: float
 
 
+class Shifts(Protocol):
+    """What a calibrated machine adds to its positions: a sector grid, a Gaussian process, or another."""
+
+    def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
+        """Return vectors (N, 3) in the instrument's axes, finite; ``base`` (4, 4) is there, ``tips`` in the base."""
+
+
+def shifted(known: Shifts, tips: Array, readings: Array) -> Array:
+    """Return the tips (N, 4, 4) in the base link, from those without them, with what a residual model adds."""
+    found = np.array(tips)
+    found[:, :3, 3] += known.shifts(np.eye(4), tips, readings)
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """What is known about a calibrated machine's doubts. Made by :func:`uncertainty_of`, kept in the results' folder.
@@ -49,7 +65,8 @@ class Uncertainty:
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
     covariance of the state is ``factor @ factor.T``. ``unseen`` (n, k): changes of the state that the data do not see,
     each one ordinary deviation long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
-    none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
+    none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data. ``residual_model``: what
+    the machine adds to positions, if anything.
     """
 
     robot: Robot
@@ -60,6 +77,15 @@ class Uncertainty:
     position: NoiseLevel | None
     orientation: NoiseLevel | None
     identified: Array
+    residual_model: Shifts | None = None
+
+    def tips(self, readings: Array, conditions: Conditions | None = None) -> Array:
+        """Return where the calibrated machine's tip is (N, 4, 4) in its base link, the residual model included.
+
+        At readings (N, nr), under ``conditions``, the ordinary ones when None. Raises as :meth:`calib.Robot.tips` does.
+        """
+        tips = self.robot.tips(readings, self.machine.deviations, conditions or ordinary(readings))
+        return tips if self.residual_model is None else shifted(self.residual_model, tips, readings)
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -132,7 +158,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     state = np.concatenate(parts)
     assert len(state) == source.tools + 6 * len(machine.frames.tools), "one state of the machine, two ways"
     s = scales(fit.parameters)
-    readings = np.concatenate([data.readings for data in fit.measurements])
+    readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
     return Uncertainty(
         fit.robot,
         placed_machine(fit.deviations, machine.frames),
@@ -146,15 +172,25 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
 
 
 def tool_uncertainty(
-    uncertainty: Uncertainty, readings: npt.ArrayLike, tool: str = "tool", *, base: bool = True, tool_pose: bool = True
+    uncertainty: Uncertainty,
+    readings: npt.ArrayLike,
+    tool: str = "tool",
+    *,
+    base: bool = True,
+    tool_pose: bool = True,
+    conditions: Conditions | None = None,
 ) -> ToolUncertainty:
     """Return how sure the pose of a tool is at readings (N, nr) in rad and m.
 
     ``base``: of the tool in the instrument's frame, else in the robot's base. ``tool_pose``: with the doubts about the
-    tool itself, else those of the arm alone, at the tool's place. Raises MeasurementError for an unknown tool, or
-    readings that are not the robot's.
+    tool itself, else those of the arm alone, at the tool's place. ``conditions`` of the rows; when None, reached from
+    neither side, at 20 degC, no torque measured. Raises MeasurementError for an unknown tool, readings that are not the
+    robot's, or conditions that lack what a joint term needs.
     """
-    J, r = tool_motions(uncertainty, _readings(uncertainty, readings), tool, base=base, tool_pose=tool_pose)
+    found = _readings(uncertainty, readings)
+    if conditions is not None:
+        refuse_lacking(uncertainty.robot, conditions, "the readings")
+    J, r = tool_motions(uncertainty, found, tool, base=base, tool_pose=tool_pose, conditions=conditions)
     seen, unseen = J[:, :, :r], J[:, :, r:]
     sizes = np.sqrt(
         np.stack([np.sum(unseen[:, :3] ** 2, axis=(1, 2)), np.sum(unseen[:, 3:] ** 2, axis=(1, 2))], axis=1)
@@ -173,7 +209,8 @@ def common_errors(uncertainty: Uncertainty, data: Measurements) -> Array:
     for k, tool in enumerate(data.tools):
         rows = np.flatnonzero(data.tool == k)
         if len(rows):
-            J, r = tool_motions(uncertainty, data.readings[rows], tool, base=True, tool_pose=True)
+            own = data.conditions.subset(rows)
+            J, r = tool_motions(uncertainty, data.readings[rows], tool, conditions=own)
             found[rows] = J[:, :size, :r]
     return found
 
@@ -212,10 +249,7 @@ def uncertainty_map(
         found.append(tool_uncertainty(uncertainty, chunk, tool, base=base))
         progress(sum(len(f.unseen) for f in found), samples)
     k = _tool_number(uncertainty, tool)
-    tips = (
-        uncertainty.robot.tips(readings, uncertainty.machine.deviations, ordinary(readings))
-        @ uncertainty.machine.frames.tools[k]
-    )
+    tips = uncertainty.tips(readings) @ uncertainty.machine.frames.tools[k]
     return UncertaintyMap(
         read_only(readings),
         read_only(tips[:, :3, 3]),
@@ -257,7 +291,13 @@ def _level(fit: Fit, unit: str) -> NoiseLevel | None:
 
 
 def tool_motions(
-    uncertainty: Uncertainty, readings: Array, tool: str, *, base: bool = True, tool_pose: bool = True
+    uncertainty: Uncertainty,
+    readings: Array,
+    tool: str,
+    *,
+    base: bool = True,
+    tool_pose: bool = True,
+    conditions: Conditions | None = None,
 ) -> tuple[Array, int]:
     """Return the motions (N, 6, r + k) of the tool for every column of ``factor`` and ``unseen``, and r.
 
@@ -275,8 +315,8 @@ def tool_motions(
         for j, column in enumerate(columns.T)
     )
     model = ErrorModel(robot, (), (), "pose", "pose")
-    usual = ordinary(readings)
-    placed = machine.frames.base @ robot.tips(readings, machine.deviations, usual) @ machine.frames.tools[number]
+    told = conditions or ordinary(readings)
+    placed = machine.frames.base @ robot.tips(readings, machine.deviations, told) @ machine.frames.tools[number]
     data = unmeasured(
         [reading.name for reading in robot.readings],
         readings,
@@ -284,7 +324,7 @@ def tool_motions(
         placed[:, :3, :3],
         tools=uncertainty.tools,
         tool=number,
-        conditions=usual,
+        conditions=told,
         where="prediction",
     )
     problem = Problem(model, parameters, machine.frames, (data,))
@@ -294,6 +334,12 @@ def tool_motions(
     if not base:
         J[:, :3] = machine.frames.base[:3, :3].T @ J[:, :3]
     return J, uncertainty.factor.shape[1]
+
+
+def refuse_lacking(robot: Robot, conditions: Conditions, where: str) -> None:
+    """Raise MeasurementError where a joint term of the robot needs a condition that rows do not have."""
+    if missing := lacking(robot.terms, [reading.name for reading in robot.readings], conditions):
+        raise MeasurementError(f"{where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
 
 
 def _tool_number(uncertainty: Uncertainty, tool: str) -> int:

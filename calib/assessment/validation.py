@@ -77,7 +77,7 @@ def _places(measurements: Sequence[Measurements]) -> list[str | None]:
 
 def _both_ends(data: Measurements) -> Array:
     """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
-    return np.hstack([data.readings, data.readings if data.other is None else data.other.readings])
+    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:
@@ -154,7 +154,7 @@ def cross_validate(
 
     def find(rows: Rows) -> Fit:
         return identify(
-            rows.within(model), rows.sets, model_sigmas=rows.sigmas(model_sigmas), losses=rows.losses(losses)
+            model.within(rows.sets), rows.sets, model_sigmas=rows.sigmas(model_sigmas), losses=rows.losses(losses)
         )
 
     return predict_held_out(find, model, sets, group, folds(group, count))
@@ -175,16 +175,7 @@ class Rows:
     def of(sets: Sequence[Measurements], chosen: Sequence[BoolArray]) -> "Rows":
         """Return the rows chosen by a mask (N,) of every set."""
         which = tuple(i for i, mask in enumerate(chosen) if mask.any())
-        return Rows(tuple(sets), tuple(_named(sets[i].subset(chosen[i])) for i in which), which)
-
-    def within(self, model: ErrorModel) -> ErrorModel:
-        """Return the model without what is known of targets that have no rows."""
-        there = {name for data in self.sets for name in data.targets}
-        return replace(
-            model,
-            targets={name: target for name, target in model.targets.items() if name in there},
-            relations=tuple(relation for relation in model.relations if there.issuperset(relation.targets)),
-        )
+        return Rows(tuple(sets), tuple(sets[i].subset(chosen[i]).with_own_names() for i in which), which)
 
     def losses(self, losses: Sequence[Loss] | None) -> list[Loss] | None:
         """Return the losses of the sets that have rows, given those of all sets."""
@@ -196,29 +187,6 @@ class Rows:
             return None
         ends = np.cumsum([0, *(len(QUANTITIES[data.kind]) for data in self.every)])
         return [sigma for i in self.which for sigma in sigmas[ends[i] : ends[i + 1]]]
-
-
-def _named(data: Measurements) -> Measurements:
-    """Return the measurements with those names of tools and targets alone that some row has."""
-
-    def used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:
-        there = np.unique(np.concatenate(numbers))
-        there = there[there >= 0]
-        new = np.full(len(names) + 1, -1, dtype=np.intp)
-        new[there] = np.arange(len(there))
-        return tuple(names[k] for k in there), new
-
-    other = data.other
-    tools, tool = used(data.tools, data.tool, *(() if other is None else (other.tool,)))
-    targets, target = used(data.targets, data.target)
-    return replace(
-        data,
-        tools=tools,
-        tool=read_only_view(tool[data.tool]),
-        targets=targets,
-        target=read_only_view(target[data.target]),
-        other=None if other is None else replace(other, tool=read_only_view(tool[other.tool])),
-    )
 
 
 def predict_held_out(

@@ -45,6 +45,9 @@ def verify_command(
     sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="The instrument's noise.")] = None,
     limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Of every position error.")] = None,
     refit_base: Annotated[bool, typer.Option("--refit-base", help="The instrument was moved: find the base.")] = False,
+    in_order: Annotated[
+        bool, typer.Option("--in-order", help="Rows stand as they were measured: so joints were reached from a side.")
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -63,17 +66,14 @@ def verify_command(
             model.robot,
             observes,
             sigma=None if sigma is None else parse_quantity(sigma, "length", "sigma"),
+            in_order=in_order,
         )
         say("judging")
-        shifts = None
-        if model.residual_model is not None:
-            shifts = model.residual_model.shifts(model.base, model.tips(data.readings), data.readings)
         found = verify(
             doubts,
             data,
             limit=None if limit is None else parse_quantity(limit, "length", "limit"),
             refit=refit_base,
-            shifts=shifts,
         )
         outside = outside_identified(doubts, data.readings)
     if as_json:

@@ -39,6 +39,7 @@ from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
+from calib.identification.error_model import with_terms
 from calib.identification.observability import observability
 from calib.job.calibrate import STEPS_OF_LOADING
 from calib.job.calibrate import calibrate as calibrate_job
@@ -146,9 +147,7 @@ def compensate(
         model = load_model(results)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
-        found = targets_of.corrections(
-            model, wanted, what=what, frame=frame, residuals=model.residual_model, clamp=clamp
-        )
+        found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
         write_atomically(out, targets_of.corrected_csv(model, wanted, found))
     if as_json:
         missed_rows = [
@@ -227,9 +226,12 @@ def sensitivity(
     with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")
-        readings = np.concatenate([data.readings for data in inputs.identify])
-        found = sensitivity_of(inputs.model, readings)
-        study = None if errors is None else group_study(inputs.model, readings, robot_errors(errors))
+        readings = np.concatenate([end.readings for data in inputs.identify for end in data.ends])
+        model = inputs.model
+        if errors is not None and inputs.job.error_model.terms == "auto":
+            model = with_terms(model, load_model(errors).robot.terms)  # those that were chosen
+        found = sensitivity_of(model, readings)
+        study = None if errors is None else group_study(model, readings, robot_errors(errors))
     if plot is not None:
         write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
     if as_json:

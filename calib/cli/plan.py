@@ -28,9 +28,11 @@ from calib.measurement.table import read_table
 from calib.presentation.console import progress, sentence, show, warning, write
 from calib.presentation.plan_tables import forecast_table, index_table
 from calib.robot.collision import self_collision
+from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.sources import EXAMPLE, examples_folder
+from calib.robot.transmission import lacking
 
 Source = Annotated[
     str, typer.Argument(metavar="ARM", help="A URDF (.urdf, or example:...) or a job (.toml).", show_default=False)
@@ -85,7 +87,7 @@ def plan(
             frames, observes, _length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"), _length(misfit, "misfit")
         )
         sight = _sight(tracker, facing, acceptance, nearest, farthest)
-        notes: list[str] = []
+        notes = _untold(model)
         collision = None
         if collisions and b"<collision" in robot.urdf.source:
             say("reading the collision shapes")
@@ -166,6 +168,19 @@ def _arm(
     model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)
     return robot, model, (*own, *roots)
+
+
+def _untold(model: ErrorModel) -> list[str]:
+    """Return what is to be said of joint terms that depend on more than the pose."""
+    names = [reading.name for reading in model.robot.readings]
+    free = [term for term in model.robot.terms if term.name in model.terms]
+    untold = [term.name for term in free if lacking([term], names, NO_CONDITIONS)]
+    if not untold:
+        return []
+    return [
+        f"{', '.join(untold)}: depend on sides of approach, temperatures or torques and not on the poses alone; the "
+        "plan is for the other parameters."
+    ]
 
 
 def _base(tracker: str | None) -> Array:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from calib.assessment.uncertainty import Uncertainty
+from calib.assessment.uncertainty import Uncertainty, shifted
 from calib.compensation.gaussian import GaussianResiduals, load_gaussian
 from calib.compensation.grid import SectorGrid, load_grid
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
@@ -196,20 +196,24 @@ class CalibratedModel:
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-        Raises RobotError for a joint term that needs ``conditions`` which are not given.
+        Without the residual model. Raises RobotError for a joint term that needs ``conditions`` which are not given.
         """
         return self.robot.tips(readings, self.deviations, conditions)
+
+    def placements(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the placements (N, 4, 4) of the tip link in the base link, positions shifted by the residual model.
+
+        Where it knows nothing, it adds nothing. Raises as :meth:`tips` does.
+        """
+        tips = self.tips(readings, conditions)
+        return tips if self.residual_model is None else shifted(self.residual_model, tips, readings)
 
     def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
-        The residual model, where there is one, shifts positions; where it knows nothing, it adds nothing.
+        With the residual model, as :meth:`placements`.
         """
-        tips = self.tips(readings, conditions)
-        placed = np.asarray(self.base @ tips @ self.tools[tool])
-        if self.residual_model is not None:
-            placed[:, :3, 3] += self.residual_model.shifts(self.base, tips, readings)
-        return placed
+        return np.asarray(self.base @ self.placements(readings, conditions) @ self.tools[tool])
 
 
 def residual_file(known: SectorGrid | GaussianResiduals | None) -> ResidualFile | None:
@@ -320,14 +324,12 @@ def _loaded(folder: Path) -> CalibratedModel:
     doubts = folder / UNCERTAINTY_FILE
     known = doubts.is_file() and bool(tools)
     frames = Frames(base, np.stack(list(tools.values()))) if known else None
-    return CalibratedModel(
-        equipped,
-        deviations,
-        base,
-        tools,
-        _residual_model(folder, model.residual_model, robot),
-        None if frames is None else load_uncertainty(doubts, equipped, deviations, frames, tuple(tools)),
-    )
+    residuals = _residual_model(folder, model.residual_model, robot)
+    uncertainty = None
+    if frames is not None:
+        uncertainty = load_uncertainty(doubts, equipped, deviations, frames, tuple(tools))
+        uncertainty = replace(uncertainty, residual_model=residuals)
+    return CalibratedModel(equipped, deviations, base, tools, residuals, uncertainty)
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.compensation.commands import Corrections, PoseFrame, ResidualModel, What, for_joint_targets, for_poses
+from calib.compensation.commands import Corrections, PoseFrame, What, for_joint_targets, for_poses
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
@@ -101,7 +101,6 @@ def corrections(
     *,
     what: What = "pose",
     frame: PoseFrame = "base",
-    residuals: ResidualModel | None = None,
     clamp: bool = False,
 ) -> Corrections:
     """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
@@ -110,9 +109,7 @@ def corrections(
     """
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
-        found = for_joint_targets(
-            model, readings, wanted.tools, what=what, residuals=residuals, clamp=clamp, conditions=wanted.conditions
-        )
+        found = for_joint_targets(model, readings, wanted.tools, what=what, clamp=clamp, conditions=wanted.conditions)
     else:
         poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
         found = for_poses(
@@ -121,7 +118,6 @@ def corrections(
             wanted.readings,
             wanted.tools,
             frame=frame,
-            residuals=residuals,
             clamp=clamp,
             conditions=wanted.conditions,
         )

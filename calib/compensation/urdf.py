@@ -26,17 +26,21 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
     """Return the origins (4, 4), in the parent link, of all joints of the URDF that a calibration moves.
 
     A joint's deviation and its offset become part of its origin, so that the URDF takes the same readings as before.
-    A joint that mimics another one, on the arm or beside it, takes over the multiple of the other's offset.
+    A joint that follows others, on the arm or beside it, takes over its multiples of their offsets.
     """
     moving = [robot.chain[i].name for i in robot.moving]
-    offsets = dict(zip(moving, map(float, deviations.offsets), strict=True))
+    own = dict(zip(moving, map(float, deviations.offsets), strict=True))
+    of_readings = np.array([own.get(reading.name, 0.0) for reading in robot.readings])
+    shifts = dict(zip(moving, map(float, robot.offset_coupling @ deviations.offsets), strict=True))
+    followed = dict(zip(moving, map(float, robot.coupling @ of_readings), strict=True))
     on_chain = {joint.name: (joint, d) for joint, d in zip(robot.chain, deviations.placements, strict=True)}
     origins: dict[str, Array] = {}
     for joint in robot.urdf.joints:
-        driver, multiplier = _driver(robot, joint)
-        # A mimic joint of the arm has an offset of its own beside what it takes over.
-        shift = offsets.get(joint.name, 0.0)
-        shift += 0.0 if driver == joint.name else multiplier * offsets.get(driver, 0.0)
+        if joint.name in shifts:
+            shift = shifts[joint.name]
+        else:
+            driver, multiple = _driver(robot, joint)
+            shift = multiple * followed.get(driver, 0.0)
         motion = _motion(joint, shift)
         if joint.name in on_chain:
             link, d = on_chain[joint.name]
@@ -108,9 +112,13 @@ def _motion(joint: UrdfJoint, q: float) -> Array:
 
 
 def _driver(robot: Robot, joint: UrdfJoint) -> tuple[str, float]:
-    """Return the joint at the end of a joint's chain of mimicry, itself where it mimics none, and the multiple."""
-    driver, multiplier = joint, 1.0
-    while driver.mimic is not None:
-        multiplier *= driver.mimic.multiplier
+    """Return the joint that a joint beside the arm mimics, on the arm or the last one, itself if none, and how often.
+
+    Joints of the arm are not followed any further: how these are coupled the robot knows.
+    """
+    driver, multiple = joint, 1.0
+    moving = {robot.chain[i].name for i in robot.moving}
+    while driver.mimic is not None and driver.name not in moving:
+        multiple *= driver.mimic.multiplier
         driver = robot.urdf.joint(driver.mimic.joint)
-    return driver.name, multiplier
+    return driver.name, multiple

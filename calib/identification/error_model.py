@@ -17,6 +17,7 @@ from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import Parameter, ParameterKind, Prior
 from calib.identification.relations import Relation
 from calib.identification.targets import Target
+from calib.measurement.measurements import Measurements
 from calib.robot import deviation
 from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
 from calib.robot.dh.table import NUMBERS, Convention, DhTable
@@ -92,6 +93,15 @@ class ErrorModel:
     relations: tuple[Relation, ...] = ()
     terms: tuple[str, ...] = ()
     term_priors: Mapping[str, Prior] = field(default_factory=dict)
+
+    def within(self, sets: Sequence[Measurements]) -> "ErrorModel":
+        """Return the model without what is known of targets that no row of the sets is about."""
+        there = {name for data in sets for name in data.seen_targets}
+        return replace(
+            self,
+            targets={name: target for name, target in self.targets.items() if name in there},
+            relations=tuple(relation for relation in self.relations if there.issuperset(relation.targets)),
+        )
 
     @property
     def urdf_robot(self) -> Robot:

@@ -58,8 +58,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             raise MeasurementError(
                 f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
             )
-        for conditions in (data.conditions, *(() if data.other is None else (data.other.conditions,))):
-            if missing := lacking(model.robot.terms, names, conditions):
+        for end in data.ends:
+            if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
@@ -95,7 +95,7 @@ def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: M
     known_targets, known_lengths = len(frames.targets), len(frames.lengths)
     if (known_targets, known_lengths) == (len(sets[0].targets), len(sets[0].offsets)):
         return machine
-    tips = [model.robot.tips(data.readings, machine.deviations, data.conditions) for data in sets]
+    tips = [data.tips(model.robot, machine.deviations) for data in sets]
     placed = with_targets(model, sets, tips, frames)
     placed = replace(
         placed,

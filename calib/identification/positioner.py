@@ -36,6 +36,7 @@ from calib.identification.relative import RelativeBase, relative_base
 from calib.identification.system import Problem, blocks
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import unmeasured
+from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import parse_urdf
@@ -349,9 +350,8 @@ def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Arra
     ``points`` (N, 3) or (3,): where they are, in m, while all axes read zero. ``angles``: readings in rad and m.
     """
     x, q = _envelope(fit, points, angles)
-    T = fit.machine.frames.base @ fit.model.robot.tips(
-        np.concatenate([q, np.zeros_like(q[:1])]), fit.machine.deviations
-    )
+    rows = np.concatenate([q, np.zeros_like(q[:1])])
+    T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations, ordinary(rows))
     moved = T[:-1] @ rigid.inverse(T[-1])
     return np.asarray((moved[:, :3, :3] @ x[:, :, None])[..., 0] + moved[:, :3, 3])
 
@@ -368,9 +368,10 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     p = len(fit.parameters)
     # Twists of the table (N, 6, p) for a unit of each parameter: minus the Jacobian of poses seen as predicted.
     tool = fit.machine.frames.tools[0]
-    T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations) @ tool
+    usual = ordinary(rows)
+    T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations, usual) @ tool
     names, tools = [reading.name for reading in fit.model.robot.readings], fit.measurements[0].tools
-    seen = unmeasured(names, rows, T[:, :3, 3], T[:, :3, :3], tools=tools, where="predicted")
+    seen = unmeasured(names, rows, T[:, :3, 3], T[:, :3, :3], tools=tools, conditions=usual, where="predicted")
     problem = Problem(fit.model, fit.parameters, fit.machine.frames, (seen,))
     J = np.concatenate([block.J for block in blocks(problem, seen, fit.machine, np.ones(p))])
     twist = -J

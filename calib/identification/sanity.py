@@ -184,7 +184,7 @@ def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, fl
     As in :mod:`calib.identification.alignment`, ``A x_n + s = t_n + R_n p`` and ``R_n^T A R_measured`` is the same for
     all rows of a tool, with A any matrix: linear, and never worse than the best rotation.
     """
-    tips = np.concatenate([model.robot.tips(data.readings) for data in sets])
+    tips = np.concatenate([data.tips(model.robot) for data in sets])
     R, t = tips[:, :3, :3], tips[:, :3, 3]
     tool = np.concatenate([data.tool for data in sets])
     unknown = np.full((len(tool), 3, 3), np.nan)

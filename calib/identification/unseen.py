@@ -126,8 +126,8 @@ class Unseen:
     def __init__(self, parameters: Sequence[Parameter], motions: Motions, reach: float) -> None:
         self._motions, self._reach = motions, reach
         self._scales = scales(parameters)
-        self._of_targets = np.array([parameter.kind == "target" for parameter in parameters])
-        self._lengths = np.array([parameter.unit == "m" for parameter in parameters])
+        self._of_targets = np.array([parameter.kind == "target" for parameter in parameters], dtype=np.bool_)
+        self._lengths = np.array([parameter.unit == "m" for parameter in parameters], dtype=np.bool_)
         self._triangle = np.empty((0, len(parameters) + self._count))
 
     @property

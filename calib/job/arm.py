@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.assessment.performance import read_touches
+from calib.assessment.uncertainty import refuse_lacking
 from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model, residual_file
-from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import UNITS, Dimension, parse_quantity
@@ -19,9 +19,11 @@ from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
 from calib.measurement.checks import Finding, check
 from calib.measurement.columns import stacked
+from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import Column, read_table
+from calib.measurement.table import APPROACH, TORQUE, Column, read_table
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.sources import EXAMPLE, resolve
@@ -46,14 +48,9 @@ class Arm:
     files: Mapping[str, Path]
     findings: tuple[Finding, ...]
 
-    def placements(self, readings: Array) -> Array:
-        """Return the tip link (N, 4, 4) in the base link at readings (N, nr), with what a residual model adds."""
-        bare = replace(self.model, tools={"tip": np.eye(4)})
-        return np.asarray(rigid.inverse(self.model.base) @ bare.predict(readings, "tip"))
-
-    def points(self, readings: Array) -> Array:
-        """Return the tool points (N, 3) in the base link at readings (N, nr)."""
-        T = self.placements(readings)
+    def points(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the tool points (N, 3) in the base link at readings (N, nr), with what a residual model adds."""
+        T = self.model.placements(readings, conditions)
         return np.asarray(T[:, :3, :3] @ self.point + T[:, :3, 3])
 
 
@@ -90,7 +87,8 @@ def _pivoted(arm: Arm, file: str, folder: Path) -> Arm:
     touches = read_touches(folder / file, arm.model.robot)
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
-    found = pivot(arm.placements(touches.readings), touches.words["target"])
+    refuse_lacking(arm.model.robot, touches.conditions, touches.where)
+    found = pivot(arm.model.placements(touches.readings, touches.conditions), touches.words["target"])
     if found.rank < 3:
         raise MeasurementError(
             f"{touches.where}: the orientations turn about {'one axis only' if found.rank else 'no axis'}, and do not "
@@ -128,7 +126,12 @@ def touched(path: Path, arm: Arm, robot: Robot, columns: Mapping[str, str]) -> t
         )
     if given := [name for name in _POSITION if name in table.columns]:
         raise MeasurementError(f"{table.where}: column {given[0]!r} is there, and the arm says it as well; keep one.")
-    points = arm.points(stacked(table, own))
+    # What is said of all joints, such as one side of approach, is said of the robot.
+    told = {f"{what}{name}" for what in (APPROACH, TORQUE) for name in own}
+    arms = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})
+    conditions = conditions_of(arms, arm.model.robot.readings)
+    refuse_lacking(arm.model.robot, conditions, table.where)
+    points = arm.points(stacked(table, own), conditions)
     position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
     doubts = check(
@@ -136,7 +139,7 @@ def touched(path: Path, arm: Arm, robot: Robot, columns: Mapping[str, str]) -> t
         arm.model.robot.readings,
         arm.model.robot.reach,
     )
-    rest = {name: column for name, column in table.columns.items() if name not in own}
+    rest = {name: column for name, column in table.columns.items() if name not in own and name not in told}
     return (
         measurements_from_table(replace(table, columns=rest | position), robot.readings, "position", sigma=arm.sigma),
         tuple(finding for finding in doubts if finding.code in _OF_READINGS),

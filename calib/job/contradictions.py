@@ -27,6 +27,13 @@ def contradictions(job: Job) -> Iterator[str]:
         residual = level.residual_model
         if residual is not None and residual.kind == "grid" and residual.joints is None:
             yield f"levels[{i}].residual_model.joints: is missing; a grid spans joints that are named."
+    if job.solver.kind == "total_differential":
+        for i, section in enumerate(job.measurements):
+            if section.loss != "linear":
+                yield (
+                    f'measurements[{i}].loss: {section.loss!r} means nothing with solver.kind = "total_differential", '
+                    "which weighs all rows alike; leave it out."
+                )
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     for name, target in job.targets.items():

@@ -119,6 +119,14 @@ def _length_or_pixels(text: object) -> object:
     return _quantity("pixel" if isinstance(text, str) and in_pixels(text) else "length", "zero")(text)
 
 
+def _angle_or_length(text: object) -> object:
+    """Accept what the joint decides: an angle or a length."""
+    try:
+        return _quantity("length")(text)
+    except ValueError:
+        return _quantity("angle")(text)
+
+
 def _compliance(text: object) -> object:
     """Accept what the unit decides: a compliance of what slides, or of what turns."""
     slides = isinstance(text, str) and text.rstrip().endswith("/N")
@@ -149,7 +157,7 @@ LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
 LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
 Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
 PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
-Angle = Annotated[str, BeforeValidator(_quantity("angle"))]
+AngleOrLength = Annotated[str, BeforeValidator(_angle_or_length)]
 AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
 PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
 PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]

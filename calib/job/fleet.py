@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,11 @@ from calib.job.results import ALWAYS, RESULT_FILE, TO_BE_SEEN
 from calib.job.versions import versions
 from calib.robot.sources import EXAMPLE, resolve
 
-# How long a cluster may take to answer, in s.
-_PATIENCE = 20
-# How often a worker looks whether its parent is still there, in s.
+# How long a cluster may take to answer, and may be without any worker, in s.
+_PATIENCE = 20.0
+# How often a worker looks whether its parent is still there, and we whether the cluster is, in s.
 _LOOK = 1.0
+_DIED = "{}: its process died; the memory may not suffice."
 # A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
 _USUAL = re.compile(r"calibration(?![^_.-])")
 SUMMARY_JSON = "summary.json"
@@ -156,12 +157,12 @@ def run_fleet(
     ``workers``: processes on this machine, one for every core when None; each has one thread of linear algebra. Or
     ``dask``: the address of a scheduler whose workers see the same files. A job that fails, or whose process dies,
     does not stop the others. A job whose results are :func:`unchanged` is not run, unless ``again``. ``progress`` is
-    told of every job that has ended. Raises JobError when the cluster cannot be reached.
+    told of every job that has ended. Raises JobError when the cluster cannot be reached or has no worker left.
     """
     done = {job.name: Done(job, earlier=True) for job in jobs if not again and unchanged(job)}
     waiting = [job for job in jobs if job.name not in done]
     if waiting:
-        with _crew(workers, dask) as crew, closing(_run(crew, waiting)) as finished:
+        with _local(workers, waiting) if dask is None else _cluster(dask, waiting) as finished:
             for one in finished:
                 done[one.job.name] = one
                 progress(f"{len(done)} of {len(jobs)} jobs: {one.job.name}")
@@ -199,7 +200,7 @@ def _run(crew: _Crew, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
                 try:
                     (done,) = crew.together(tasks((job,), []))
                 except crew.died:
-                    done = Done(job, f"{job.path}: its process died; the memory may not suffice.")
+                    done = Done(job, _DIED.format(job.path))
                 waiting.remove(job)
                 yield done
 
@@ -222,33 +223,74 @@ def _one(job: FleetJob, folder: str) -> Done:
 
 
 @contextmanager
-def _crew(workers: int | None, dask: str | None) -> Iterator[_Crew]:
+def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
+    """Run jobs over processes of this machine; what is given yields what has become of them, as they end."""
     import joblib  # noqa: PLC0415 - calib must not load it on import
 
-    with ExitStack() as ending:
-        died: tuple[type[Exception], ...] = (BrokenProcessPool,)
-        if dask is None:
-            count = joblib.cpu_count() if workers is None else workers
-            started = {"initializer": _serve, "initargs": (os.getpid(),)}
-            ending.enter_context(joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started))
-            ending.callback(_end_workers)
-        else:
-            client, killed = _client(dask)
-            ending.enter_context(client)
-            ending.enter_context(joblib.parallel_config("dask", client=client, wait_for_workers_timeout=_PATIENCE))
-            died = (*died, killed)
+    count = joblib.cpu_count() if workers is None else workers
+    started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
-        def together(tasks: Iterable[Any]) -> Iterable[Done]:
-            parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
-            found: Iterable[Done] = parallel(tasks)
-            return found
+    def together(tasks: Iterable[Any]) -> Iterable[Done]:
+        parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
+        found: Iterable[Done] = parallel(tasks)
+        return found
 
+    with joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started):
         try:
-            yield _Crew(together, died)
-        except TimeoutError as e:
-            if dask is None:
-                raise
-            raise JobError(f"{dask}: the Dask cluster has no worker.") from e
+            with closing(_run(_Crew(together, (BrokenProcessPool,)), jobs)) as finished:
+                yield finished
+        finally:
+            _end_workers()
+
+
+@contextmanager
+def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
+    """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
+    with _client(address) as client, closing(_on_cluster(client, address, jobs)) as finished:
+        yield finished
+
+
+def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
+    """Yield what has become of jobs, as they end. The scheduler gives those of a worker that dies to another one.
+
+    No wait is without end: raises JobError when there has been no worker for some time, or no scheduler.
+    """
+    from distributed import wait  # noqa: PLC0415 - an optional dependency
+
+    folder = str(Path.cwd())
+    waiting = {
+        client.submit(_one, job, folder, pure=False, key=f"calib-{k}-{job.name}"): job for k, job in enumerate(jobs)
+    }
+    last_seen = time.monotonic()
+    try:
+        while waiting:
+            with suppress(TimeoutError), client.as_current():
+                wait(list(waiting), timeout=_LOOK, return_when="FIRST_COMPLETED")
+            for future in [future for future in waiting if future.status != "pending"]:
+                yield _ended(future, waiting.pop(future), address)
+            if client.status != "running":
+                raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
+            if client.scheduler_info()["workers"]:
+                last_seen = time.monotonic()
+            elif time.monotonic() - last_seen > _PATIENCE:
+                raise JobError(f"{address}: the Dask cluster has no worker.")
+    finally:
+        client.cancel(list(waiting))
+
+
+def _ended(future: Any, job: FleetJob, address: str) -> Done:
+    """Return what has become of a job whose future is not pending any more."""
+    if future.status == "finished":
+        done: Done = future.result(timeout=_PATIENCE)
+        return done
+    if future.status == "error":
+        from distributed import KilledWorker  # noqa: PLC0415 - an optional dependency
+
+        error = future.exception(timeout=_PATIENCE)
+        if isinstance(error, KilledWorker):
+            return Done(job, _DIED.format(job.path))
+        return Done(job, f"{job.path}: cannot run on a worker of the cluster ({type(error).__name__}: {error}).")
+    raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
 
 
 def _serve(parent: int) -> None:
@@ -274,13 +316,14 @@ def _end_workers() -> None:
     get_reusable_executor(reuse=True).shutdown(kill_workers=True)
 
 
-def _client(address: str) -> tuple[AbstractContextManager[Any], type[Exception]]:
-    """Return a client of a Dask cluster, and the error that tells that a worker died."""
+def _client(address: str) -> AbstractContextManager[Any]:
+    """Return a client of a Dask cluster."""
     try:
-        from distributed import Client, KilledWorker  # noqa: PLC0415 - an optional dependency
+        from distributed import Client  # noqa: PLC0415 - an optional dependency
     except ImportError as e:
         raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
     try:
-        return Client(address, timeout=_PATIENCE, set_as_default=False), KilledWorker
+        client: AbstractContextManager[Any] = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as e:
         raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e
+    return client

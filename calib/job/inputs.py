@@ -23,6 +23,7 @@ from calib.identification.targets import Target, shapes
 from calib.job.arm import Arm, read_arm, touched
 from calib.job.read import read_job
 from calib.job.schema import (
+    CouplingSection,
     FrameSection,
     InstrumentSection,
     Job,
@@ -42,18 +43,24 @@ from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, resolve
+from calib.robot.urdf import Urdf, read_urdf
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """Everything a job names, read and checked. ``hashes``: SHA-256 of every input file by its name in the job."""
+    """Everything a job names, read and checked.
+
+    ``model``: with what is known of targets that are identified from; ``targets``: what is known of all. ``hashes``:
+    SHA-256 of every input file by its name in the job.
+    """
 
     job: Job
     path: Path
     robot: Robot
     model: ErrorModel
+    targets: Mapping[str, Target]
     identify: tuple[Measurements, ...]
     validate: tuple[Measurements, ...]
     nodes: tuple[Measurements, ...]
@@ -87,7 +94,7 @@ def load_arm(path: Path) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
     job = read_job(path)
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
-    robot = _robot(job, urdf)
+    robot = _robot(job, urdf, path)
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
@@ -113,6 +120,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_levels(job, path)
     _refuse_unknown_points(job, chosen, held_out, path)
     _refuse_wrong_shapes(job, sets, path)
+    known, model = model.targets, model.within(chosen)
     _refuse_no_noise(job, sets, path)
     findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
@@ -138,6 +146,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         path=path,
         robot=robot,
         model=model,
+        targets=known,
         identify=chosen,
         validate=held_out,
         nodes=nodes,
@@ -181,17 +190,26 @@ def _refuse_levels(job: Job, path: Path) -> None:
         raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
 
 
-def _robot(job: Job, urdf: Path) -> Robot:
-    section = job.robot
+def _robot(job: Job, urdf: Path, path: Path) -> Robot:
+    section, document = job.robot, read_urdf(urdf)
     return load_robot(
-        urdf,
+        document,
         section.tip,
         section.base,
-        couplings=[Coupling(c.joint, c.drivers, parse_quantity(c.offset, "angle", c.joint)) for c in section.coupling],
+        couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
         payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
+    slides = {joint.name for joint in document.joints if joint.type == "prismatic"}
+    dimension: Dimension = "length" if section.joint in slides else "angle"
+    offset = 0.0
+    if section.offset is not None:
+        offset = parse_quantity(section.offset, dimension, f"{path}: robot.coupling[{i}].offset")
+    return Coupling(section.joint, section.drivers, offset)
 
 
 def _payload(section: PayloadSection) -> Payload:
@@ -201,10 +219,11 @@ def _payload(section: PayloadSection) -> Payload:
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
     for data in sets:
-        try:
-            robot.joint_positions(data.readings)
-        except PoseError as e:
-            raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
+        for end in data.ends:
+            try:
+                robot.joint_positions(end.readings)
+            except PoseError as e:
+                raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _refuse(findings: Sequence[Finding]) -> None:
@@ -234,12 +253,24 @@ def _refuse_unknown_points(
 
 
 def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
-    """Refuse a plane that is said to be at a point, and a point with a normal."""
+    """Refuse a plane that is said to be at a point, a point with a normal, and what was not measured at all."""
     found = shapes(sets)
+    listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
+        if name not in found:
+            raise JobError(f"{path}: targets: {name!r} is in no measurement; they have {listed}.")
         said = "point" if target.normal is None else "plane"
-        if found.get(name, said) != said:
+        # Boards and cameras have a position as points have.
+        if found[name] not in (said, "frame" if said == "point" else said):
             raise JobError(f"{path}: targets.{name}: is said to be a {said}, and was measured as a {found[name]}.")
+    for relation in job.relations:
+        shape = "point" if relation.kind == "distance" else "plane"
+        for name in relation.targets:
+            if name not in found:
+                raise JobError(
+                    f"{path}: relations: a known {relation.kind} is between two {shape}s, and {name!r} is in no "
+                    "measurement."
+                )
 
 
 def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
@@ -274,7 +305,8 @@ def _shared_out(data: Measurements, section: MeasurementsSection) -> Measurement
         raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
     many = min(max(round(section.hold_out * number), 1), number - 1)
     out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
-    return data.subset(out if section.use == "validate" else ~out)
+    # A target of which no row is left is none of the part's: it would be taken for found.
+    return data.subset(out if section.use == "validate" else ~out).with_own_names()
 
 
 def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:

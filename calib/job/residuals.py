@@ -36,7 +36,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         raise JobError("levels: the residual_model has no positions to be made of.")
     errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
     base = fit.machine.frames.base
-    tips = [fit.robot.tips(data.readings, fit.deviations, data.conditions) for data in sets]
+    tips = [data.tips(fit.robot, fit.deviations) for data in sets]
     axes = [axes_of(section.frame, base, T) for T in tips]
     turned = np.concatenate(
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -122,8 +123,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         lost_in_urdf(
             fit.robot,
             fit.deviations,
-            np.concatenate([judged.data.readings for judged in judged_sets]),
-            joined([judged.data.conditions for judged in judged_sets]),
+            np.concatenate([end.readings for judged in judged_sets for end in judged.data.ends]),
+            joined([end.conditions for judged in judged_sets for end in judged.data.ends]),
         ),
         choice,
     )
@@ -172,29 +173,37 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     if not inputs.job.levels:
         progress("identifying")
         sigmas = _flat(inputs.model_sigmas)
-        return identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses), ()
+        fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses)
+        return _knowing(fit, inputs), ()
     given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
     by_file = dict(zip(inputs.tables("identify"), given, strict=True))
-    fit: Fit | None = None
+    found: Fit | None = None
     reports: list[LevelReport] = []
     for level in inputs.job.levels:
         if level.residual_model is not None:
             continue
         progress(f"identifying level {level.name}")
         chosen = [by_file[file] for file in level.measurements or by_file]
-        fit = identify(
-            inputs.model,
-            [data for data, _, _ in chosen],
+        sets = [data for data, _, _ in chosen]
+        found = identify(
+            inputs.model.within(sets),
+            sets,
             free=level.free,
-            start=fit,
+            start=found,
             blind=policy,
             model_sigmas=_flat(group for _, group, _ in chosen),
             losses=[loss for _, _, loss in chosen],
         )
-        reports.append(LevelReport(level.name, len(fit.parameters), fit.rank, _judge(inputs, fit)))
-    if fit is None:
+        found = _knowing(found, inputs)
+        reports.append(LevelReport(level.name, len(found.parameters), found.rank, _judge(inputs, found)))
+    if found is None:
         raise TypeError("a job with levels has a first one")
-    return fit, tuple(reports)
+    return found, tuple(reports)
+
+
+def _knowing(fit: Fit, inputs: Inputs) -> Fit:
+    """Return the fit with what the job knows of all targets, also of those that it was not identified from."""
+    return replace(fit, model=replace(fit.model, targets=inputs.targets))
 
 
 def _judged(
@@ -208,9 +217,7 @@ def _judged(
     for file, data, b, a in zip(files, sets, before, after, strict=True):
         if known is not None and data.position is not None:
             a = a.copy()  # noqa: PLW2901
-            a[:, :3] -= known.shifts(
-                fit.machine.frames.base, fit.robot.tips(data.readings, fit.deviations, data.conditions), data.readings
-            )
+            a[:, :3] -= known.shifts(fit.machine.frames.base, data.tips(fit.robot, fit.deviations), data.readings)
         yield JudgedSet(use, file, data, b, a)
 
 
@@ -221,8 +228,12 @@ def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
 def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
     parameters = posed(inputs.model, inputs.identify).parameters
-    frames = [p.name for p in parameters if p.kind in ("base", "tool")]
-    judged = identify(inputs.model, inputs.identify, free=frames, start=fit) if frames else fit
+    frames = [escape(p.name) for p in parameters if p.kind in ("base", "tool")]
+    judged = fit
+    if frames:
+        sigmas, losses = _flat(inputs.model_sigmas), inputs.losses
+        judged = identify(inputs.model, inputs.identify, free=frames, start=fit, model_sigmas=sigmas, losses=losses)
+        judged = _knowing(judged, inputs)
     sets = inputs.validate or inputs.identify
     found = residuals_of(judged, sets, judged.machine)
     return metrics((data.kind, r) for data, r in zip(sets, found, strict=True))

@@ -74,7 +74,7 @@ def _points(outcome: Outcome, judged: JudgedSet) -> Array:
     data, fit = judged.data, outcome.fit
     if data.position is not None:
         return data.position
-    placed = fit.machine.frames.base @ fit.robot.tips(data.readings, fit.deviations, data.conditions)
+    placed = fit.machine.frames.base @ data.tips(fit.robot, fit.deviations)
     names = fit.measurements[0].tools
     own = np.array([names.index(tool) for tool in data.tools])[data.tool]
     points = np.asarray((placed @ fit.machine.frames.tools[own])[:, :3, 3])

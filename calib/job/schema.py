@@ -7,8 +7,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.job.fields import (
-    Angle,
     AngleFromZero,
+    AngleOrLength,
     AnglePrior,
     CompliancePrior,
     Direction,
@@ -41,11 +41,14 @@ class _Section(BaseModel):
 
 
 class CouplingSection(_Section):
-    """``[[robot.coupling]]``: a joint that follows several drivers, which URDF's mimic cannot say."""
+    """``[[robot.coupling]]``: a joint that follows several drivers, which URDF's mimic cannot say.
+
+    ``offset``: an angle, or a length where the joint slides.
+    """
 
     joint: Name
     drivers: dict[str, float] = Field(min_length=1)
-    offset: Angle = "0 rad"
+    offset: AngleOrLength | None = None
 
 
 class LoopSection(_Section):

@@ -115,7 +115,7 @@ def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterabl
 
 
 def _at_rest(m: Measurements) -> Iterable[Finding]:
-    still = np.flatnonzero(np.ptp(m.readings, axis=0) <= _AT_REST)
+    still = np.flatnonzero(np.ptp(np.concatenate([end.readings for end in m.ends]), axis=0) <= _AT_REST)
     if len(m) > 1 and still.size:
         names = ", ".join(repr(m.reading_names[j]) for j in still)
         yield Finding("warning", "joint-at-rest", f"{m.where}: joints that never move: {names}.")

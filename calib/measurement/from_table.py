@@ -23,7 +23,7 @@ from calib.measurement.columns import (
 from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.measurements import Measurements, OtherEnd
+from calib.measurement.measurements import End, Measurements
 from calib.measurement.projection import undistort
 from calib.measurement.table import Table
 from calib.robot.robot import Reading
@@ -192,7 +192,7 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
                 f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
-    other = OtherEnd(
+    other = End(
         read_only_view(rows.readings[second]), read_only_view(rows.tool[second]), rows.conditions.subset(second)
     )
     return replace(rows.subset(first), other=other)

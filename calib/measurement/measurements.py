@@ -9,11 +9,12 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.robot import Deviations, Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OtherEnd:
-    """The other end of every row that has two: ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
+class End:
+    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
 
     readings: Array
     tool: IntArray
@@ -54,7 +55,7 @@ class Measurements:
     tool: IntArray
     targets: tuple[str, ...]
     target: IntArray
-    other: OtherEnd | None
+    other: End | None
     offsets: tuple[str, ...]
     offset: int
     group: tuple[str, ...] | None
@@ -67,9 +68,44 @@ class Measurements:
         return len(self.lines)
 
     @property
+    def ends(self) -> tuple[End, ...]:
+        """Where the robot was: the one end of every row, and the other one in kinds that have two."""
+        own = End(self.readings, self.tool, self.conditions)
+        return (own,) if self.other is None else (own, self.other)
+
+    def tips(self, robot: Robot, deviations: Deviations | None = None) -> Array:
+        """Return the tip placements (N, 4, 4) of a robot in its base link, under the conditions of the rows.
+
+        Raises as :meth:`calib.Robot.tips` does.
+        """
+        return robot.tips(self.readings, deviations, self.conditions)
+
+    @property
+    def seen_targets(self) -> tuple[str, ...]:
+        """Those of ``targets`` that some row is about."""
+        return tuple(self.targets[t] for t in np.unique(self.target) if t >= 0)
+
+    @property
     def of_boards(self) -> bool:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
+
+    def with_own_names(self) -> "Measurements":
+        """Return the measurements with those of ``tools`` and ``targets`` alone that some row has.
+
+        Nothing is then known, or looked for, of the others.
+        """
+        tools, number = _used(self.tools, *(end.tool for end in self.ends))
+        targets, target = _used(self.targets, self.target)
+        other = self.other
+        return replace(
+            self,
+            tools=tools,
+            tool=read_only_view(number[self.tool]),
+            targets=targets,
+            target=read_only_view(target[self.target]),
+            other=None if other is None else replace(other, tool=read_only_view(number[other.tool])),
+        )
 
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
         """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay."""
@@ -86,13 +122,22 @@ class Measurements:
             target=read_only_view(self.target[index]),
             other=None
             if other is None
-            else OtherEnd(
+            else End(
                 read_only_view(other.readings[index]), read_only_view(other.tool[index]), other.conditions.subset(index)
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
             conditions=self.conditions.subset(index),
         )
+
+
+def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:
+    """Return the names that some row has, and the new number of every old one; -1 stays what it is: none."""
+    there = np.unique(np.concatenate(numbers))
+    there = there[there >= 0]
+    new = np.full(len(names) + 1, -1, dtype=np.intp)
+    new[there] = np.arange(len(there))
+    return tuple(names[k] for k in there), new
 
 
 def unmeasured(

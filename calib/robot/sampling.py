@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError, RobotError
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot
 
 _MOST_BATCHES = 200
@@ -32,7 +33,7 @@ def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None]
         for n in range(len(readings)):
             try:
                 for deviations in machines:
-                    robot.joint_positions(readings[n : n + 1], deviations)
+                    robot.joint_positions(readings[n : n + 1], deviations, ordinary(readings[n : n + 1]))
             except PoseError:
                 found[n] = False
     return found

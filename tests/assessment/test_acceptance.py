@@ -13,7 +13,7 @@ from calib.assessment.drift import compare
 from calib.assessment.uncertainty import uncertainty_of
 from calib.foundations.errors import MeasurementError
 from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, pose
+from tests.identification.machines import Array, Machine, anywhere, pose
 from tests.job.cases import copy_case, run
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -105,12 +105,23 @@ def test_the_limit_is_one_of_every_error() -> None:
 def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
     _, true, _ = machine()
     u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 8)
-    shifts = np.tile([1e-3, 0.0, 0.0], (12, 1))
-    shifted = replace(data, position=data.position + shifts)
+
+    class AlongTheBase:
+        def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
+            return np.tile(base[:3, 0] * 1e-3, (len(readings), 1))
+
+    shifted = replace(data, position=data.position + 1e-3 * u.machine.frames.base[:3, 0])
+    known = replace(u, residual_model=AlongTheBase())
     np.testing.assert_allclose(
-        verify(u, shifted, shifts=shifts).as_calibrated.residuals, verify(u, data).as_calibrated.residuals, atol=1e-15
+        verify(known, shifted).as_calibrated.residuals, verify(u, data).as_calibrated.residuals, atol=1e-15
     )
     assert not verify(u, shifted).passed
+    # Where the base is found anew, the shifts turn with it.
+    T = anywhere(np.random.default_rng(4))
+    moved = replace(shifted, position=shifted.position @ T[:3, :3].T + T[:3, 3])
+    here, there = (verify(known, some, refit=True).base_refitted for some in (shifted, moved))
+    assert here is not None and there is not None
+    np.testing.assert_allclose(there.residuals, here.residuals @ T[:3, :3].T, atol=1e-9)
 
 
 def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:

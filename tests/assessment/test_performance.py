@@ -167,7 +167,7 @@ def test_tables_that_are_no_test(robot: calib.Robot, columns: dict[str, Any], se
     ids=["two lengths in a pair", "one end", "one touch", "three points", "two balls"],
 )
 def test_tests_that_cannot_be_evaluated(robot: calib.Robot, columns: dict[str, Any], sentence: str) -> None:
-    def tips(readings: Array) -> Array:
+    def tips(readings: Array, /, *, conditions: object) -> Array:
         frames = np.tile(np.eye(4), (len(readings), 1, 1))
         frames[:, :3, 3] = np.vstack([np.zeros(3), np.eye(3)])
         return frames

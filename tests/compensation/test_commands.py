@@ -362,7 +362,7 @@ def test_residuals_are_counted(frame: grid.Frame) -> None:
     rng = np.random.default_rng(9)
     readings = well_posed(model, rng.uniform((-0.9, -1.1, 0.5, -1, 0.5, -1), (0.9, 0.7, 1.5, 1, 1.5, 1), (50, 6)))
     known = residual_grid(model.robot, frame)
-    found = commands.for_joint_targets(model, readings, residuals=known)
+    found = commands.for_joint_targets(replace(model, residual_model=known), readings)
     assert found.reached.all(), found.reasons
     tip = model.robot.tips(found.readings, model.deviations)
     error = known.at(found.readings)
@@ -375,12 +375,12 @@ def test_residuals_are_counted(frame: grid.Frame) -> None:
 
 def test_outside_the_residuals() -> None:
     model = model_of(robot_of("ur10"))
-    known = residual_grid(model.robot, "base")
+    model = replace(model, residual_model=residual_grid(model.robot, "base"))
     readings = np.array([[0.5, 0.3, 0.9, 0.5, 0.8, 0.1], [1.2, 0.3, 0.9, 0.5, 0.8, 0.1]])
-    refused = commands.for_joint_targets(model, readings, residuals=known)
+    refused = commands.for_joint_targets(model, readings)
     assert refused.reached.tolist() == [True, False]
     assert " is outside the grid, from -57.2958 deg to 57.2958 deg" in refused.reasons[1]
-    clamped = commands.for_joint_targets(model, readings, residuals=known, clamp=True)
+    clamped = commands.for_joint_targets(model, readings, clamp=True)
     assert clamped.reached.all()
     assert clamped.reasons[0] == ""
     assert clamped.reasons[1].endswith("; the nearest known errors are taken")

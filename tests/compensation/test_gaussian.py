@@ -163,15 +163,15 @@ def test_commands_through_it_converge() -> None:
     tool = rigid.placement(np.eye(3), np.array([0.03, 0.0, 0.1]))
     model = calib.CalibratedModel(robot, deviations, machines.anywhere(rng), {"tool": tool}, known)
     wanted = np.array([0.0, -1.2, 1.0, 0.3, 0.9, 0.2]) + rng.uniform(-0.5, 0.5, (20, 6))
-    found = commands.for_joint_targets(model, wanted, residuals=known)
+    found = commands.for_joint_targets(model, wanted)
     assert found.reached.all(), found.reasons
     goal = model.base @ robot.tips(wanted) @ tool
     assert np.abs((model.predict(found.readings) - goal)[:, :3, 3]).max() < 1e-6
     assert np.abs(known.at(found.readings)).max() > 1e-4
     far = np.array([[0.0, 3.0, -2.5, 0.3, 0.9, 0.2]])
-    refused = commands.for_joint_targets(model, far, residuals=known)
+    refused = commands.for_joint_targets(model, far)
     assert refused.reasons[0].startswith("no error was measured near")
-    clamped = commands.for_joint_targets(model, far, residuals=known, clamp=True)
+    clamped = commands.for_joint_targets(model, far, clamp=True)
     assert clamped.reached.all()
     assert clamped.reasons[0].endswith("; the predicted error fades to zero")
 

@@ -10,7 +10,9 @@ import calib
 from calib.compensation import urdf as compensation
 from calib.compensation.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
 from calib.foundations.errors import OutputError
+from calib.robot.load import load_robot
 from calib.robot.transmission import JointTerm
+from calib.robot.urdf import parse_urdf
 from tests.identification import machines
 
 ARMS = {
@@ -41,6 +43,52 @@ def test_another_reader_sees_the_machine(name: str) -> None:
     shuffled = np.empty_like(readings)
     shuffled[:, order] = readings
     assert np.abs(arm.tips(shuffled) - robot.tips(readings, d)).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "couplings",
+    [
+        (calib.Coupling("level", {"lift": -1.0}),),
+        (calib.Coupling("level", {"lift": -0.5, "swing": 0.25}, 0.3), calib.Coupling("bend", {"level": 2.0})),
+    ],
+    ids=["one driver", "several, and one after another"],
+)
+def test_coupled_joints_take_over_offsets_of_their_drivers(couplings: tuple[calib.Coupling, ...]) -> None:
+    """The reader of the calibrated URDF is told the same couplings, and nothing of the offsets."""
+    nominal = parse_urdf(machines.INLINE["mimic"].encode(), "arm.urdf")
+    robot = load_robot(nominal, "tip", couplings=couplings)
+    d = deviations(robot)
+    again = load_robot(parse_urdf(calibrated_urdf(robot, d), "again"), "tip", couplings=couplings)
+    readings = np.random.default_rng(1).uniform(-2.0, 2.0, (50, len(robot.readings)))
+    assert np.abs(again.tips(readings) - robot.tips(readings, d)).max() < 1e-9
+    # Each offset by itself, told by where the joint's positions go.
+    for j, i in enumerate(robot.moving):
+        offsets = np.eye(len(robot.moving))[j] * 0.01
+        moved = robot.joint_positions(readings, calib.Deviations(0.0 * d.placements, offsets))
+        own = {c.joint for c in couplings}
+        reads = robot.chain[i].name not in own
+        at = readings.copy()
+        if reads:
+            at[:, [r.name for r in robot.readings].index(robot.chain[i].name)] += 0.01
+        expected = robot.joint_positions(at) + (0.0 if reads else offsets)
+        np.testing.assert_allclose(moved, expected, atol=1e-12)
+
+
+def test_fingers_beside_the_arm_follow_the_offsets_of_coupled_joints() -> None:
+    """A finger that mimics a coupled joint stands where the drivers' readings, offsets included, put it."""
+    text = machines.INLINE["mimic"].replace(
+        "</robot>",
+        '<link name="finger"/><joint name="grip" type="revolute"><parent link="tip"/><child link="finger"/>'
+        '<axis xyz="0 1 0"/><mimic joint="level" multiplier="0.5"/>'
+        f"{machines.LIMIT['revolute']}</joint></robot>",
+    )
+    couplings = (calib.Coupling("level", {"lift": -0.5, "swing": 0.25}, 0.3),)
+    robot = load_robot(parse_urdf(text.encode(), "arm.urdf"), "tip", couplings=couplings)
+    d = calib.Deviations(np.zeros((len(robot.chain), 6)), np.random.default_rng(0).normal(0.0, 0.02, len(robot.moving)))
+    offsets = dict(zip((robot.chain[i].name for i in robot.moving), d.offsets, strict=True))
+    turn = 0.5 * (-0.5 * offsets["lift"] + 0.25 * offsets["swing"])
+    origin = calibrated_origins(robot, d)["grip"]
+    np.testing.assert_allclose([origin[0, 2], origin[0, 0]], [np.sin(turn), np.cos(turn)], atol=1e-12)
 
 
 def test_what_a_urdf_loses_of_joint_terms_is_told() -> None:

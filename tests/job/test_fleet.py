@@ -262,6 +262,46 @@ def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
         assert tree(folder / "fleet" / name) == tree(folder / "single" / name)
 
 
+def alive(pids: list[int]) -> list[int]:
+    return [pid for pid in pids if psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE]
+
+
+def test_a_worker_that_is_killed_in_the_middle_costs_no_job(folder: Path) -> None:
+    """The other worker, and the one that its nanny starts again, finish them all."""
+    distributed = pytest.importorskip("distributed")
+    many = [f"job_{k}.toml" for k in range(6)]
+    for name in many:
+        (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
+    chosen = fleet_jobs([Path(f"jobs/{name}") for name in many], Path("all"))
+    killed: list[int] = []
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **QUIET) as cluster:
+
+        def kill(_: str) -> None:
+            if not killed:  # when the first job has ended, and both workers have others
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        found = run_fleet(chosen, dask=cluster.scheduler_address, progress=kill)
+    assert killed and not alive(killed)
+    assert [done.failure for done in found] == [None] * len(many)
+    assert all(map(unchanged, chosen))
+
+
+def test_a_cluster_that_loses_all_its_workers_is_not_waited_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(fleets, "_PATIENCE", 2.0)
+    many = [f"job_{k}.toml" for k in range(8)]
+    for name in many:
+        (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
+    chosen = fleet_jobs([Path(f"jobs/{name}") for name in many], Path("all"))
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **QUIET) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(JobError) as caught:
+            run_fleet(chosen, dask=address, progress=lambda _: cluster.scale(0))
+    assert str(caught.value) == f"{address}: the Dask cluster has no worker."
+    assert 1 <= sum(map(unchanged, chosen)) < len(many)
+
+
 def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "_PATIENCE", 1)

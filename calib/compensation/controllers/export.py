@@ -64,9 +64,7 @@ def whole_positions(model: CalibratedModel, readings: Array) -> Array:
 
     Reached from neither side, at 20 degC, with no torques measured.
     """
-    tips = model.tips(readings, ordinary(readings))
-    shifts = 0.0 if model.residual_model is None else model.residual_model.shifts(np.eye(4), tips, readings)
-    return np.asarray(tips[:, :3, 3] + shifts)
+    return np.asarray(model.placements(readings, ordinary(readings))[:, :3, 3])
 
 
 def plain_tips(model: CalibratedModel, readings: Array) -> Array:

@@ -221,7 +221,7 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
     error = _errors(_of(sets, judged_use(sets)))[0]
     tools = fit.machine.frames.tools[:, :3, 3]
-    tips = [fit.robot.tips(judged.data.readings, fit.deviations, judged.data.conditions) for judged in error.sets]
+    tips = [judged.data.tips(fit.robot, fit.deviations) for judged in error.sets]
     points = np.concatenate(
         [
             T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]

@@ -1,0 +1,343 @@
+"""The features of a job that carry state: what calibrations, and all that is made of them, must not lose.
+
+A new feature joins the matrix by one more ``Feature`` in ``FEATURES``; two that do not go together by one more
+``Refusal`` in ``REFUSALS``, with the sentence that says so. Keys of a job that are in neither are in ``EXEMPT``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, get_args
+
+from calib.measurement.kinds import Kind
+from tests.identification import machines
+
+# A six-axis arm whose links weigh something, from ``base`` to ``tip``.
+_JOINTS = (
+    ("joint_1", "revolute", "0 0 0.30", "0 0 1"),
+    ("joint_2", "revolute", "0.05 0 0.10", "0 1 0"),
+    ("joint_3", "revolute", "0 0 0.40", "0 1 0"),
+    ("joint_4", "revolute", "0.20 0 0.02", "1 0 0"),
+    ("joint_5", "revolute", "0.18 0 0", "0 1 0"),
+    ("joint_6", "revolute", "0.08 0 0", "1 0 0"),
+)
+
+
+def _urdf(changes: Mapping[str, tuple[str, str, str]] | None = None, more: Mapping[str, str] | None = None) -> str:
+    """The arm with other kinds, places and axes of some joints, and more elements in some."""
+    joints = [(name, *(changes or {}).get(name, rest)) for name, *rest in _JOINTS]
+    links = ["base", *(f"link_{k}" for k in range(1, 6)), "tip"]
+    mass = '<inertial><origin xyz="0.05 0 0.1"/><mass value="4"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'  # noqa: E501
+    elements = ['<link name="floor"/>', *(f'<link name="{link}">{mass}</link>' for link in links)]
+    elements.append('<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint>')
+    for (name, kind, xyz, axis), parent, child in zip(joints, links, links[1:], strict=False):
+        elements.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>{(more or {}).get(name, "")}{machines.LIMIT[kind]}</joint>'
+        )
+    return f'<robot name="crossed">{"".join(elements)}</robot>'
+
+
+# A parallelogram on a turret, its rod and crank as heavy as the rest.
+def _four_bar() -> str:
+    from tests.robot.test_loops import four_bar_urdf
+
+    mass = '<inertial><origin xyz="0.05 0 0.1"/><mass value="4"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'  # noqa: E501
+    text = four_bar_urdf()
+    for link in ("turret", "lower", "elbow", "roll", "tip"):
+        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{mass}</link>')
+    return text.replace(
+        '<link name="base"/>',
+        '<link name="floor"/><link name="base"/><joint name="foot" type="fixed"><parent link="floor"/>'
+        '<child link="base"/></joint>',
+    )
+
+
+@dataclass
+class Draft:
+    """A job in the making, and how its measurements are simulated. Keys as in :class:`calib.job.schema.Job`."""
+
+    urdf: str = field(default_factory=_urdf)
+    robot: dict[str, Any] = field(default_factory=lambda: {"urdf": "arm.urdf", "tip": "tip"})
+    error_model: dict[str, Any] = field(default_factory=dict)
+    job: dict[str, Any] = field(default_factory=dict)
+    section: dict[str, Any] = field(default_factory=dict)  # of every table to identify from
+    kind: str = "position"
+    beside_positions: bool = False
+    said: str = ""
+    told: bool = False
+    noise: str = "sigma"
+    tools: tuple[str, ...] = ("tool",)
+    judge: str = "validate"
+    known: str = ""
+    levels: str = ""
+    renamed: bool = False
+    geometry: str = "all"
+    arm: str = "turning"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One level of one axis: the keys of a job that it stands for, and what it makes of a draft.
+
+    ``twin``: a feature that goes the same way through the program; this one is met by scripts/cross_features.py alone.
+    """
+
+    axis: str
+    name: str
+    keys: tuple[str, ...] = ()
+    draft: Mapping[str, Any] = field(default_factory=dict)
+    robot: Mapping[str, Any] = field(default_factory=dict)
+    error_model: Mapping[str, Any] = field(default_factory=dict)
+    job: Mapping[str, Any] = field(default_factory=dict)
+    section: Mapping[str, Any] = field(default_factory=dict)
+    twin: str = ""
+
+    @cached_property
+    def label(self) -> str:
+        return f"{self.axis}: {self.name}"
+
+    def apply(self, draft: Draft) -> None:
+        for name, value in self.draft.items():
+            setattr(draft, name, value)
+        draft.robot |= self.robot
+        draft.error_model |= self.error_model
+        draft.job |= self.job
+        draft.section |= self.section
+
+
+_PAYLOAD = {"mass": "3 kg", "position": ["0.02 m", "0 m", "0.05 m"]}
+_LOOP = {"name": "parallelogram", "frames": ["rod_end", "pin"], "closes": ["x", "z"], "passive": ["elbow", "rod"]}
+_COUPLED = {"joint": "joint_3", "drivers": {"joint_2": -1.0, "joint_1": 0.2}, "offset": "0.1 rad"}
+_SLIDES = {"joint_3": ("prismatic", "0 0 0.30", "0 0 1")}
+_MIMIC = {"joint_5": '<mimic joint="joint_2" multiplier="-0.7" offset="0.1"/>'}
+
+# The first of every axis is the usual one.
+FEATURES: tuple[Feature, ...] = (
+    Feature("arm", "turning", ("robot.urdf", "robot.tip")),
+    Feature("arm", "coupled", ("robot.coupling",), {"arm": "coupled"}, robot={"coupling": [_COUPLED]}),
+    Feature("arm", "sliding and mimicking", (), {"arm": "sliding", "urdf": _urdf(_SLIDES, _MIMIC)}),
+    Feature("arm", "loop", ("robot.loop",), {"arm": "loop", "urdf": _four_bar()}, robot={"loop": [_LOOP]}),
+    Feature("frame", "root"),
+    Feature("frame", "link", ("robot.base",), robot={"base": "base"}),
+    Feature("terms", "none"),
+    Feature(
+        "terms",
+        "of readings",
+        ("error_model.gain", "error_model.harmonics", "error_model.harmonic_orders"),
+        error_model={"gain": ["@second"], "harmonics": ["@first"], "harmonic_orders": [1, 3]},
+    ),
+    Feature(
+        "terms",
+        "of masses",
+        ("error_model.elastic", "error_model.bending", "error_model.moments", "robot.payload", "robot.gravity"),
+        robot={"payload": _PAYLOAD, "gravity": ["1 m/s2", "0 m/s2", "-9.7 m/s2"]},
+        error_model={"elastic": ["@second"], "bending": ["@wrist"], "moments": ["@third"]},
+    ),
+    Feature(
+        "terms",
+        "told",
+        ("error_model.backlash", "error_model.thermal", "error_model.torque", "error_model.expansion"),
+        {"told": True},
+        error_model={
+            "backlash": ["@second"],
+            "thermal": ["@first"],
+            "torque": ["@second"],
+            "expansion": "arm",
+        },
+    ),
+    Feature("terms", "auto", ("error_model.terms",), {"told": True}, error_model={"terms": "auto"}),
+    Feature("sides", "by joint", (), {"said": "each"}),
+    Feature("sides", "by row", (), {"said": "row"}),
+    Feature("sides", "in order", ("measurements.in_order",), {"said": "order"}, section={"in_order": True}),
+    Feature("geometry", "all", ("error_model.offsets", "error_model.placements")),
+    Feature("geometry", "offsets", (), {"geometry": "offsets"}),
+    Feature("geometry", "dh", ("error_model.dh", "error_model.dh_convention"), {"geometry": "dh"}),
+    Feature("observes", "position", ("measurements.observes", "measurements.file")),
+    Feature("observes", "pose", ("measurements.sigma_angle",), {"kind": "pose"}),
+    Feature("observes", "socket", (), {"kind": "socket"}),
+    Feature("observes", "distance", (), {"kind": "distance", "beside_positions": True}, twin="sphere"),
+    Feature("observes", "pair_distance", (), {"kind": "pair_distance", "beside_positions": True}),
+    Feature("observes", "plane", (), {"kind": "plane", "beside_positions": True}),
+    Feature("observes", "sphere", (), {"kind": "sphere", "beside_positions": True}),
+    Feature(
+        "observes",
+        "indicator",
+        ("targets.normal", "targets.height"),
+        {"kind": "indicator", "beside_positions": True},
+        twin="plane",
+    ),
+    Feature(
+        "observes",
+        "pixels",
+        tuple(f"instruments.{key}" for key in ("camera_on", "fx", "fy", "cx", "cy", "k1")),
+        {"kind": "pixels"},
+    ),
+    Feature("noise", "sigma", ("measurements.sigma",)),
+    Feature("noise", "column", (), {"noise": "column"}),
+    Feature(
+        "noise",
+        "tracker",
+        (
+            "measurements.instrument",
+            "instruments.kind",
+            "instruments.sigma",
+            "instruments.sigma_per_metre",
+            "instruments.station",
+        ),
+        {"noise": "tracker"},
+    ),
+    Feature("noise", "estimated", (), {"noise": "estimated"}),
+    Feature("noise", "model", ("measurements.model_sigma", "measurements.model_sigma_angle"), {"noise": "model"}),
+    Feature("loss", "linear"),
+    Feature("loss", "huber", ("measurements.loss",), section={"loss": "huber"}),
+    Feature("loss", "soft_l1", ("measurements.loss",), section={"loss": "soft_l1"}),
+    Feature("loss", "cauchy", ("measurements.loss",), section={"loss": "cauchy"}),
+    Feature("prior", "none"),
+    Feature(
+        "prior",
+        "stated",
+        ("error_model.prior.length", "error_model.prior.angle"),
+        error_model={"prior": {"length": "0.5 mm", "angle": "4 mrad"}},
+    ),
+    Feature(
+        "prior",
+        "learned",
+        (
+            "error_model.prior.length",
+            "error_model.prior.angle",
+            "error_model.prior.harmonics",
+            "error_model.prior.elastic",
+        ),
+        error_model={"prior": dict.fromkeys(("length", "angle", "harmonics", "elastic"), "learned")},
+    ),
+    Feature("tools", "one", ("error_model.tool",), error_model={"tool": "position"}),
+    Feature("tools", "two", (), {"tools": ("A", "B[2]")}, error_model={"tool": "position"}),
+    Feature("tools", "turned", (), error_model={"tool": "pose"}),
+    Feature(
+        "tools",
+        "known",
+        ("tools.position", "tools.quaternion"),
+        {"tools": ("A", "B[2]")},
+        error_model={"tool": "fixed"},
+    ),
+    Feature("base", "sought", ("error_model.base",), error_model={"base": "pose"}),
+    Feature("base", "known", ("base.position", "base.quaternion"), error_model={"base": "fixed"}),
+    Feature("judge", "validate", ("measurements.use",)),
+    Feature("judge", "held out", ("measurements.hold_out",), {"judge": "hold_out"}, section={"hold_out": 0.25}),
+    Feature("judge", "nothing", (), {"judge": ""}),
+    Feature("levels", "none"),
+    Feature("levels", "two", ("levels.name", "levels.free", "levels.measurements"), {"levels": "two"}),
+    Feature(
+        "levels",
+        "grid",
+        ("levels.residual_model.kind", "levels.residual_model.joints", "levels.residual_model.frame"),
+        {"levels": "grid"},
+    ),
+    Feature("levels", "gaussian", (), {"levels": "gaussian"}),
+    Feature("solver", "least squares", ("solver.kind",)),
+    Feature(
+        "solver",
+        "total differential",
+        ("solver.kind", "solver.stop", "solver.rounding", "solver.most"),
+        job={"solver": {"kind": "total_differential", "stop": "0.1 mm", "most": 15}},
+    ),
+    Feature("blind", "nearest", ("error_model.blind",), error_model={"blind": "nearest"}),
+    Feature("blind", "minimal", (), error_model={"blind": "minimal"}),
+    Feature("blind", "refuse", (), error_model={"blind": "refuse"}),
+    Feature("known", "nothing"),
+    Feature("known", "targets", ("targets.position", "targets.quaternion"), {"known": "targets"}),
+    Feature(
+        "known",
+        "relation",
+        ("relations.targets", "relations.distance", "relations.angle", "relations.offset", "relations.sigma"),
+        {"known": "relation"},
+    ),
+    Feature("known", "renamed", ("measurements.targets",), {"known": "renamed"}),
+    Feature("known", "length", ("measurements.length_offset",), {"known": "length"}),
+    Feature("header", "ours"),
+    Feature("header", "theirs", ("measurements.columns",), {"renamed": True}),
+)
+
+AXES: tuple[str, ...] = tuple(dict.fromkeys(feature.axis for feature in FEATURES))
+
+
+def of_axis(axis: str) -> tuple[Feature, ...]:
+    return tuple(feature for feature in FEATURES if feature.axis == axis)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Two features that do not go together: every pair of one of ``a`` and one of ``b``, and the sentence's pattern."""
+
+    a: tuple[str, ...]
+    b: tuple[str, ...]
+    sentence: str
+
+
+REFUSALS: tuple[Refusal, ...] = (
+    Refusal(
+        ("solver: total differential",), ("geometry: all", "geometry: dh"), "the points determine .* of .* parameters"
+    ),
+    Refusal(
+        ("solver: total differential",),
+        tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "auto")),
+        "the total differential knows no joint terms",
+    ),
+    Refusal(
+        ("solver: total differential",), ("prior: stated", "prior: learned"), "the total differential knows no priors"
+    ),
+    Refusal(
+        ("solver: total differential",),
+        tuple(f"observes: {kind}" for kind in get_args(Kind) if kind != "position"),
+        "the total differential is of positions",
+    ),
+    Refusal(
+        ("solver: total differential",),
+        ("levels: two", "levels: grid", "levels: gaussian"),
+        "'total_differential' knows no levels",
+    ),
+    Refusal(
+        ("solver: total differential",),
+        ("loss: huber", "loss: soft_l1", "loss: cauchy"),
+        "means nothing with solver.kind",
+    ),
+    Refusal(("solver: total differential",), ("tools: turned",), "the points determine .* of .* parameters"),
+    Refusal(("blind: refuse",), ("geometry: all", "geometry: dh", "tools: turned"), "the data are blind in"),
+    Refusal(
+        ("known: targets",),
+        ("observes: position", "observes: pose", "observes: pair_distance"),
+        "targets: 's0' is in no measurement",
+    ),
+    Refusal(
+        ("known: relation",),
+        tuple(f"observes: {kind}" for kind in ("position", "pose", "pair_distance", "indicator", "pixels")),
+        "relations: a known distance is between two points, and 's[01]' is (in no measurement|a plane|a frame)",
+    ),
+    Refusal(
+        ("known: renamed",),
+        ("observes: position", "observes: pose", "observes: pair_distance"),
+        "there is no target 's0' to call otherwise; there are none",
+    ),
+    Refusal(
+        ("known: length",),
+        tuple(f"observes: {kind}" for kind in ("position", "pose", "socket", "plane", "indicator", "pixels")),
+        "length_offset: a .* has no length",
+    ),
+    Refusal(("geometry: dh",), ("terms: of masses", "terms: told"), "links give way between joints of the URDF"),
+    Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops is no DH table"),
+    Refusal(("levels: gaussian",), ("observes: socket", "observes: pixels"), "has no positions to be made of"),
+    Refusal(("noise: tracker",), ("observes: socket", "observes: pixels"), "a laser.tracker measures no"),
+)
+
+# Keys of the job's schema that no feature stands for, and why.
+EXEMPT: Mapping[str, str] = {
+    "schema": "says which schema this is",
+    "robot.mesh_roots": "matters to drawing alone; tests/presentation/test_scene.py",
+    "error_model.dh_parallel": "which of two DH numbers is free; tests/identification/test_dh_model.py",
+    **{
+        f"instruments.{key}": "an arm that touches, whose own state is crossed in tests/job/test_arm.py"
+        for key in ("model", "urdf", "tip", "tool", "point", "pivot")
+    },
+    **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "p1", "p2")},
+}

@@ -1,0 +1,291 @@
+"""What a person does with a job: every command and every public function, and what must come of each.
+
+A command ends well, with what the simulated machine shows, or with one sentence that is in ``SENTENCES``. A new command
+or public function joins by its name in ``WALKED``, or in ``ELSEWHERE`` with the reason.
+"""
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import calib
+from calib.compensation.commands import for_poses
+from calib.job.calibrate import calibrate
+from calib.job.report import report_of
+from calib.job.run import Outcome
+from calib.presentation import live
+from calib.presentation.console import brief
+from calib.presentation.display import fit_html
+from calib.presentation.tables import plain
+from tests.crossed.simulate import SIGMA, Case, write
+from tests.job.cases import Said, run
+
+Array = NDArray[np.float64]
+
+# Errors of predictions in m, rad and px: a few times the simulated noise; where a field is simulated, what is left of
+# it, as a few rows do not show it all.
+BOUNDS = {"orientation": 6e-5, "pixels": 0.06}
+BOUND, BOUND_OF_FIELD = 3e-5, 4e-4
+
+# By which sentences commands may refuse a sound calibration, and when.
+SENTENCES: Mapping[str, tuple[tuple[str, Callable[[Case], bool]], ...]] = {
+    "export ur": ((r"the kinematics file of Universal Robots is for their arms alone", lambda case: True),),
+    "export dh": (
+        (
+            r"joint '\w+' moves and is not read; a DH table knows no joints that follow others",
+            lambda case: case.follows,
+        ),
+        (r"DH table", lambda case: case.follows),
+    ),
+    "verify": (
+        (r"the calibration saw no position; verify what it was made from", lambda case: case.draft.kind == "pixels"),
+    ),
+}
+
+# Where commands and public names are crossed: here by name; or not, and why.
+WALKED = {
+    *("calibrate", "check", "verify", "compare", "uncertainty", "compensate", "view", "sensitivity", "performance"),
+    *("cell", "export", "plan", "models"),
+    *("identify", "error_model", "load_robot", "load_model", "read_measurements", "advice", "bootstrap", "data_frame"),
+    *("outliers", "outside_identified", "plot", "table", "tool_uncertainty", "uncertainty_map", "uncertainty_of"),
+    *("write_urdf", "commands", "choose_terms", "total_differential"),
+}
+ELSEWHERE = {
+    "demo": "runs check, calibrate and compensate on the shipped case; tests/test_cli.py",
+    "fleet": "calls calibrate as it is, byte for byte; tests/job/test_fleet.py",
+    "iso9283": "reads a table of its own and no calibration; tests/assessment/test_iso9283.py",
+    "dh": "turns a table into a URDF and back, without a job; tests/robot/test_dh.py",
+    "positioner": "its own table in, its own job out; tests/identification/test_positioner.py",
+}
+
+
+@dataclass(frozen=True)
+class Walked:
+    """A finished calibration and its case."""
+
+    case: Case
+    outcome: Outcome
+    out: Path
+    model: calib.CalibratedModel
+
+    def bound(self, quantity: str) -> float:
+        """How far predictions may be off."""
+        field = self.case.draft.levels in ("grid", "gaussian") and self.case.draft.kind in ("position", "pose")
+        # A minimal set holds more than the data ask for, where the nominal machine is far off the measurements.
+        field = field or self.case.draft.error_model["blind"] == "minimal"
+        if field and quantity == "orientation":
+            return 4.0 * BOUNDS[quantity]
+        return BOUNDS.get(quantity, BOUND_OF_FIELD if field else BOUND)
+
+
+Step = Callable[[Walked, Path], None]
+
+
+def allowed(case: Case, what: str, said: Said) -> bool:
+    """Whether a command ended with a sentence that this case may meet; one line, and nothing on stdout."""
+    assert said.code == 1, f"{what}: exit code {said.code}: {said.err}"
+    assert said.out == "" and said.err.startswith("Error: ") and said.err.count("\n") == 1, f"{what}: {said.err}"
+    met = [when(case) for pattern, when in SENTENCES.get(what, ()) if re.search(pattern, said.err)]
+    assert any(met), f"{what}: {said.err}"
+    return True
+
+
+def walk(case: Case, steps: Sequence[Step] | None = None) -> None:
+    """Take a case through some steps after calibration, all of them when None."""
+    folder = case.path.parent.parent
+    walked = _calibrated(case, folder / "out")
+    for step in STEPS if steps is None else steps:
+        step(walked, folder)
+
+
+def _calibrated(case: Case, out: Path) -> Walked:
+    said = run("check", case.path)
+    assert (said.code, said.err) == (0, ""), said.err
+    outcome = calibrate(case.path, out)
+    assert all(map(plain, brief(report_of(outcome))))
+    walked = Walked(case, outcome, out, calib.load_model(out))
+    for judged in outcome.sets:
+        for quantity, m in outcome.metrics[judged.use]["after"].items():
+            assert m.rms < walked.bound(quantity), (judged.use, quantity, m.rms)
+    return walked
+
+
+def predicts(walked: Walked, folder: Path) -> None:
+    """The model read back says where the true machine's tools are, at readings and conditions that it never saw."""
+    case = walked.case
+    q = case.draw(30)
+    told, tools = case.conditions(q), case.tools_of(30)
+    if not case.placed:
+        return
+    there = case.see(q, told, tools)[:, :3, 3]
+    found = np.stack(
+        [walked.model.predict(q[n : n + 1], tools[n], told.subset(slice(n, n + 1)))[0, :3, 3] for n in range(30)]
+    )
+    rms = float(np.sqrt(np.mean(np.sum((found - there) ** 2, axis=1))))
+    # Farther out than the rows, errors of the parameters are larger than at them.
+    assert rms < 4.0 * walked.bound("position"), rms
+
+
+def verifies(walked: Walked, folder: Path) -> None:
+    """The machine passes by its own measurements, in the frame that it knows, and fails when a joint has slipped."""
+    case = walked.case
+    columns = case.positions(case.draw(14))
+    write(folder / "new.csv", columns)
+    options = ["--sigma", f"{SIGMA!r} m", "--json", *(["--in-order"] if case.draft.said == "order" else [])]
+    options += [] if case.placed else ["--refit-base"]
+    said = run("verify", walked.out, folder / "new.csv", *options)
+    if said.code == 1:
+        assert allowed(case, "verify", said)
+        return
+    found = json.loads(said.out)
+    if case.placed:  # else the arm's size may be unknown too
+        assert found["as_calibrated"]["metrics"]["position"]["rms"] < 4.0 * walked.bound("position"), found
+    joint = next(name for name in columns if name.endswith("[deg]"))
+    write(folder / "slipped.csv", columns | {joint: columns[joint] + 1.0 * np.sin(np.arange(14.0))})
+    assert run("verify", walked.out, folder / "slipped.csv", *options).code == 3
+
+
+def compares(walked: Walked, folder: Path) -> None:
+    """A calibration has not moved from itself."""
+    said = run("compare", walked.out, walked.out, "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    found = json.loads(said.out)
+    assert not found["moved"]
+    assert found["tip"]["max"] < 1e-6, found["tip"]
+
+
+def is_uncertain(walked: Walked, folder: Path) -> None:
+    """How sure it is, over the workspace and at rows with their conditions."""
+    case = walked.case
+    tool = case.draft.tools[0]
+    said = run("uncertainty", walked.out, "--samples", "20", "--tool", tool, "-o", folder / "map.csv", "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    u = walked.model.uncertainty
+    assert u is not None
+    q = case.draw(5)
+    found = calib.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
+    assert np.isfinite(found.position).all() and (found.position > 0.0).all()
+    calib.uncertainty_map(calib.uncertainty_of(walked.outcome.fit), 5, tool=tool)
+    calib.outside_identified(u, 5.0 * q)
+
+
+def is_commanded(walked: Walked, folder: Path) -> None:
+    """Corrected commands take the calibrated machine where the nominal one would go, terms and residuals included."""
+    case, model = walked.case, walked.model
+    q = 0.6 * case.draw(6)  # within a grid
+    told, tools = case.conditions(q), case.tools_of(6)
+    if case.draft.said == "order":  # targets have no order; each says its side
+        case.draft.said = "each"
+        columns = case.columns(q, told, tools)
+        case.draft.said = "order"
+        told = replace(told, approach=np.where(np.asarray(told.approach) > 0, 1.0, -1.0))
+    else:
+        columns = case.columns(q, told, tools)
+    if len(case.draft.tools) == 1:
+        columns["point"] = np.array(tools)
+    write(folder / "targets.csv", columns)
+    said = run("compensate", walked.out, folder / "targets.csv", "-o", folder / "sent.csv", "--what", "position")
+    assert (said.code, said.err) == (0, ""), said.err
+    found = calib.commands.for_joint_targets(model, q, tools, what="position", conditions=told)
+    rows = np.flatnonzero(found.reached)
+    assert len(rows) >= 3, found.reasons
+    T = np.stack([model.tools[tools[n]] for n in rows])
+    wanted = (model.robot.tips(q[rows]) @ T)[:, :3, 3]
+    there = (model.placements(found.readings[rows], told.subset(rows)) @ T)[:, :3, 3]
+    assert np.abs(there - wanted).max() < 3e-6
+    back = for_poses(model, there, q[rows], [tools[n] for n in rows], conditions=told.subset(rows))
+    assert back.reached.all(), back.reasons
+
+
+def is_exported(walked: Walked, folder: Path) -> None:
+    """Every controller's file, or a sentence that it has no place for this machine."""
+    for to in ("ur", "offsets", "dh", "ros"):
+        said = run("export", walked.out, "--to", to, "-o", folder / f"export.{to}", "--json")
+        if said.code:
+            assert allowed(walked.case, f"export {to}", said)
+        else:
+            assert said.err == ""
+            found = json.loads(said.out)
+            assert np.isfinite(found["lost"]) and np.isfinite(found["before"])
+    calib.write_urdf(walked.outcome.fit, folder / "calibrated.urdf")
+    said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", "--prefix", "b_", "--quiet")
+    assert said == (0, "", ""), said.err
+
+
+def performs(walked: Walked, folder: Path) -> None:
+    """A cone touched in several articulations: the calibrated arm finds it in one place."""
+    case = walked.case
+    tools = [case.draft.tools[0]] * 8
+    q, told, rows = case.reach(np.repeat(case.places_of_touch[:1], 8, axis=0), tools)
+    if len(rows) < 4:
+        return
+    columns = case.columns(q, told, tools[: len(rows)]) | {"target": np.array(["cone"] * len(rows))}
+    if case.draft.said == "order":
+        case.draft.said = "each"
+        columns = case.columns(q, told, tools[: len(rows)]) | {"target": np.array(["cone"] * len(rows))}
+        case.draft.said = "order"
+    write(folder / "cone.csv", columns)
+    said = run("performance", walked.out, folder / "cone.csv", "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    after = json.loads(said.out)["after"][0]["value"]
+    assert not case.placed or abs(after) < 8.0 * walked.bound("position"), after
+
+
+def is_studied(walked: Walked, folder: Path) -> None:
+    """What parameters do, and which poses would tell them."""
+    said = run("sensitivity", walked.case.path, "--errors", walked.out, "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    out = folder / "poses.csv"
+    said = run("plan", walked.case.path, "-n", "6", "--candidates", "25", "-o", out, "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 7
+
+
+def is_seen(walked: Walked, folder: Path) -> None:
+    """What the live view answers, and how a fit shows itself."""
+    model, fit = walked.model, walked.outcome.fit
+    values = [slider["value"] for slider in live.sliders(model)]
+    answer = live.answer(model, json.dumps({"readings": values, "apart": 5.0}))
+    assert "positions" in answer or "does not close" in str(answer) or "cannot close" in str(answer), answer
+    calib.table(fit)
+    calib.plot(fit)
+    fit_html(fit)
+    assert len(calib.data_frame(fit)) == len(fit.parameters)
+
+
+def is_doubted(walked: Walked, folder: Path) -> None:
+    """Advice, outliers and repeated fits of the same rows."""
+    fit = walked.outcome.fit
+    calib.advice(fit)
+    q, tool = walked.case.draw(3), walked.case.draft.tools[0]
+    found = calib.bootstrap(fit, q, 2, kind="poses", tool=tool)
+    assert found.failed < 2 and found.values.shape[1] == len(fit.parameters)
+    if all(data.position is not None for data in fit.measurements):
+        assert calib.bootstrap(fit, q, 2, kind="residuals", tool=tool).failed == 0
+
+
+def has_others(walked: Walked, folder: Path) -> None:
+    """Which model the machine needs: at rows held out the simulated one is no worse than any that the data allow."""
+    said = run("models", walked.case.path, "--folds", "2", "--json")
+    assert (said.code, said.err) == (0, ""), said.err
+    assert json.loads(said.out)["models"]
+
+
+STEPS: tuple[Step, ...] = (
+    predicts,
+    verifies,
+    compares,
+    is_uncertain,
+    is_commanded,
+    is_exported,
+    performs,
+    is_studied,
+    is_seen,
+    is_doubted,
+    has_others,
+)
