@@ -1,7 +1,5 @@
 """``calib plan``: which poses to measure."""
 
-import csv
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +15,7 @@ from calib.assessment.planning import plan as plan_of
 from calib.cli.options import Json, Quiet, app
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.units import Dimension, parse_quantity
@@ -145,13 +144,10 @@ def _enough(planned: Plan, target: str, *, more: bool) -> str:
 
 def pose_table(robot: Robot, readings: Array) -> str:
     """Return poses (N, nr) as the beginning of a measurement table: joints in degrees and mm."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     unit = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
-    writer.writerow([f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings])
+    header = [f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings]
     factors = [unit[reading.dimension][1] for reading in robot.readings]
-    writer.writerows([f"{value:.4f}" for value in row] for row in readings * factors)
-    return text.getvalue()
+    return csv_text([header, *([f"{value:.4f}" for value in row] for row in readings * factors)])
 
 
 def _arm(

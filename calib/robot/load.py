@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.csv_text import begins_formula
+from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.words import shown
 from calib.robot import deviation
@@ -55,6 +55,11 @@ def load_robot(
     if len(joints) > MOST_JOINTS:
         raise RobotError(
             f"{document.where}: the arm and its loops have {len(joints)} joints; allowed are {MOST_JOINTS}."
+        )
+    # They head the columns of tables that are written, and the rows of others.
+    if formula := next(filter(has_formula, (joint.name for joint in joints)), None):
+        raise RobotError(
+            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
         )
     chain = _chain(joints)
     moving = [joint for joint in joints if joint.type != "fixed"]
@@ -218,11 +223,6 @@ def _couple(
                 dimension: Literal["angle", "length"] = "length" if driver.type == "prismatic" else "angle"
                 readings.append(Reading(name, dimension, driver.lower, driver.upper))
     names = [reading.name for reading in readings]
-    # They head the columns of tables that are written.
-    if formula := next(filter(begins_formula, names), None):
-        raise RobotError(
-            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
-        )
     coupling = np.zeros((len(moving), len(names)))
     for i, (multiples, _) in enumerate(rows):
         for name, multiple in multiples.items():
