@@ -10,7 +10,6 @@ the script returns 1.
 """
 
 import argparse
-import base64
 import io
 import itertools
 import json
@@ -94,7 +93,9 @@ def _branches(k: int) -> str:
 
 def _tail(k: int) -> str:
     parent = "base_link" if not k else f"t{k - 1}"
-    return f'<link name="t{k}"/><joint name="g{k}" type="revolute"><parent link="{parent}"/><child link="t{k}"/></joint>'
+    return (
+        f'<link name="t{k}"/><joint name="g{k}" type="revolute"><parent link="{parent}"/><child link="t{k}"/></joint>'
+    )
 
 
 def _collisions(k: int) -> str:
@@ -162,7 +163,8 @@ _ONE = '<instance_geometry url="#g"/>'
 def _doubling(size: int) -> bytes:
     """Return a COLLADA file whose nodes have each other twice: two to the power of how many there are."""
     nodes = repeated(
-        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>", min(size, 4000)
+        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>",
+        min(size, 4000),
     )
     last = nodes.count("<node ") - 1
     inside = f"<library_nodes>{nodes}</library_nodes>"
@@ -172,7 +174,8 @@ def _doubling(size: int) -> bytes:
 def _doubling_inline(size: int) -> bytes:
     """Return the same with nodes that stand in the scene, and point to those before them."""
     nodes = repeated(
-        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>", min(size, 4000)
+        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>",
+        min(size, 4000),
     )
     return _dae(_TRIANGLE.format(n=1, p="0 1 2"), nodes)
 
@@ -198,7 +201,9 @@ def _dae_triangles(size: int) -> bytes:
 
 def _dae_polygon(size: int) -> bytes:
     n = size // 2
-    polygon = _TRIANGLE.format(n=1, p="0 " * n).replace("triangles", "polylist").replace("<p>", f"<vcount>{n}</vcount><p>")
+    polygon = (
+        _TRIANGLE.format(n=1, p="0 " * n).replace("triangles", "polylist").replace("<p>", f"<vcount>{n}</vcount><p>")
+    )
     return _dae(polygon, f"<node>{_ONE}</node>")
 
 
@@ -268,7 +273,9 @@ def _glb_instances(size: int) -> bytes:
     views = [_VIEWS[0], {"buffer": 0, "byteOffset": 36, "byteLength": len(indices)}]
     accessors = [_ACCESSORS[0], _ACCESSORS[1] | {"count": 3 * faces}]
     tree = {"nodes": [{"mesh": 0}] * n, "scenes": [{"nodes": list(range(n))}], "accessors": accessors}
-    return _glb(_SOUND | tree | {"bufferViews": views, "buffers": [{"byteLength": 36 + len(indices)}]}, _POINTS + indices)
+    return _glb(
+        _SOUND | tree | {"bufferViews": views, "buffers": [{"byteLength": 36 + len(indices)}]}, _POINTS + indices
+    )
 
 
 def _glb_chain(size: int) -> bytes:
@@ -437,7 +444,9 @@ _POSE = {"position": [0.0, 0.0, 0.0], "quaternion": [1.0, 0.0, 0.0, 0.0]}
 def _targets(folder: Path, size: int) -> None:
     lines = (CASE / "identification.csv").read_text(encoding="utf-8").splitlines()
     header, *rows = [",".join(line.split(",")[:6]) for line in lines if not line.startswith("#")]
-    (folder / "targets.csv").write_text(header + "\n" + repeated(lambda k: rows[k % len(rows)] + "\n", size), encoding="utf-8")
+    (folder / "targets.csv").write_text(
+        header + "\n" + repeated(lambda k: rows[k % len(rows)] + "\n", size), encoding="utf-8"
+    )
 
 
 def _positions(folder: Path, size: int) -> None:
@@ -446,7 +455,9 @@ def _positions(folder: Path, size: int) -> None:
 
 
 def _far_positions(folder: Path, size: int) -> None:
-    (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + repeated(lambda k: f"{k},9,9999\n", size), encoding="utf-8")
+    (folder / "targets.csv").write_text(
+        "x [mm],y [mm],z [mm]\n" + repeated(lambda k: f"{k},9,9999\n", size), encoding="utf-8"
+    )
 
 
 _ZEROS = ",".join("0" * 6)
@@ -464,19 +475,36 @@ HOSTILE: dict[str, Hostile] = {
     "shapes that make no sense": _shape('sphere radius="x"'),
     "visuals of no shape": _urdf(lambda _: "<visual/>", "</link>"),
     "materials": _urdf(lambda k: f'<material name="m{k}"><color rgba="1 0 0 1"/></material>'),
-    "materials of a shape": _urdf(lambda k: f'<visual><geometry><box size="1 1 1"/></geometry><material name="m{k}">'
-                                  '<color rgba="1 0 0 1"/></material></visual>', "</link>"),  # fmt: skip
+    "materials of a shape": _urdf(
+        lambda k: (
+            f'<visual><geometry><box size="1 1 1"/></geometry><material name="m{k}">'
+            '<color rgba="1 0 0 1"/></material></visual>'
+        ),
+        "</link>",
+    ),  # fmt: skip
     "branches": _urdf(_branches),
-    "shapes on branches": _urdf(lambda k: _branches(k).replace("/><joint", '><visual><geometry><box size="1 1 1"/>'
-                                "</geometry></visual></link><joint", 1)),  # fmt: skip
+    "shapes on branches": _urdf(
+        lambda k: _branches(k).replace(
+            "/><joint", '><visual><geometry><box size="1 1 1"/></geometry></visual></link><joint', 1
+        )
+    ),  # fmt: skip
     "a tail": _urdf(_tail),
-    "mimics": _urdf(lambda k: _tail(k).replace("</joint>", f'<mimic joint="g{k - 1}" multiplier="9"/></joint>') if k else _tail(k)),
+    "mimics": _urdf(
+        lambda k: _tail(k).replace("</joint>", f'<mimic joint="g{k - 1}" multiplier="9"/></joint>') if k else _tail(k)
+    ),
     "comments": _urdf(lambda k: f"<!-- {k} -->"),
     "unknown elements": _urdf(lambda k: f"<e{k}/>"),
     "an attribute": _urdf(lambda k: f'<e a="{"x" * 100_000}"/>'),
-    "attributes": Hostile(lambda folder, size: _edited(folder / "arm_cmm.urdf", "</robot>", "<e " + repeated(lambda k: f'a{k}="" ', size) + "/></robot>")),  # noqa: E501
+    "attributes": Hostile(
+        lambda folder, size: _edited(
+            folder / "arm_cmm.urdf", "</robot>", "<e " + repeated(lambda k: f'a{k}="" ', size) + "/></robot>"
+        )
+    ),  # noqa: E501
     "a long arm": Hostile(_long_arm),
-    "collision shapes": Hostile(_urdf(_collisions, "</link>").write, ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20")),  # noqa: E501
+    "collision shapes": Hostile(
+        _urdf(_collisions, "</link>").write,
+        ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
+    ),  # noqa: E501
     "dae doubling": _mesh("m.dae", _doubling),
     "dae doubling in the scene": _mesh("m.dae", _doubling_inline),
     "dae instances": _mesh("m.dae", _dae_instances),
@@ -515,11 +543,18 @@ HOSTILE: dict[str, Hostile] = {
     "relations of the same": _job(lambda _: '[[relations]]\ntargets = ["a", "b"]\ndistance = "1 m"\nsigma = "1 mm"\n'),
     "tools": _job(lambda k: f'[tools.t{k}]\nposition = ["0 m", "0 m", "0 m"]\n'),
     "instruments": _job(lambda k: f'[instruments.i{k}]\nkind = "laser_tracker"\nsigma = "1 mm"\n'),
-    "arms that touch": _job(lambda k: f'[instruments.i{k}]\nkind = "arm"\nsigma = "1 mm"\nurdf = "arm_cmm.urdf"\n'
-                            f'[[measurements]]\nfile = "identification.csv"\ninstrument = "i{k}"\n'),  # fmt: skip
+    "arms that touch": _job(
+        lambda k: (
+            f'[instruments.i{k}]\nkind = "arm"\nsigma = "1 mm"\nurdf = "arm_cmm.urdf"\n'
+            f'[[measurements]]\nfile = "identification.csv"\ninstrument = "i{k}"\n'
+        )
+    ),  # fmt: skip
     "couplings": _job(lambda k: f'[[robot.coupling]]\njoint = "joint_{k}"\ndrivers = {{ joint_2 = 1.0 }}\n'),
-    "loops": _job(lambda k: f'[[robot.loop]]\nname = "l{k}"\nframes = ["link_1", "link_2"]\ncloses = ["x"]\n'
-                  'passive = ["joint_2"]\n'),  # fmt: skip
+    "loops": _job(
+        lambda k: (
+            f'[[robot.loop]]\nname = "l{k}"\nframes = ["link_1", "link_2"]\ncloses = ["x"]\npassive = ["joint_2"]\n'
+        )
+    ),  # fmt: skip
     "unknown keys": _job(lambda k: f"key_{k} = 1\n"),
     "sections": _job(lambda k: f"[section_{k}]\n"),
     "wrong sections": _job(lambda _: "[[measurements]]\nfile = 1\n"),
@@ -527,11 +562,36 @@ HOSTILE: dict[str, Hostile] = {
     "placements": _list("placements", lambda _: '"*"'),
     "starry placements": _list("placements", lambda k: '"' + "*j" * 20 + f'{k}"'),
     "orders": _list("harmonic_orders", lambda k: str(1 + k % 1000)),
-    "orders of all": Hostile(lambda folder, size: (_list("harmonic_orders", lambda k: str(1 + k % 1000)).write(folder, size), _edited(folder / "calibration.toml", "harmonic_orders", 'harmonics = "all"\nharmonic_orders'))[0]),  # noqa: E501
+    "orders of all": Hostile(
+        lambda folder, size: (
+            _list("harmonic_orders", lambda k: str(1 + k % 1000)).write(folder, size),
+            _edited(folder / "calibration.toml", "harmonic_orders", 'harmonics = "all"\nharmonic_orders'),
+        )[0]
+    ),  # noqa: E501
     "mesh roots": _list("mesh_roots", lambda _: '"."', "[error_model]"),
-    "columns": Hostile(lambda folder, size: _edited(folder / "calibration.toml", 'sigma = "0.02 mm"\n', 'sigma = "0.02 mm"\n[measurements.columns]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size))),  # noqa: E501
-    "other names": Hostile(lambda folder, size: _edited(folder / "calibration.toml", 'sigma = "0.02 mm"\n', 'sigma = "0.02 mm"\n[measurements.targets]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size))),  # noqa: E501
-    "drivers": Hostile(lambda folder, size: _edited(folder / "calibration.toml", "[error_model]", '[[robot.coupling]]\njoint = "joint_3"\n[robot.coupling.drivers]\n' + repeated(lambda k: f"j{k} = 1.0\n", size) + "[error_model]")),  # noqa: E501
+    "columns": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            'sigma = "0.02 mm"\n',
+            'sigma = "0.02 mm"\n[measurements.columns]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size),
+        )
+    ),  # noqa: E501
+    "other names": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            'sigma = "0.02 mm"\n',
+            'sigma = "0.02 mm"\n[measurements.targets]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size),
+        )
+    ),  # noqa: E501
+    "drivers": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            "[error_model]",
+            '[[robot.coupling]]\njoint = "joint_3"\n[robot.coupling.drivers]\n'
+            + repeated(lambda k: f"j{k} = 1.0\n", size)
+            + "[error_model]",
+        )
+    ),  # noqa: E501
     "rows": _rows(lambda _: "", ""),
     "points": _rows(lambda k: f"p{k}", "point"),
     "groups": _rows(lambda k: f"g{k}", "group"),
@@ -541,21 +601,38 @@ HOSTILE: dict[str, Hostile] = {
     "one socket": _rows(lambda _: "t", "target", _observed("socket")),
     "planes": _rows(lambda k: f"t{k // 4},1", "target,ball [mm]", _observed("plane")),
     "one plane": _rows(lambda _: "t,1", "target,ball [mm]", _observed("plane")),
-    "spheres that are touched": _rows(lambda k: f"t{k // 5},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")),
+    "spheres that are touched": _rows(
+        lambda k: f"t{k // 5},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
+    ),
     "one sphere": _rows(lambda _: "t,1,30", "target,ball [mm],diameter [mm]", _observed("sphere")),
     "distances": _rows(lambda k: f"t{k // 4},1", "target,length [m]", _observed("distance")),
     "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
-    "chosen terms": _rows(lambda _: "", "", (('[error_model]', '[error_model]\nterms = "auto"'),)),
-    "a process of many rows": _rows(lambda _: "", "", (("[error_model]", '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\nresidual_model = { kind = "gaussian_process" }\n[error_model]'),)),  # noqa: E501
+    "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
+    "a process of many rows": _rows(
+        lambda _: "",
+        "",
+        (
+            (
+                "[error_model]",
+                '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\nresidual_model = { kind = "gaussian_process" }\n[error_model]',
+            ),
+        ),
+    ),  # noqa: E501
     "columns of a table": Hostile(_wide),
-    "lines without cells": Hostile(lambda folder, size: (folder / "identification.csv").write_text("a\n" * (size // 2), encoding="utf-8") and None),  # noqa: E501
+    "lines without cells": Hostile(
+        lambda folder, size: (folder / "identification.csv").write_text("a\n" * (size // 2), encoding="utf-8") and None
+    ),  # noqa: E501
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
-    "joints of a model": _model("joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE),  # noqa: E501
-    "terms of a model": _model("terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "amount": 0.0}, _COMPENSATE),  # noqa: E501
+    "joints of a model": _model(
+        "joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE
+    ),  # noqa: E501
+    "terms of a model": _model(
+        "terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "amount": 0.0}, _COMPENSATE
+    ),  # noqa: E501
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),
 }
@@ -592,7 +669,7 @@ def measure(arguments: tuple[str, ...], folder: Path) -> Measured:
 
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryFile() as out:
-        process = subprocess.Popen(  # noqa: S603
+        process = subprocess.Popen(
             [sys.executable, "-c", _COMMAND, *arguments],
             cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT, preexec_fn=limited,
         )  # fmt: skip
@@ -600,7 +677,9 @@ def measure(arguments: tuple[str, ...], folder: Path) -> Measured:
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         said = out.read().decode(errors="replace").strip().splitlines()
-    return Measured(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, process.returncode, said[-1] if said else "")
+    return Measured(
+        used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, process.returncode, said[-1] if said else ""
+    )
 
 
 def main() -> int:

@@ -18,7 +18,7 @@ from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
-from calib.foundations.units import parse_quantity
+from calib.foundations.ranges import RANGES, parse_within
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
     change_table,
@@ -61,7 +61,7 @@ def verify_command(
             measurements,
             model.robot,
             observes,
-            sigma=None if sigma is None else parse_quantity(sigma, "length", "sigma"),
+            sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
         )
         say("judging")
         shifts = None
@@ -70,7 +70,7 @@ def verify_command(
         found = verify(
             doubts,
             data,
-            limit=None if limit is None else parse_quantity(limit, "length", "limit"),
+            limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
             shifts=shifts,
         )

@@ -18,7 +18,8 @@ from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import write_atomically
-from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
+from calib.foundations.units import Dimension
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.machine import Frames
 from calib.job.inputs import load_arm
@@ -80,9 +81,8 @@ def plan(
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(_base(tracker), rigid.translation(_point(tool, "tool"))[None])
-        setup = Setup(
-            frames, observes, _length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"), _length(misfit, "misfit")
-        )
+        noise = (_length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"))
+        setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"))
         sight = _sight(tracker, facing, acceptance, nearest, farthest)
         notes: list[str] = []
         collision = None
@@ -201,7 +201,7 @@ def _point(text: str, what: str) -> Array:
 
 
 def _three(text: str, what: str) -> list[float]:
-    return [parse_quantity(f"{number} rad", "angle", what) for number in _words(text.split(), text, what)]
+    return [parse_within(f"{number} rad", OF_DIMENSION["angle"], what) for number in _words(text.split(), text, what)]
 
 
 def _words(numbers: list[str], text: str, what: str) -> list[str]:
@@ -212,8 +212,8 @@ def _words(numbers: list[str], text: str, what: str) -> list[str]:
 
 
 def _length(text: str, what: str) -> float:
-    return parse_quantity(text, "length", what)
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["length"]), what)
 
 
 def _angle(text: str, what: str) -> float:
-    return parse_quantity(text, "angle", what)
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)

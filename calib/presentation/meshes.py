@@ -82,7 +82,8 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) ->
     if kind == "box":
         mesh = creation.box(extents=sizes)
     elif kind == "sphere":
-        mesh, scale = creation.icosphere(subdivisions=max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)), sizes[0]
+        halvings = max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)
+        mesh, scale = creation.icosphere(subdivisions=halvings), sizes[0]
     else:
         mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=min(max(faces // 4, 5), 48))
     return Triangles(scale * np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)

@@ -10,6 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
@@ -104,15 +105,17 @@ def with_document(robot: Robot, document: Urdf) -> Robot:
 
 
 def _gravity(document: Urdf, gravity: Sequence[float]) -> tuple[float, float, float]:
-    if len(gravity) != 3 or not np.all(np.isfinite(gravity)):
-        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three finite numbers in m/s^2.")
+    if len(gravity) != 3:
+        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three numbers in m/s^2.")
+    refuse_beyond(gravity, "gravity", f"{document.where}: gravity", RobotError)
     x, y, z = map(float, gravity)
     return x, y, z
 
 
 def _checked(document: Urdf, payload: Payload | None) -> Payload | None:
-    if payload is not None and not (np.isfinite(payload.mass) and payload.mass >= 0.0):
-        raise RobotError(f"{document.where}: the payload's mass {payload.mass!r} is not a number of kg from 0.")
+    if payload is not None:
+        refuse_beyond(payload.mass, "mass", f"{document.where}: the payload's mass", RobotError)
+        refuse_beyond(payload.position, "position, station, point", f"{document.where}: the payload", RobotError)
     return payload
 
 

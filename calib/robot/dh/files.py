@@ -22,7 +22,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_cell, has_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
-from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, parse_quantity, unit_of
+from calib.foundations.ranges import OF_DIMENSION, parse_within
+from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, unit_of
 from calib.foundations.words import shown
 from calib.robot.dh.table import NUMBERS, Convention, DhRow, DhTable, RowType, check_convention
 from calib.robot.urdf import MOST_JOINTS
@@ -212,7 +213,8 @@ def _pose(line: _Line | None) -> Array:
     if len(cells) != len(_POSE):
         raise RobotError(f"{at}: {name!r} needs six cells with units, {', '.join(_POSE)}, like '10 mm' and '90 deg'.")
     dimensions: tuple[Dimension, ...] = ("length",) * 3 + ("angle",) * 3
+    ranges = [OF_DIMENSION[kind] for kind in dimensions]
     values = np.array(
-        [parse_quantity(cell, kind, f"{at}: {name}", RobotError) for cell, kind in zip(cells, dimensions, strict=True)]
+        [parse_within(cell, of, f"{at}: {name}", RobotError) for cell, of in zip(cells, ranges, strict=True)]
     )
     return read_only(rigid.placement(rigid.rotation_of_rpy(values[3:]), values[:3]))
