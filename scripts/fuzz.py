@@ -12,6 +12,7 @@ import argparse
 import hashlib
 import json
 import os
+import random
 import re
 import resource
 import subprocess
@@ -136,6 +137,20 @@ def minimised(data: bytes, bad: Callable[[bytes], bool]) -> bytes:
     return data
 
 
+def _changed(name: str) -> Callable[[bytes, int, int], bytes]:
+    """Return a way to change inputs: as atheris does, and as a damaged or hostile file is changed, in turn."""
+    import atheris  # noqa: PLC0415
+
+    from scripts.fuzz_readers import READERS, mutated  # noqa: PLC0415
+
+    def changed(data: bytes, most: int, seed: int) -> bytes:
+        if seed % 2:
+            return bytes(atheris.Mutate(data, most))
+        return mutated(data, READERS[name].words, random.Random(seed))[:most]
+
+    return changed
+
+
 def _fuzz(name: str, folder: Path, options: list[str]) -> int:
     """Be the process that fuzzes: note every new kind of fault, and go on."""
     import atheris  # noqa: PLC0415
@@ -155,7 +170,7 @@ def _fuzz(name: str, folder: Path, options: list[str]) -> int:
         if fault is not None and not path.exists():
             path.write_text(json.dumps({"fault": fault, "data": data.hex()}), encoding="utf-8")
 
-    atheris.Setup([sys.argv[0], *options], one)
+    atheris.Setup([sys.argv[0], *options], one, custom_mutator=_changed(name))
     atheris.Fuzz()
     return 0
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-# Of points and of parts (a mesh of its own each time it is shown), as far as a scene of one robot is drawn in seconds.
-MOST_CORNERS = 6_000_000
+# Beyond one for every byte: of what a file shows again and again, or asks for and does not hold.
+MOST_CORNERS = 600_000
 MOST_PARTS = 1000
 _HEADER = 12
 _WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid ",)}
@@ -23,9 +23,9 @@ class Counts(NamedTuple):
     corners: int
     parts: int
 
-    def within(self, corners: int = MOST_CORNERS, parts: int = MOST_PARTS) -> bool:
-        """Return whether there are no more than so many."""
-        return self.corners <= corners and self.parts <= parts
+    def within(self, corners: int) -> bool:
+        """Return whether there are no more than so many corners, and parts as few as are drawn."""
+        return self.corners <= corners and self.parts <= MOST_PARTS
 
 
 def counts(data: bytes, suffix: str) -> Counts:

@@ -32,6 +32,9 @@ _DAMAGED = (
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
+# Of the cells of grids that simplify; the first one is so many times finer than it might be.
+_GROWTH = 1.4
+_SAFETY = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,10 +103,11 @@ def moved(part: Triangles, T: Array) -> Triangles:
     return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
 
 
-def read_mesh(path: Path, otherwise: Rgb, most: int = MOST_CORNERS) -> tuple[Triangles, ...] | None:
+def read_mesh(path: Path, otherwise: Rgb, spare: int = MOST_CORNERS) -> tuple[Triangles, ...] | None:
     """Return the triangles of a mesh file in m, in its own colours or ``otherwise``; None when the file is unusable.
 
-    It is unusable as well when its triangles have more than ``most`` corners in all, or are in too many parts.
+    It is unusable as well when its triangles have more corners than the file has bytes and ``spare`` ones, or are in
+    too many parts.
     Nothing but ``path`` is opened: textures and material libraries beside it are not followed.
     """
     import trimesh  # noqa: PLC0415
@@ -115,7 +119,7 @@ def read_mesh(path: Path, otherwise: Rgb, most: int = MOST_CORNERS) -> tuple[Tri
         data = read_bytes(path, RobotError, _LARGEST_FILE)
         if path.suffix.lower() == ".dae":
             _refuse_doctype(data)
-        if not counts(data, path.suffix.lower()).within(most):
+        if not counts(data, path.suffix.lower()).within(spare + len(data)):
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -132,7 +136,7 @@ def read_mesh(path: Path, otherwise: Rgb, most: int = MOST_CORNERS) -> tuple[Tri
     usable = (
         bool(parts)
         and all(np.isfinite(part.vertices).all() for part in parts)
-        and 0 < 3 * sum(len(part.faces) for part in parts) <= most
+        and 0 < 3 * sum(len(part.faces) for part in parts) <= spare + len(data)
     )
     return joined(parts) if usable else None
 
@@ -151,14 +155,23 @@ def _refuse_doctype(data: bytes) -> None:
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
     """Return the parts with at most ``most_faces`` faces in all: vertices that share a cell of a grid become one.
 
-    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough.
+    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough, from
+    where so many faces could first cover as much surface.
     """
     cell = 1e-6
     out = tuple(_clustered(part, cell) for part in parts)
     cell = 5e-4
+    if sum(len(part.faces) for part in out) > most_faces:
+        while cell < np.sqrt(sum(map(_surface, out)) / most_faces) / _SAFETY:
+            cell *= _GROWTH
     while sum(len(part.faces) for part in out) > most_faces:
-        out, cell = tuple(_clustered(part, cell) for part in out), 1.4 * cell
+        out, cell = tuple(_clustered(part, cell) for part in out), _GROWTH * cell
     return out
+
+
+def _surface(part: Triangles) -> float:
+    a, b, c = np.swapaxes(part.vertices[part.faces], 0, 1)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def creased(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:

@@ -52,6 +52,7 @@ _GRID: Rgb = (0.80, 0.81, 0.83)
 
 # A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
 _MOST_FACES = 40_000
+_LEAST_FACES = 200  # of a mesh, however many there are
 _MOST_POINTS = 1000
 # Links that are drawn as round sticks; more of them get four sides.
 _MOST_ROUND = 100
@@ -245,13 +246,12 @@ def _edges(errors: Array) -> Array:
 
 def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
     shapes = visuals(scene.urdf, _METAL)
-    drawn = {name: list(found) for name, found in _drawn(shapes, scene.mesh_roots).items()}
-    owned = [(name, part) for name, found in drawn.items() for parts in found for part in parts or ()]
+    drawn = _drawn(shapes, scene.mesh_roots)
+    # Few and large parts: a link's own of one colour.
+    whole = {name: joined([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
     # One budget for the whole arm, so that every link keeps the same fineness.
-    fine = creased(simplified([part for _, part in owned], _MOST_FACES))
-    own: dict[str, list[Triangles]] = {name: [] for name in drawn}
-    for (name, _), part in zip(owned, fine, strict=True):
-        own[name].append(part)
+    fine = iter(creased(simplified([part for parts in whole.values() for part in parts], _MOST_FACES)))
+    own = {name: [next(fine) for _ in parts] for name, parts in whole.items()}
     carries: dict[str, list[Array]] = {name: [] for name in drawn}
     for joint in scene.urdf.joints:
         carries[joint.parent].append(T[joint.child][:3, 3])
@@ -259,7 +259,7 @@ def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
         _Link(
             name,
             T[name],
-            joined(own[name]),
+            tuple(own[name]),
             np.array(carries[name]).reshape(-1, 3),
             sum(parts is None for parts in found),
         )
@@ -271,36 +271,33 @@ def _drawn(
     shapes: Mapping[str, Sequence[Shape | None]], roots: Sequence[Path]
 ) -> Mapping[str, Sequence[tuple[Triangles, ...] | None]]:
     """Return the triangles of all shapes in their links' frames, None for those that cannot be had, or are too many."""
-    left = MOST_CORNERS
-    fineness = _MOST_FACES // max(1, sum(shape is not None for found in shapes.values() for shape in found))
-    read: dict[tuple[Path, Rgb], tuple[Triangles, ...] | None] = {}
-    out: dict[str, list[tuple[Triangles, ...] | None]] = {}
-    for name, found in shapes.items():
-        out[name] = []
-        for shape in found:
-            parts = None if shape is None else _triangles(shape, roots, fineness, left, read)
-            left -= 3 * sum(len(part.faces) for part in parts or ())
-            out[name].append(parts)
-    return out
+    every = [shape for found in shapes.values() for shape in found if shape is not None]
+    share = _MOST_FACES // max(1, len(every))
+    spare = MOST_CORNERS
+    meshes: dict[tuple[str, Rgb], tuple[Triangles, ...] | None] = {}
+    for shape in every:
+        if shape.kind == "mesh" and (shape.file, shape.rgb) not in meshes:
+            path = find_mesh(shape.file, roots)
+            parts = None if path is None else read_mesh(path, shape.rgb, spare)
+            if path is not None and parts is not None:
+                spare -= max(0, 3 * sum(len(part.faces) for part in parts) - path.stat().st_size)
+                # It may come very often; four times its share is finer than it will be in the end.
+                parts = simplified(parts, max(4 * share, _LEAST_FACES))
+            meshes[shape.file, shape.rgb] = parts
+    return {
+        name: [None if shape is None else _triangles(shape, share, meshes) for shape in found]
+        for name, found in shapes.items()
+    }
 
 
 def _triangles(
-    shape: Shape,
-    roots: Sequence[Path],
-    fineness: int,
-    most: int,
-    read: dict[tuple[Path, Rgb], tuple[Triangles, ...] | None],
+    shape: Shape, share: int, meshes: Mapping[tuple[str, Rgb], tuple[Triangles, ...] | None]
 ) -> tuple[Triangles, ...] | None:
-    """Return the triangles of a shape in its link's frame, or None when its mesh cannot be had; ``read``: what was."""
+    """Return the triangles of a shape in its link's frame, or None when its mesh cannot be had."""
     if shape.kind != "mesh":
-        return (moved(primitive(shape.kind, shape.sizes, shape.rgb, fineness), shape.T),)
-    path = find_mesh(shape.file, roots)
-    if path is None:
-        return None
-    if (path, shape.rgb) not in read:
-        read[path, shape.rgb] = read_mesh(path, shape.rgb)
-    parts = read[path, shape.rgb]
-    if parts is None or 3 * sum(len(part.faces) for part in parts) > most:
+        return (moved(primitive(shape.kind, shape.sizes, shape.rgb, share), shape.T),)
+    parts = meshes[shape.file, shape.rgb]
+    if parts is None:
         return None
     placed = tuple(moved(part, shape.T @ np.diag([*shape.sizes, 1.0])) for part in parts)
     # As of the sizes of shapes: one vertex at a place without sense would make all else a dot.
