@@ -27,7 +27,6 @@ ROOT = Path(__file__).resolve().parent.parent
 CORPUS = ROOT / "tests" / "corpus"
 MEMORY = 4_000_000_000  # of addresses; the libraries take the first of them
 RESIDENT_MB = 2_000
-SECONDS = 10  # of one input
 _MOST_TRIALS = 2_000
 
 
@@ -65,7 +64,7 @@ def _supervise(name: str, seconds: int, corpus: Path) -> int:
     with tempfile.TemporaryDirectory() as folder:
         spilled = Path(folder)
         while (left := int(end - time.monotonic())) > 0:
-            options = [f"-max_total_time={left}", f"-timeout={SECONDS}", f"-rss_limit_mb={RESIDENT_MB}"]
+            options = [f"-max_total_time={left}", f"-timeout={READERS[name].seconds}", f"-rss_limit_mb={RESIDENT_MB}"]
             options += [f"-max_len={READERS[name].largest}", f"-dict={words}", f"-artifact_prefix={folder}/"]
             options += ["-print_final_stats=1", "-verbosity=0", str(corpus)]
             child = subprocess.run(

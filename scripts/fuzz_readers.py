@@ -67,6 +67,7 @@ class Reader(NamedTuple):
     seeds: Callable[[], list[bytes]]
     words: tuple[bytes, ...]
     largest: int = 20_000
+    seconds: int = 10  # of one input, by the clock; lines that are watched take several times as long
 
 
 def judge(read: Callable[[bytes], object], data: bytes) -> None:
@@ -411,7 +412,8 @@ def _commands() -> list[bytes]:
     changes: dict[bytes, bytes] = {
         b'tip = "probe"': b'tip = "probe"\ngravity = ["0 m/s2", "0 m/s2", "-9.81 m/s2"]\n'
         b'payload = { mass = "5 kg", position = ["0 m", "10 mm", "0 m"] }',
-        b'offsets = "all"': b'offsets = "all"\nelastic = ["joint_2"]\nharmonics = ["joint_1"]\nprior = { length = "1 mm", '
+        b'offsets = "all"': b'offsets = "all"\nelastic = ["joint_2"]\nharmonics = ["joint_1"]\n'
+        b'prior = { length = "1 mm", '
         b'angle = "0.3 deg", harmonics = "0.1 mrad", elastic = "10 urad/Nm" }',
         b'sigma = "0.02 mm"': b'sigma = "0.02 mm"\nmodel_sigma = "0.01 mm"\nloss = "huber"',
     }
@@ -551,9 +553,7 @@ READERS: dict[str, Reader] = {
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
-    "command": Reader(
-        _command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, largest=40_000
-    ),
+    "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),
     "result": Reader(_result, lambda: [_results()["result.json"]], _NUMBERS + _ODD + _JSON),
     "fleet": Reader(_fleet, lambda: [_results()["fleet.json"]], _NUMBERS + _ODD + _JSON),
     "model": Reader(_model_file, lambda: [_results()["model.json"]], _NUMBERS + _ODD + _JSON),

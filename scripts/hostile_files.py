@@ -83,8 +83,10 @@ def _urdf(piece: Callable[[int], str], before: str = "</robot>") -> Hostile:
 
 
 def _shape(shape: str) -> Hostile:
-    return _urdf(lambda k: f'<link name="l{k}"/>' if not shape else f"<visual><geometry><{shape}/></geometry></visual>",
-                 "</link>")  # fmt: skip
+    return _urdf(
+        lambda k: f'<link name="l{k}"/>' if not shape else f"<visual><geometry><{shape}/></geometry></visual>",
+        "</link>",
+    )
 
 
 def _branches(k: int) -> str:
@@ -153,7 +155,8 @@ def _dae(geometry: str, nodes: str, library: str = "") -> bytes:
         '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
         '<unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>'
         f"<library_geometries>{geometry}</library_geometries>{library}<library_visual_scenes><visual_scene "
-        f'id="s">{nodes}</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+        f'id="s">{nodes}</visual_scene></library_visual_scenes><scene>'
+        '<instance_visual_scene url="#s"/></scene></COLLADA>'
     ).encode()
 
 
@@ -483,20 +486,20 @@ HOSTILE: dict[str, Hostile] = {
             '<color rgba="1 0 0 1"/></material></visual>'
         ),
         "</link>",
-    ),  # fmt: skip
+    ),
     "branches": _urdf(_branches),
     "shapes on branches": _urdf(
         lambda k: _branches(k).replace(
             "/><joint", '><visual><geometry><box size="1 1 1"/></geometry></visual></link><joint', 1
         )
-    ),  # fmt: skip
+    ),
     "a tail": _urdf(_tail),
     "mimics": _urdf(
         lambda k: _tail(k).replace("</joint>", f'<mimic joint="g{k - 1}" multiplier="9"/></joint>') if k else _tail(k)
     ),
     "comments": _urdf(lambda k: f"<!-- {k} -->"),
     "unknown elements": _urdf(lambda k: f"<e{k}/>"),
-    "an attribute": _urdf(lambda k: f'<e a="{"x" * 100_000}"/>'),
+    "an attribute": _urdf(lambda _: f'<e a="{"x" * 100_000}"/>'),
     "attributes": Hostile(
         lambda folder, size: _edited(
             folder / "arm_cmm.urdf", "</robot>", "<e " + repeated(lambda k: f'a{k}="" ', size) + "/></robot>"
@@ -532,7 +535,7 @@ HOSTILE: dict[str, Hostile] = {
     "off promise": _mesh("m.off", _off_promise),
     "stl triangles": _mesh("m.stl", _stl),
     "stl solids": _mesh("m.stl", _stl_ascii),
-    "one mesh often": _mesh("m.stl", lambda size: _stl(size), 100),
+    "one mesh often": _mesh("m.stl", _stl, 100),
     "one mesh very often": _mesh("m.stl", lambda _: _stl(20_000), 2000),
     "levels": _job(lambda k: f'[[levels]]\nname = "l{k}"\nfree = ["*"]\n'),
     "measurements": _job(lambda _: _SECTION),
@@ -550,13 +553,13 @@ HOSTILE: dict[str, Hostile] = {
             f'[instruments.i{k}]\nkind = "arm"\nsigma = "1 mm"\nurdf = "arm_cmm.urdf"\n'
             f'[[measurements]]\nfile = "identification.csv"\ninstrument = "i{k}"\n'
         )
-    ),  # fmt: skip
+    ),
     "couplings": _job(lambda k: f'[[robot.coupling]]\njoint = "joint_{k}"\ndrivers = {{ joint_2 = 1.0 }}\n'),
     "loops": _job(
         lambda k: (
             f'[[robot.loop]]\nname = "l{k}"\nframes = ["link_1", "link_2"]\ncloses = ["x"]\npassive = ["joint_2"]\n'
         )
-    ),  # fmt: skip
+    ),
     "unknown keys": _job(lambda k: f"key_{k} = 1\n"),
     "sections": _job(lambda k: f"[section_{k}]\n"),
     "wrong sections": _job(lambda _: "[[measurements]]\nfile = 1\n"),
@@ -617,7 +620,8 @@ HOSTILE: dict[str, Hostile] = {
         (
             (
                 "[error_model]",
-                '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\nresidual_model = { kind = "gaussian_process" }\n[error_model]',
+                '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\n'
+                'residual_model = { kind = "gaussian_process" }\n[error_model]',
             ),
         ),
     ),
@@ -673,8 +677,12 @@ def measure(arguments: tuple[str, ...], folder: Path) -> Measured:
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen(
             [sys.executable, "-c", _COMMAND, *arguments],
-            cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT, preexec_fn=limited,
-        )  # fmt: skip
+            cwd=folder,
+            env=environment,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            preexec_fn=limited,  # noqa: PLW1509 - a script of one thread
+        )
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)

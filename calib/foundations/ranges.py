@@ -114,16 +114,19 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "robot.coupling.drivers": 200,
         "robot.loop": 50,
         "error_model.harmonic_orders": 20,
-        "tools": 200,
+        "tools": 100,
         "instruments": 200,
-        "targets": 1000,
+        "targets": 100,
         "relations": 1000,
         "levels": 50,
-        "measurements": 200,
+        "measurements": 100,
         "measurements.columns": 1000,
         "measurements.targets": 1000,
     }
 )
+# As many may be in the tables of a calibration: each is three unknowns or more, found with those of the robot.
+MOST_POINTS = COUNTS["tools"]
+MOST_TARGETS = COUNTS["targets"]
 # Of names and globs, wherever a list of them may stand.
 MOST_NAMES = 1000
 

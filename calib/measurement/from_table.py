@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import RANGES, Range, refuse_beyond
+from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.measurement.columns import (
     BOARD,
@@ -78,6 +78,9 @@ def measurements_from_table(
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
     tools, tool = _numbered(words(table, "point"), "tool", len(table))
     targets, target = _numbered(words(table, "target"), "target", len(table))
+    for names, column, most in ((tools, "point", MOST_POINTS), (targets, "target", MOST_TARGETS)):
+        if len(names) > most:
+            raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
     if kind not in WITH_TARGET:
         targets, target = (), np.full(len(table), -1, dtype=np.intp)
     found = Measurements(

@@ -1,13 +1,18 @@
-"""Small files made to take long or to swell: what bounds them, held without a clock. scripts/hostile_files.py measures."""
+"""Small files made to take long or to swell: what bounds them, without a clock; scripts/hostile_files.py measures."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.foundations.errors import CalibError, RobotError
-from calib.foundations.ranges import COUNTS, MOST_NAMES
+from calib.foundations.errors import CalibError, MeasurementError, RobotError
+from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_TARGETS
+from calib.identification import sanity
+from calib.identification.error_model import error_model
+from calib.identification.identify import identify
 from calib.job.inputs import load_arm
+from calib.measurement.kinds import Kind
+from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
 from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
@@ -23,7 +28,7 @@ GREY = (0.5, 0.5, 0.5)
 TOO_MANY = {
     "levels": ("levels", COUNTS["levels"], 6_000),
     "measurements": ("measurements", COUNTS["measurements"], 20_000),
-    "targets": ("targets", COUNTS["targets"], 60_000),
+    "targets": ("targets", COUNTS["targets"], 20_000),
     "relations": ("relations", COUNTS["relations"], 90_000),
     "tools": ("tools", COUNTS["tools"], 20_000),
     "instruments": ("instruments", COUNTS["instruments"], 20_000),
@@ -48,6 +53,44 @@ def test_lists_of_a_job_end(tmp_path: Path, name: str) -> None:
     said = str(caught.value).removeprefix(f"{tmp_path}/calibration.toml: ")
     assert said.startswith(f"{key}: has ")
     assert said.endswith(f" entries; allowed are {most}.")
+
+
+@pytest.mark.parametrize(("name", "what"), [("points", "'point'"), ("sockets", "'target'"), ("one socket", "")])
+def test_unknowns_of_tables_end(tmp_path: Path, name: str, what: str) -> None:
+    fill(name, tmp_path, 40_000)
+    robot = load_robot(tmp_path / "arm_cmm.urdf", "probe")
+    kind: Kind = "position" if name == "points" else "socket"
+    if not what:
+        assert len(read_measurements(tmp_path / "identification.csv", robot, kind)) > MOST_TARGETS
+        return
+    with pytest.raises(MeasurementError, match=rf"column {what} has \d+ names; allowed are 100\.$"):
+        read_measurements(tmp_path / "identification.csv", robot, kind)
+
+
+def test_unknowns_of_several_tables_end() -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(2).encode(), "arm.urdf"))
+    sets = []
+    for k in range(2):
+        table = {"j0 [rad]": np.arange(60.0), "j1 [rad]": np.ones(60), "target": [f"t{k}-{i}" for i in range(60)]}
+        sets.append(read_measurements(table, robot, "socket", sigma=1e-5))
+    with pytest.raises(MeasurementError, match=r"the measurements have 120 targets together; allowed are 100\."):
+        identify(error_model(robot, offsets="all"), sets)
+
+
+@pytest.mark.parametrize(("joints", "tried"), [(30, 30), (31, 0)])
+def test_mistakes_of_single_readings_are_tried_of_arms_of_some_joints(
+    joints: int, tried: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(joints).encode(), "arm.urdf"))
+    chance = np.random.default_rng(0)
+    table = {f"j{k} [rad]": chance.uniform(-1, 1, 40) for k in range(joints)} | {
+        f"{a} [m]": chance.normal(size=40) for a in "xyz"
+    }
+    data = read_measurements(table, robot, sigma=1e-5)
+    asked: list[int] = []
+    monkeypatch.setattr(sanity, "_of_readings", lambda readings: asked.append(len(readings)) or iter(()))
+    sanity.signatures(error_model(robot, offsets="all"), [data])
+    assert set(asked) == {tried}
 
 
 @pytest.mark.parametrize("name", ["branches", "a tail", "shapes on branches"])

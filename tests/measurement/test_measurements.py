@@ -189,7 +189,11 @@ THERE = "'j1', 'slide', 'x', 'y', 'z'"
             "pose",
             "t:1: the quaternion has the norm 1.05357 where 1 is allowed, within 0.001; the order is qw, qx, qy, qz.",
         ),
-        (POSITION | {"sigma [mm]": [0.1, -0.1]}, "position", "t:1: column 'sigma' is out of range; allowed is 0, or 1e-06 to 1000 mm."),
+        (
+            POSITION | {"sigma [mm]": [0.1, -0.1]},
+            "position",
+            "t:1: column 'sigma' is out of range; allowed is 0, or 1e-06 to 1000 mm.",
+        ),
         (
             POSITION | {"sigma [mm]": [1, 1], "sigma_x [mm]": [1, 1]},
             "position",
