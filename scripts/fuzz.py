@@ -64,7 +64,12 @@ def _supervise(name: str, seconds: int, corpus: Path) -> int:
     with tempfile.TemporaryDirectory() as folder:
         spilled = Path(folder)
         while (left := int(end - time.monotonic())) > 0:
-            options = [f"-max_total_time={left}", f"-timeout={READERS[name].seconds}", f"-rss_limit_mb={RESIDENT_MB}"]
+            options = [
+                f"-max_total_time={left}",
+                f"-timeout={READERS[name].seconds}",
+                f"-report_slow_units={READERS[name].seconds}",
+                f"-rss_limit_mb={RESIDENT_MB}",
+            ]
             options += [f"-max_len={READERS[name].largest}", f"-dict={words}", f"-artifact_prefix={folder}/"]
             options += ["-print_final_stats=1", "-verbosity=0", str(corpus)]
             child = subprocess.run(

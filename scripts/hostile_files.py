@@ -423,7 +423,7 @@ def _packed(name: str, run: tuple[str, ...]) -> Hostile:
         model = json.loads(path.read_text(encoding="utf-8"))
         model["residual_model"] = name
         path.write_text(json.dumps(model), encoding="utf-8")
-        n = min(size * 900, 950_000_000)
+        n = min(size * 900, 95_000_000)
         keys = {
             "grid.npz": ("schema", "frame", "joints", "axes", "errors", "dimensions", "counts", "nodes"),
             "gaussian.npz": (
