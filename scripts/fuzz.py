@@ -12,6 +12,7 @@ import argparse
 import hashlib
 import json
 import os
+import random
 import re
 import resource
 import subprocess
@@ -26,7 +27,6 @@ ROOT = Path(__file__).resolve().parent.parent
 CORPUS = ROOT / "tests" / "corpus"
 MEMORY = 4_000_000_000  # of addresses; the libraries take the first of them
 RESIDENT_MB = 2_000
-SECONDS = 10  # of one input
 _MOST_TRIALS = 2_000
 
 
@@ -64,7 +64,12 @@ def _supervise(name: str, seconds: int, corpus: Path) -> int:
     with tempfile.TemporaryDirectory() as folder:
         spilled = Path(folder)
         while (left := int(end - time.monotonic())) > 0:
-            options = [f"-max_total_time={left}", f"-timeout={SECONDS}", f"-rss_limit_mb={RESIDENT_MB}"]
+            options = [
+                f"-max_total_time={left}",
+                f"-timeout={READERS[name].seconds}",
+                f"-report_slow_units={READERS[name].seconds}",
+                f"-rss_limit_mb={RESIDENT_MB}",
+            ]
             options += [f"-max_len={READERS[name].largest}", f"-dict={words}", f"-artifact_prefix={folder}/"]
             options += ["-print_final_stats=1", "-verbosity=0", str(corpus)]
             child = subprocess.run(
@@ -136,6 +141,20 @@ def minimised(data: bytes, bad: Callable[[bytes], bool]) -> bytes:
     return data
 
 
+def _changed(name: str) -> Callable[[bytes, int, int], bytes]:
+    """Return a way to change inputs: as atheris does, and as a damaged or hostile file is changed, in turn."""
+    import atheris  # noqa: PLC0415
+
+    from scripts.fuzz_readers import READERS, mutated  # noqa: PLC0415
+
+    def changed(data: bytes, most: int, seed: int) -> bytes:
+        if seed % 2:
+            return bytes(atheris.Mutate(data, most))
+        return mutated(data, READERS[name].words, random.Random(seed))[:most]
+
+    return changed
+
+
 def _fuzz(name: str, folder: Path, options: list[str]) -> int:
     """Be the process that fuzzes: note every new kind of fault, and go on."""
     import atheris  # noqa: PLC0415
@@ -155,7 +174,7 @@ def _fuzz(name: str, folder: Path, options: list[str]) -> int:
         if fault is not None and not path.exists():
             path.write_text(json.dumps({"fault": fault, "data": data.hex()}), encoding="utf-8")
 
-    atheris.Setup([sys.argv[0], *options], one)
+    atheris.Setup([sys.argv[0], *options], one, custom_mutator=_changed(name))
     atheris.Fuzz()
     return 0
 

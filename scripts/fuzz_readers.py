@@ -9,6 +9,8 @@ import io
 import json
 import os
 import random
+import re
+import shutil
 import tempfile
 import warnings
 import zipfile
@@ -28,6 +30,7 @@ from calib.compensation.targets import targets
 from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import CalibError
 from calib.identification.observability import observability
+from calib.job.calibrate import calibrate
 from calib.job.fleet import Done, FleetJob
 from calib.job.fleet_summary import fleet_lines, summary_csv, summary_json
 from calib.job.inputs import load
@@ -64,6 +67,7 @@ class Reader(NamedTuple):
     seeds: Callable[[], list[bytes]]
     words: tuple[bytes, ...]
     largest: int = 20_000
+    seconds: int = 10  # of one input, by the clock; lines that are watched take several times as long
 
 
 def judge(read: Callable[[bytes], object], data: bytes) -> None:
@@ -79,13 +83,16 @@ def judge(read: Callable[[bytes], object], data: bytes) -> None:
             assert len(said) <= LONGEST_SENTENCE, f"a sentence of {len(said)} characters"
 
 
+_NUMBER = re.compile(rb"[0-9]+(\.[0-9]+)?")
+
+
 def mutated(data: bytes, words: tuple[bytes, ...], chance: random.Random) -> bytes:
     """Return ``data`` changed in a few places, as a damaged or a hostile file is."""
     found = bytearray(data)
     for _ in range(chance.randint(1, 5)):
         a = chance.randrange(len(found) + 1)
         b = min(len(found), a + chance.choice((0, 1, 1, 2, 5, 30, 300)))
-        match chance.randrange(6):
+        match chance.randrange(7):
             case 0:
                 found[a:b] = b""
             case 1:
@@ -96,6 +103,12 @@ def mutated(data: bytes, words: tuple[bytes, ...], chance: random.Random) -> byt
                 found[a:b] = chance.randbytes(b - a)
             case 4:
                 del found[b:]
+            case 5:
+                # Or one that is there, by another size of it.
+                numbers = list(_NUMBER.finditer(found))
+                if numbers:
+                    which = chance.choice(numbers)
+                    found[which.start() : which.end()] = chance.choice(_MAGNITUDES[:9])
             case _:
                 # A number by another: between them lie most of the limits.
                 found[a:b] = str(chance.choice((0, -1, 1e-300, 1e300, 2**63, 1e7, 0.5, "nan"))).encode()
@@ -192,6 +205,17 @@ def _case(data: bytes) -> None:
         _file(name, files.get(name, b""))
     inputs = load(Path(_scratch().name) / "calibration.toml")
     observability(inputs.model, inputs.identify)
+
+
+def _command(data: bytes) -> None:
+    folder = Path(_scratch().name) / "command"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    files = unpacked(data)
+    for name in ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv"):
+        (folder / name).write_bytes(files.get(name, b""))
+    calibrate(folder / "calibration.toml", folder / "out")
+    assert robot_errors(folder / "out"), "results that do not read back"
 
 
 def _result(data: bytes) -> None:
@@ -354,6 +378,54 @@ def _cases() -> list[bytes]:
     return [packed(files)]
 
 
+_MORE = b"""
+[instruments.tracker]
+kind = "laser_tracker"
+sigma = "15 um"
+sigma_per_metre = "6 um"
+station = ["0 m", "1 m", "2 m"]
+
+[base]
+position = ["10 mm", "0 mm", "5 mm"]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+
+[tools.tool]
+position = ["1 mm", "2 mm", "3 mm"]
+
+[[levels]]
+name = "one"
+free = ["*offset"]
+
+[[levels]]
+name = "two"
+free = ["*"]
+"""
+
+
+def _commands() -> list[bytes]:
+    """Return the case as it is, and with most of what a job may say; few rows, that many are tried."""
+    folder = ROBOTS / "arm_cmm"
+    job = (folder / "calibration.toml").read_bytes()
+    files = {"arm_cmm.urdf": re.sub(rb"<visual>.*</visual>", b"", (folder / "arm_cmm.urdf").read_bytes())}
+    files |= {name: _shortened(folder / name, 30) for name in ("identification.csv", "validation.csv")}
+    heavy = files["arm_cmm.urdf"].replace(b"</link>", b'<inertial><mass value="2"/></inertial></link>')
+    changes: dict[bytes, bytes] = {
+        b'tip = "probe"': b'tip = "probe"\ngravity = ["0 m/s2", "0 m/s2", "-9.81 m/s2"]\n'
+        b'payload = { mass = "5 kg", position = ["0 m", "10 mm", "0 m"] }',
+        b'offsets = "all"': b'offsets = "all"\nelastic = ["joint_2"]\nharmonics = ["joint_1"]\n'
+        b'prior = { length = "1 mm", '
+        b'angle = "0.3 deg", harmonics = "0.1 mrad", elastic = "10 urad/Nm" }',
+        b'sigma = "0.02 mm"': b'sigma = "0.02 mm"\nmodel_sigma = "0.01 mm"\nloss = "huber"',
+    }
+    full = job
+    for old, new in changes.items():
+        full = full.replace(old, new, 1)
+    fixed = full.replace(b'base = "pose"', b'base = "fixed"').replace(b'tool = "position"', b'tool = "fixed"')
+    placed = fixed.replace(b'sigma = "0.02 mm"\nmodel', b'instrument = "tracker"\nmodel') + _MORE
+    jobs = ((job, files), (full, files | {"arm_cmm.urdf": heavy}), (placed, files | {"arm_cmm.urdf": heavy}))
+    return [packed({"calibration.toml": text, **others}) for text, others in jobs]
+
+
 def _arrays(data: bytes) -> list[bytes]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return [data, packed({name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()})]
@@ -411,6 +483,31 @@ def _meshes() -> list[bytes]:
 
 
 _NUMBERS = (b"1e400", b"-1e308", b"1e-320", b"nan", b"inf", b"-0.0", b"9" * 400, b"1_0", b"0x1p3", b"1,5", b"\xd9\xa1")
+_MAGNITUDES = tuple(
+    b"%s" % text.encode() for text in ("0", "1e-300", "1e-12", "1e-6", "1e3", "1e6", "1e9", "1e100", "1e300")
+)
+_MAGNITUDES += (b"1e-6 mm", b"1e3 mm", b"1e-9 m", b"1e4 m", b"-1e4 m", b"1e9 m", b"1e300 m", b"1e-6 mrad", b"1e3 mrad")
+_MAGNITUDES += (
+    b"100 m/s2",
+    b"1e7 m/s2",
+    b"1e5 kg",
+    b"1e300 kg",
+    b"1e-9 urad/Nm",
+    b"1e6 urad/Nm",
+    b"1000000",
+    b"0.5 rad",
+)
+_REPEATED = (
+    b'[[measurements]]\nfile = "identification.csv"\nsigma = "1 mm"\n' * 3,
+    b'[[levels]]\nname = "l"\nfree = ["*"]\n' * 3,
+)
+_REPEATED += (
+    b'"all"',
+    b'["*"]',
+    b'<link name="l"/>' * 3,
+    b'terms = "auto"',
+    b"harmonic_orders = [1, 2, 3, 4, 5, 6, 7, 8, 9]",
+)
 _ODD = (b"\0", b"\xef\xbb\xbf", b"\xff\xfe", b"\r", b"\n", b"\x1b[31m", b"\xe2\x80\xae", b"\xc3", b"=1+1", b"../..")
 _XML = (b"<", b"/>", b"<!DOCTYPE a [", b"<!ENTITY a 'b'>", b"&a;", b"<![CDATA[", b"]]>", b"<!--", b"&#9;", b"xacro:if")
 _XML += (b'<joint name="', b'type="continuous"', b"<mimic ", b"<inertial>", b'<mass value="', b"<axis ", b"<origin ")
@@ -456,6 +553,7 @@ READERS: dict[str, Reader] = {
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
+    "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),
     "result": Reader(_result, lambda: [_results()["result.json"]], _NUMBERS + _ODD + _JSON),
     "fleet": Reader(_fleet, lambda: [_results()["fleet.json"]], _NUMBERS + _ODD + _JSON),
     "model": Reader(_model_file, lambda: [_results()["model.json"]], _NUMBERS + _ODD + _JSON),

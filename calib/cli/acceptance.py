@@ -1,7 +1,5 @@
 """Commands that judge a calibrated machine: how sure it is, whether it still is, ISO 9283."""
 
-import csv
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -17,9 +15,10 @@ from calib.assessment.iso9283 import figures, read_cycles
 from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
 from calib.cli.options import NOT_TRUSTED, Json, Quiet, ResultFolder, app
 from calib.compensation.model_file import CalibratedModel, load_model
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
-from calib.foundations.units import parse_quantity
+from calib.foundations.ranges import RANGES, parse_within
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
     change_table,
@@ -65,14 +64,14 @@ def verify_command(
             measurements,
             model.robot,
             observes,
-            sigma=None if sigma is None else parse_quantity(sigma, "length", "sigma"),
+            sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
             in_order=in_order,
         )
         say("judging")
         found = verify(
             doubts,
             data,
-            limit=None if limit is None else parse_quantity(limit, "length", "limit"),
+            limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
         )
         outside = outside_identified(doubts, data.readings)
@@ -175,17 +174,14 @@ def uncertainty(
         )
         near = tool_uncertainty(doubts, found.readings, tool)
     if out is not None:
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
         units = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
         readings = doubts.robot.readings
         columns = [*(f"{r.name} [{units[r.dimension][0]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
-        writer.writerow([*columns, "sigma [mm]", "sigma_angle [deg]", "unseen [mm]", "unseen_angle [deg]"])
+        header = [*columns, "sigma [mm]", "sigma_angle [deg]", "unseen [mm]", "unseen_angle [deg]"]
         factors = np.array([units[r.dimension][1] for r in readings])
         both = np.array([1e3, 180.0 / np.pi])
         rows = np.hstack([found.readings * factors, found.positions * 1e3, found.sigmas * both, found.unseen * both])
-        writer.writerows([f"{value:.5f}" for value in row] for row in rows)
-        write_atomically(out, text.getvalue())
+        write_atomically(out, csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)]))
     if as_json:
         percentiles = {str(p): np.percentile(found.sigmas, p, axis=0).tolist() for p in (5, 50, 95, 100)}
         seen = {name: float(np.mean(near.seen[:, k])) for k, name in enumerate(("position", "orientation"))}

@@ -1,7 +1,5 @@
 """``calib plan``: which poses to measure."""
 
-import csv
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -17,9 +15,11 @@ from calib.assessment.planning import plan as plan_of
 from calib.cli.options import Json, Quiet, app
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import write_atomically
-from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
+from calib.foundations.units import Dimension
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.machine import Frames
 from calib.job.inputs import load_arm
@@ -83,9 +83,8 @@ def plan(
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(_base(tracker), rigid.translation(_point(tool, "tool"))[None])
-        setup = Setup(
-            frames, observes, _length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"), _length(misfit, "misfit")
-        )
+        noise = (_length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"))
+        setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"))
         sight = _sight(tracker, facing, acceptance, nearest, farthest)
         notes = _untold(model)
         collision = None
@@ -147,13 +146,10 @@ def _enough(planned: Plan, target: str, *, more: bool) -> str:
 
 def pose_table(robot: Robot, readings: Array) -> str:
     """Return poses (N, nr) as the beginning of a measurement table: joints in degrees and mm."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     unit = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
-    writer.writerow([f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings])
+    header = [f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings]
     factors = [unit[reading.dimension][1] for reading in robot.readings]
-    writer.writerows([f"{value:.4f}" for value in row] for row in readings * factors)
-    return text.getvalue()
+    return csv_text([header, *([f"{value:.4f}" for value in row] for row in readings * factors)])
 
 
 def _arm(
@@ -220,7 +216,7 @@ def _point(text: str, what: str) -> Array:
 
 
 def _three(text: str, what: str) -> list[float]:
-    return [parse_quantity(f"{number} rad", "angle", what) for number in _words(text.split(), text, what)]
+    return [parse_within(f"{number} rad", OF_DIMENSION["angle"], what) for number in _words(text.split(), text, what)]
 
 
 def _words(numbers: list[str], text: str, what: str) -> list[str]:
@@ -231,8 +227,8 @@ def _words(numbers: list[str], text: str, what: str) -> list[str]:
 
 
 def _length(text: str, what: str) -> float:
-    return parse_quantity(text, "length", what)
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["length"]), what)
 
 
 def _angle(text: str, what: str) -> float:
-    return parse_quantity(text, "angle", what)
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-LARGEST_FILE: Final = 1_000_000_000
+LARGEST_FILE: Final = 100_000_000
 _ENTRY = b"PK\x01\x02"  # begins an entry of a zip's directory; numbers may look like it now and then
 _MOST_ENTRIES = 1000
 _HEADER = re.compile(

@@ -1,26 +1,49 @@
-"""CSV for people with spreadsheets: words that these would compute stay words."""
+"""CSV for people with spreadsheets: words that these would compute stay words.
 
-import csv
-import io
+Which of commas, semicolons, tabs and bars part the cells, a spreadsheet decides, by its language or by its user: text
+behind any of them may be the beginning of a cell.
+"""
+
+import re
 from collections.abc import Iterable
 
 from calib.foundations.units import NUMBER
 
-# With these a formula begins; "+" and "-" alone are sides of approach.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# With these a formula begins, also in the widths of East Asian keyboards, of which some spreadsheets make plain signs.
+_SIGNS = "=+\\-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b"
+_SEPARATORS = ",;|\t\n\r\v\f\x1c-\x1e\x85\u2028\u2029"
+# What may begin a cell: spaces and quotes before it are taken off by some spreadsheets.
+_BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])([\s\"]*)(?=([{_SIGNS}][^{_SEPARATORS}]*))")
+# "#" begins a comment in our own tables.
+_TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
+# "+" and "-" alone are sides of approach.
 _SIDES = ("+", "-")
 
 
-def begins_formula(text: str) -> bool:
-    """Tell whether a spreadsheet would take a cell with this text for a formula."""
-    return text.startswith(_FORMULA) and text not in _SIDES and NUMBER.fullmatch(text) is None
+def has_formula(text: str) -> bool:
+    """Tell whether a spreadsheet would take a cell with this text, or a part behind a separator, for a formula."""
+    return _defused(text) != text
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
     """Return rows as CSV; before a text that would be a formula stands an apostrophe, as spreadsheets mark texts."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(
-        [f"'{cell}" if isinstance(cell, str) and begins_formula(cell) else cell for cell in row] for row in rows
-    )
-    return text.getvalue()
+    return "".join(",".join(map(csv_cell, row)) + "\n" for row in rows)
+
+
+def csv_cell(value: object) -> str:
+    """Return one cell of :func:`csv_text`."""
+    text = _defused(value) if isinstance(value, str) else str(value)
+    return '"' + text.replace('"', '""') + '"' if _TO_QUOTE.search(text) or text != text.strip() else text
+
+
+def _defused(text: str) -> str:
+    marked = _BEGINNING.sub(_marked, text)
+    # White space that begins a cell is left out by some, and what follows is then a formula or not; nobody needs it.
+    return f"'{marked}" if text.startswith(("\t", "\r")) else marked
+
+
+def _marked(found: re.Match[str]) -> str:
+    separator, between, rest = found.groups()
+    words = rest.strip('" ')
+    harmless = words in _SIDES or NUMBER.fullmatch(words) is not None
+    return found[0] if harmless else f"{separator}{between}'"

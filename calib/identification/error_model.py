@@ -11,6 +11,7 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
+from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import near
 from calib.identification.joint_terms import group_of, links, moments_of, ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
@@ -247,17 +248,19 @@ def error_model(
         # A joint's own name stands for its components; a joint name may itself hold dots.
         patterns = [p if fnmatch.filter(names, p) and p not in joints else f"{p}.*" for p in placements]
         chosen = _select(patterns, names, "placements")
-    for name, value in (
-        ("prior length", prior_length),
-        ("prior angle", prior_angle),
-        ("prior harmonics", prior_harmonics),
-        ("prior elastic", prior_elastic),
-        ("prior elastic sliding", prior_elastic_sliding),
+    for name, key, value in (
+        ("prior length", "prior.length", prior_length),
+        ("prior angle", "prior.angle", prior_angle),
+        ("prior harmonics", "prior.harmonics", prior_harmonics),
+        ("prior elastic", "prior.elastic", prior_elastic),
+        ("prior elastic sliding", "prior.elastic of readings that slide", prior_elastic_sliding),
     ):
         if isinstance(value, str) and value != "learned":
             raise JobError(f'{name}: {value!r} is neither a positive number nor "learned".')
-        if value is not None and not isinstance(value, str) and not (np.isfinite(value) and value > 0.0):
-            raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
+        if value is not None and not isinstance(value, str):
+            if not value > 0.0:
+                raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
+            refuse_beyond(value, key, name)
     dimensions = {reading.dimension for reading in robot.readings}
     for value, unit, needed, does in (
         (prior_elastic, "rad/Nm", "angle", "turns"),
@@ -275,6 +278,8 @@ def error_model(
     if not (np.isfinite(dh_parallel) and 0.0 <= dh_parallel <= 0.5):
         raise JobError(f"dh_parallel: {dh_parallel!r} is not an angle between 0 and 0.5 rad.")
     freed = [pair for pair, name in zip(every, names, strict=True) if name in set(chosen)]
+    for name, target in (targets or {}).items():
+        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
     frames = None if dh == "none" else dh_frames(robot, dh_convention, dh_parallel)
     if frames is not None:
         numbers, own = _select_dh(dh, frames)
@@ -419,9 +424,10 @@ def _select_links(robot: Robot, selection: Selection, what: str, *words: str) ->
 def _given_pose(value: npt.ArrayLike, where: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape == (3,) and np.all(np.isfinite(array)):
-        return read_only(rigid.translation(array))
+        array = rigid.translation(array)
     if array.shape != (4, 4) or not np.all(np.isfinite(array)) or not _rigid(array):
         raise JobError(f"{where}: needs a point (3,) in m or a rigid placement (4, 4).")
+    refuse_beyond(array[:3, 3], "position, station, point", where)
     return read_only(array)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.linear import one_thread
+from calib.foundations.ranges import RANGES
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import BlindPolicy, Fit
@@ -68,6 +69,12 @@ def _identify(
     sets, parameters = posed_problem.measurements, _chosen(posed_problem.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    for s in model_sigmas or ():
+        if s is not None:
+            # Of lengths, angles or pixels: which of them, each set says.
+            low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
+            if not (s == 0.0 or low <= s <= high):
+                raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
     variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
     aligned = posed_problem.reference

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import IntArray
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Layout, Machine, values_at
@@ -64,6 +65,9 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
     offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
+    for found, what, most in ((tools, "points", MOST_POINTS), (every, "targets", MOST_TARGETS)):
+        if len(found) > most:
+            raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
 
     def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
         # -1 stays what it is: none.

@@ -12,6 +12,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
 
 RelationKind = Literal["distance", "angle", "offset"]
 _TINY = 1e-12
@@ -38,12 +39,9 @@ class Relation:
     def __post_init__(self) -> None:
         if self.targets[0] == self.targets[1]:
             raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")
-        if not (np.isfinite(self.sigma) and self.sigma > 0.0):
-            raise JobError(f"relation of {self.targets}: sigma is {self.sigma}; allowed are numbers above 0.")
-        least = -np.inf if self.kind == "offset" else 0.0
-        if not (np.isfinite(self.value) and self.value >= least):
-            allowed = "finite numbers" if self.kind == "offset" else "numbers from 0"
-            raise JobError(f"relation of {self.targets}: the {self.kind} is {self.value}; allowed are {allowed}.")
+        of_sigma = "relations.sigma of an angle" if self.kind == "angle" else "relations.sigma"
+        refuse_beyond(self.sigma, of_sigma, f"relation of {self.targets}: sigma")
+        refuse_beyond(self.value, f"relations.{self.kind}", f"relation of {self.targets}: the {self.kind}")
 
 
 def relate(relations: Sequence[Relation], names: Sequence[str], targets: Array) -> tuple[Array, Array]:

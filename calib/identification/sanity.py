@@ -56,6 +56,8 @@ _ANOTHER_SIZE, _FAMILY = 1.1, 4.0
 _LIKE_A_UNIT = 1.15
 # Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit), trials after the screening.
 _MOST_ROWS = 120
+# Three times those of the longest arm we know.
+_MOST_TRIED = 30
 _NUMBERS_PER_UNKNOWN = 2
 _EVALUATIONS = 4
 _PROMISING = 8
@@ -223,7 +225,9 @@ def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, .
         return [mistake.mend(data) if i in scope else data for i, data in enumerate(sets)]
 
     chosen = [sets[i] for i in scope]
-    table = (*_of_readings(model.robot.readings), *_of_frames(model, chosen))
+    # What one reading may have wrong is tried reading by reading, each time for the whole arm.
+    readings = model.robot.readings if len(model.robot.readings) <= _MOST_TRIED else ()
+    table = (*_of_readings(readings), *_of_frames(model, chosen))
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     screen = _relaxed_miss if model.base == "pose" else _first_miss
     screened = [screen(model, mended(mistake)) for mistake in table]

@@ -3,10 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import get_args
 
-from calib.foundations.errors import JobError
-from calib.foundations.units import parse_quantity
 from calib.identification.relations import RelationKind
-from calib.job.fields import in_pixels
+from calib.job.fields import in_pixels, quantity
 from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
 
@@ -90,12 +88,9 @@ def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str
         yield f"{at}: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
     else:
         try:
-            sigma = parse_quantity(relation.sigma, "angle" if given == ["angle"] else "length", "")
-        except JobError as e:
-            yield f"{at}.sigma: {str(e).removeprefix(': ')}"
-        else:
-            if not sigma > 0.0:
-                yield f"{at}.sigma: {relation.sigma!r} is not above 0."
+            quantity("relations.sigma of an angle" if given == ["angle"] else "relations.sigma")(relation.sigma)
+        except ValueError as e:
+            yield f"{at}.sigma: {e}"
 
 
 def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]:

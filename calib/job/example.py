@@ -1,9 +1,10 @@
 """The shipped example: a simulated IRB2400, calibrated on three levels, with its measurements."""
 
 import csv
-import io
+import itertools
 from pathlib import Path
 
+from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.folders import write_folder
 
@@ -43,11 +44,7 @@ def copy_example(folder: Path) -> tuple[Path, Path, Path]:
 def _targets(table: str) -> str:
     """Return the joints of the first rows of a table of measurements, as targets."""
     rows = csv.reader(line for line in table.splitlines() if not line.startswith("#"))
-    text = io.StringIO()
-    text.write("# Where the nominal robot would go at these joints, the machine is to be taken.\n")
-    writer = csv.writer(text, lineterminator="\n")
-    for k, row in enumerate(rows):
-        if k > _TARGET_ROWS:
-            break
-        writer.writerow([cell.strip() for cell in row[:6]])
-    return text.getvalue()
+    first = itertools.islice(rows, 1 + _TARGET_ROWS)
+    return "# Where the nominal robot would go at these joints, the machine is to be taken.\n" + csv_text(
+        [cell.strip() for cell in row[:6]] for row in first
+    )

@@ -8,17 +8,21 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator
 
 from calib.foundations.errors import JobError
-from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
+from calib.foundations.units import parse_quantity
 from calib.foundations.words import shortened
 from calib.identification.joint_terms import HIGHEST_ORDER
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
 _MOST_ITERATIONS = 1000
+_SHORTEST_NORMAL = 1e-6
 
 
-def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any") -> Callable[[object], object]:
-    """Return a validator of text like ``"0.02 mm"``; ``least`` says which sign it may have."""
+def quantity(name: str) -> Callable[[object], object]:
+    """Return a validator of text like ``"0.02 mm"``; its dimension, sign and size are those of ``RANGES``."""
+    allowed = RANGES[name]
+    dimension = allowed.dimension
 
     def checked(text: object) -> object:
         if not isinstance(text, str):
@@ -33,11 +37,33 @@ def _quantity(dimension: Dimension, least: Literal["any", "zero", "more"] = "any
             value = parse_quantity(text, dimension, "")
         except JobError as e:
             raise ValueError(str(e).removeprefix(": ")) from e
-        if value < 0.0 and least == "zero":
-            raise ValueError(f"{text!r} is negative; allowed is 0 or more.")
-        if value <= 0.0 and least == "more":
+        if value <= 0.0 and allowed.low > 0.0 and not allowed.zero and not name.startswith("relations"):
             raise ValueError(f"{text!r} is not above 0; leave the key out where it is not known.")
+        if not allowed.holds(value):
+            raise ValueError(f"{text!r} is out of range; allowed is {allowed}.")
         return text
+
+    return checked
+
+
+def number(name: str) -> Callable[[float], float]:
+    """Return a validator of a number without unit, of the size that ``RANGES`` says."""
+
+    def checked(value: float) -> float:
+        if not RANGES[name].holds(value):
+            raise ValueError(f"{value:g} is out of range; allowed is {RANGES[name]}.")
+        return value
+
+    return checked
+
+
+def at_most(count: int) -> Callable[[object], object]:
+    """Return a validator of a list or a section with no more than so many entries."""
+
+    def checked(value: object) -> object:
+        if isinstance(value, tuple | dict) and len(value) > count:
+            raise ValueError(f"has {len(value)} entries; allowed are {count}.")
+        return value
 
     return checked
 
@@ -61,7 +87,7 @@ def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, f
 
 
 def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not np.linalg.norm(value) > 0.0:
+    if not np.linalg.norm(value) >= _SHORTEST_NORMAL:
         raise ValueError(f"{shown(value)} has no direction.")
     return value
 
@@ -77,6 +103,8 @@ def _selection(*words: str) -> Callable[[object], object]:
 
     def checked(value: object) -> object:
         names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+        if isinstance(value, tuple) and len(value) > MOST_NAMES:
+            raise ValueError(f"has {len(value)} entries; allowed are {MOST_NAMES}.")
         if not names and value not in words:
             raise ValueError(
                 f"{shown(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
@@ -103,6 +131,7 @@ def orders(value: object) -> object:
     """Accept orders of harmonics."""
     if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
         raise ValueError(f"{shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
+    at_most(COUNTS["error_model.harmonic_orders"])(value)
     return value
 
 
@@ -114,23 +143,32 @@ def this_schema(value: object) -> object:
     return value
 
 
-def _length_or_pixels(text: object) -> object:
-    """Accept what the kind of the measurements or of the instrument decides: a length, or pixels."""
-    return _quantity("pixel" if isinstance(text, str) and in_pixels(text) else "length", "zero")(text)
+def length_or_pixels(length: str, pixels: str) -> Callable[[object], object]:
+    """Return a validator of what the kind of the measurements or of the instrument decides."""
+
+    def checked(text: object) -> object:
+        return quantity(pixels if isinstance(text, str) and in_pixels(text) else length)(text)
+
+    return checked
 
 
 def _angle_or_length(text: object) -> object:
-    """Accept what the joint decides: an angle or a length."""
+    """Accept what the joint decides: an angle, or a length where it slides."""
+    return quantity("coupling.offset of what slides" if _is_length(text) else "coupling.offset")(text)
+
+
+def _is_length(text: object) -> bool:
     try:
-        return _quantity("length")(text)
-    except ValueError:
-        return _quantity("angle")(text)
+        parse_quantity(str(text), "length", "")
+    except JobError:
+        return False
+    return True
 
 
 def _compliance(text: object) -> object:
     """Accept what the unit decides: a compliance of what slides, or of what turns."""
     slides = isinstance(text, str) and text.rstrip().endswith("/N")
-    return _quantity("sliding compliance" if slides else "turning compliance", "more")(text)
+    return quantity("prior.elastic of readings that slide" if slides else "prior.elastic")(text)
 
 
 def _or_learned(check: Callable[[object], object]) -> Callable[[object], object]:
@@ -152,32 +190,39 @@ def in_pixels(text: str) -> bool:
 
 
 Name = Annotated[str, AfterValidator(_not_empty)]
-Length = Annotated[str, BeforeValidator(_quantity("length"))]
-LengthFromZero = Annotated[str, BeforeValidator(_quantity("length", "zero"))]
-LengthOrPixelsFromZero = Annotated[str, BeforeValidator(_length_or_pixels)]
-Pixels = Annotated[str, BeforeValidator(_quantity("pixel"))]
-PositivePixels = Annotated[str, BeforeValidator(_quantity("pixel", "more"))]
-AngleOrLength = Annotated[str, BeforeValidator(_angle_or_length)]
-AngleFromZero = Annotated[str, BeforeValidator(_quantity("angle", "zero"))]
-PositiveLength = Annotated[str, BeforeValidator(_quantity("length", "more"))]
-PositiveAngle = Annotated[str, BeforeValidator(_quantity("angle", "more"))]
-LengthPrior = Annotated[str, BeforeValidator(_or_learned(_quantity("length", "more")))]
-AnglePrior = Annotated[str, BeforeValidator(_or_learned(_quantity("angle", "more")))]
-CompliancePrior = Annotated[str, BeforeValidator(_or_learned(_compliance))]
-Position = Annotated[tuple[Length, Length, Length], BeforeValidator(list_of(3, "three lengths x, y, z"))]
-MassFromZero = Annotated[str, BeforeValidator(_quantity("mass", "zero"))]
-Acceleration = Annotated[str, BeforeValidator(_quantity("acceleration"))]
+Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
+Place = Annotated[str, BeforeValidator(quantity("position, station, point"))]
+Position = Annotated[tuple[Place, Place, Place], BeforeValidator(list_of(3, "three lengths x, y, z"))]
+Acceleration = Annotated[str, BeforeValidator(quantity("gravity"))]
 Gravity = Annotated[
     tuple[Acceleration, Acceleration, Acceleration],
     BeforeValidator(list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
 ]
+LengthPrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.length")))]
+AnglePrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.angle")))]
+HarmonicsPrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.harmonics")))]
+CompliancePrior = Annotated[str, BeforeValidator(_or_learned(_compliance))]
+Sigma = Annotated[str, BeforeValidator(quantity("sigma"))]
+SigmaAngle = Annotated[str, BeforeValidator(quantity("sigma_angle"))]
+InstrumentSigma = Annotated[
+    str, BeforeValidator(length_or_pixels("instruments.sigma", "instruments.sigma of a camera"))
+]
+ModelSigma = Annotated[str, BeforeValidator(length_or_pixels("model_sigma", "model_sigma of pixels"))]
+FocalLength = Annotated[str, BeforeValidator(quantity("fx, fy"))]
+PrincipalPoint = Annotated[str, BeforeValidator(quantity("cx, cy"))]
+Distortion = Annotated[float, AfterValidator(number("k1, k2, p1, p2, k3"))]
+CouplingOffset = Annotated[str, BeforeValidator(_angle_or_length)]
+Multiple = Annotated[float, AfterValidator(number("coupling.drivers"))]
 Quaternion = Annotated[
     tuple[float, float, float, float],
     BeforeValidator(list_of(4, "four numbers w, x, y, z")),
     AfterValidator(_unit_quaternion),
 ]
+Component = Annotated[float, AfterValidator(number("normal"))]
 Direction = Annotated[
-    tuple[float, float, float], BeforeValidator(list_of(3, "three numbers x, y, z")), AfterValidator(_some_length)
+    tuple[Component, Component, Component],
+    BeforeValidator(list_of(3, "three numbers x, y, z")),
+    AfterValidator(_some_length),
 ]
 Share = Annotated[float, BeforeValidator(_share)]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection("all", "none"))]

@@ -4,36 +4,43 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.job.fields import (
-    AngleFromZero,
-    AngleOrLength,
     AnglePrior,
     CompliancePrior,
+    CouplingOffset,
     Direction,
+    Distortion,
+    FocalLength,
     Gravity,
-    Length,
-    LengthFromZero,
-    LengthOrPixelsFromZero,
+    HarmonicsPrior,
+    InstrumentSigma,
     LengthPrior,
     LinkSelection,
-    MassFromZero,
+    ModelSigma,
+    Multiple,
     Name,
-    Pixels,
+    Names,
     Position,
-    PositiveAngle,
-    PositiveLength,
-    PositivePixels,
+    PrincipalPoint,
     Quaternion,
     Selection,
     Share,
+    Sigma,
+    SigmaAngle,
+    at_most,
     iterations,
     list_of,
     orders,
+    quantity,
     this_schema,
 )
 from calib.measurement.kinds import Kind
+
+# Asked before anything of the entries is.
+AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()}
 
 
 class _Section(BaseModel):
@@ -47,8 +54,8 @@ class CouplingSection(_Section):
     """
 
     joint: Name
-    drivers: dict[str, float] = Field(min_length=1)
-    offset: AngleOrLength | None = None
+    drivers: Annotated[dict[str, Multiple], Field(min_length=1), AT_MOST["robot.coupling.drivers"]]
+    offset: CouplingOffset | None = None
 
 
 class LoopSection(_Section):
@@ -57,13 +64,13 @@ class LoopSection(_Section):
     name: Name
     frames: tuple[Name, Name]
     closes: tuple[Literal["x", "y", "z"], ...] = Field(min_length=1)
-    passive: tuple[Name, ...] = Field(min_length=1)
+    passive: Annotated[Names, Field(min_length=1)]
 
 
 class PayloadSection(_Section):
     """``payload`` of ``[robot]``: what the tip link carries."""
 
-    mass: MassFromZero
+    mass: Annotated[str, BeforeValidator(quantity("mass"))]
     position: Position = ("0 m", "0 m", "0 m")
 
 
@@ -76,11 +83,11 @@ class RobotSection(_Section):
     urdf: Name
     tip: str | None = None
     base: str | None = None
-    mesh_roots: tuple[Name, ...] = ()
+    mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
     gravity: Gravity = ("0 m/s2", "0 m/s2", "-9.80665 m/s2")
     payload: PayloadSection | None = None
-    coupling: tuple[CouplingSection, ...] = ()
-    loop: tuple[LoopSection, ...] = ()
+    coupling: Annotated[tuple[CouplingSection, ...], AT_MOST["robot.coupling"]] = ()
+    loop: Annotated[tuple[LoopSection, ...], AT_MOST["robot.loop"]] = ()
 
 
 class PriorSection(_Section):
@@ -91,7 +98,7 @@ class PriorSection(_Section):
 
     length: LengthPrior | None = None
     angle: AnglePrior | None = None
-    harmonics: AnglePrior | None = None
+    harmonics: HarmonicsPrior | None = None
     elastic: CompliancePrior | None = None
 
 
@@ -102,7 +109,7 @@ class ErrorModelSection(_Section):
     placements: Selection = "none"
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
-    dh_parallel: PositiveAngle = "0.01 rad"
+    dh_parallel: Annotated[str, BeforeValidator(quantity("error_model.dh_parallel"))] = "0.01 rad"
     terms: Literal["given", "auto"] = "given"
     gain: Selection = "none"
     harmonics: Selection = "none"
@@ -136,16 +143,16 @@ class TargetSection(_Section):
     position: Position | None = None
     quaternion: Quaternion | None = None
     normal: Direction | None = None
-    height: Length | None = None
+    height: Annotated[str, BeforeValidator(quantity("height"))] | None = None
 
 
 class RelationSection(_Section):
     """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
 
     targets: Annotated[tuple[Name, Name], BeforeValidator(list_of(2, "two names"))]
-    distance: LengthFromZero | None = None
-    angle: AngleFromZero | None = None
-    offset: Length | None = None
+    distance: Annotated[str, BeforeValidator(quantity("relations.distance"))] | None = None
+    angle: Annotated[str, BeforeValidator(quantity("relations.angle"))] | None = None
+    offset: Annotated[str, BeforeValidator(quantity("relations.offset"))] | None = None
     sigma: str
 
     @property
@@ -163,8 +170,8 @@ class InstrumentSection(_Section):
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
-    sigma: LengthOrPixelsFromZero
-    sigma_per_metre: LengthFromZero = "0 um"
+    sigma: InstrumentSigma
+    sigma_per_metre: Annotated[str, BeforeValidator(quantity("sigma_per_metre"))] = "0 um"
     station: Position = ("0 m", "0 m", "0 m")
     model: Name | None = None
     urdf: Name | None = None
@@ -173,23 +180,23 @@ class InstrumentSection(_Section):
     point: Position | None = None
     pivot: Name | None = None
     camera_on: Literal["floor", "tip"] | None = None
-    fx: PositivePixels | None = None
-    fy: PositivePixels | None = None
-    cx: Pixels | None = None
-    cy: Pixels | None = None
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
+    fx: FocalLength | None = None
+    fy: FocalLength | None = None
+    cx: PrincipalPoint | None = None
+    cy: PrincipalPoint | None = None
+    k1: Distortion = 0.0
+    k2: Distortion = 0.0
+    p1: Distortion = 0.0
+    p2: Distortion = 0.0
+    k3: Distortion = 0.0
 
 
 class SolverSection(_Section):
     """``[solver]``: how the parameters are found; the other keys belong to the total differential."""
 
     kind: Literal["least_squares", "total_differential"] = "least_squares"
-    stop: PositiveLength = "0.3 mm"
-    rounding: PositiveAngle | None = None
+    stop: Annotated[str, BeforeValidator(quantity("solver.stop"))] = "0.3 mm"
+    rounding: Annotated[str, BeforeValidator(quantity("solver.rounding"))] | None = None
     most: Annotated[int, BeforeValidator(iterations)] = 20
 
 
@@ -201,7 +208,7 @@ class ResidualModelSection(_Section):
     """
 
     kind: Literal["grid", "gaussian_process"]
-    joints: tuple[Name, ...] | None = Field(default=None, min_length=1)
+    joints: Annotated[Names, Field(min_length=1)] | None = None
     frame: Literal["base", "tip"] = "base"
 
 
@@ -214,8 +221,8 @@ class LevelSection(_Section):
     """
 
     name: Name
-    free: tuple[Name, ...] = ()
-    measurements: tuple[Name, ...] | None = None
+    free: Names = ()
+    measurements: Names | None = None
     residual_model: ResidualModelSection | None = None
 
 
@@ -224,18 +231,18 @@ class MeasurementsSection(_Section):
 
     file: Name
     observes: Kind = "position"
-    sigma: PositiveLength | None = None
-    sigma_angle: PositiveAngle | None = None
+    sigma: Sigma | None = None
+    sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
-    model_sigma: LengthOrPixelsFromZero | None = None
-    model_sigma_angle: AngleFromZero | None = None
+    model_sigma: ModelSigma | None = None
+    model_sigma_angle: Annotated[str, BeforeValidator(quantity("model_sigma_angle"))] | None = None
     loss: Loss = "linear"
     hold_out: Share | None = None
     in_order: bool = False
-    columns: dict[str, str] = Field(default_factory=dict)
-    targets: dict[str, Name] = Field(default_factory=dict)
+    columns: Annotated[dict[str, str], AT_MOST["measurements.columns"]] = Field(default_factory=dict)
+    targets: Annotated[dict[str, Name], AT_MOST["measurements.targets"]] = Field(default_factory=dict)
 
 
 class Job(_Section):
@@ -246,9 +253,9 @@ class Job(_Section):
     error_model: ErrorModelSection = ErrorModelSection()
     solver: SolverSection = SolverSection()
     base: FrameSection | None = None
-    tools: dict[str, FrameSection] = Field(default_factory=dict)
-    instruments: dict[str, InstrumentSection] = Field(default_factory=dict)
-    targets: dict[str, TargetSection] = Field(default_factory=dict)
-    relations: tuple[RelationSection, ...] = ()
-    levels: tuple[LevelSection, ...] = ()
-    measurements: tuple[MeasurementsSection, ...] = Field(min_length=1)
+    tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
+    instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
+    targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)
+    relations: Annotated[tuple[RelationSection, ...], AT_MOST["relations"]] = ()
+    levels: Annotated[tuple[LevelSection, ...], AT_MOST["levels"]] = ()
+    measurements: Annotated[tuple[MeasurementsSection, ...], Field(min_length=1), AT_MOST["measurements"]]

@@ -1,12 +1,13 @@
 """From a table to measurements: a table's columns as readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.measurement.columns import (
     BOARD,
@@ -77,6 +78,9 @@ def measurements_from_table(
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
     tools, tool = _numbered(words(table, "point"), "tool", len(table))
     targets, target = _numbered(words(table, "target"), "target", len(table))
+    for names, column, most in ((tools, "point", MOST_POINTS), (targets, "target", MOST_TARGETS)):
+        if len(names) > most:
+            raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
     if kind not in WITH_TARGET:
         targets, target = (), np.full(len(table), -1, dtype=np.intp)
     found = Measurements(
@@ -101,6 +105,13 @@ def measurements_from_table(
         camera=camera,
     )
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
+
+
+_SIGMAS: Mapping[Dimension, Range] = {
+    "length": RANGES["instruments.sigma"],
+    "angle": RANGES["model_sigma_angle"],
+    "pixel": RANGES["instruments.sigma of a camera"],
+}
 
 
 def _refuse_useless(
@@ -212,13 +223,20 @@ def _noise(
     if len(sources) > 1:
         raise MeasurementError(f"{table.where}: the noise is given twice, by {' and by '.join(sources)}; keep one.")
     for name, value in given.items():
-        if not (np.isfinite(value).all() and np.min(value) >= 0.0):
-            raise JobError(f"{table.where}: {name} is {value}; allowed are finite numbers from 0.")
+        if isinstance(value, float | int):
+            refuse_beyond(
+                value, "instruments.sigma" if name == "sigma" else "model_sigma_angle", f"{table.where}: {name}"
+            )
     values: Array | float = next(iter(given.values()), 0.0)
     for names in columns:
         require(table, names, "of the noise")
         values = stacked(table, dict.fromkeys(names, dimension))
-        if (values < 0.0).any():
-            row, axis = np.argwhere(values < 0.0)[0]
-            raise MeasurementError(f"{table.where}:{table.lines[row]}: column {names[axis]!r} is negative.")
+        allowed = _SIGMAS[dimension]
+        low, high = allowed.ends
+        wrong = ((values < low) & (values != 0.0)) | (values > high)
+        if wrong.any():
+            row, axis = np.argwhere(wrong)[0]
+            raise MeasurementError(
+                f"{table.where}:{table.lines[row]}: column {names[axis]!r} is out of range; allowed is {allowed}."
+            )
     return np.broadcast_to(values, (len(table), width))

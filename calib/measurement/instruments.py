@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
 
 CameraPlace = Literal["floor", "tip"]
 
@@ -23,7 +24,7 @@ class LaserTracker:
     MPE of 15 um + 6 um/m becomes ``LaserTracker(7.5e-6, 3e-6)``. Nothing is said of the direction of the error, so
     all three coordinates have the same; along the beam a real tracker is better.
 
-    Raises JobError when a number is negative or not finite.
+    Raises JobError when a number is out of range.
     """
 
     sigma: float
@@ -31,11 +32,9 @@ class LaserTracker:
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, value in (("sigma", self.sigma), ("sigma_per_metre", self.sigma_per_metre)):
-            if not (np.isfinite(value) and value >= 0.0):
-                raise JobError(f"laser tracker: {name} is {value}; allowed are finite numbers from 0.")
-        if not np.isfinite(self.station).all():
-            raise JobError(f"laser tracker: station is {self.station}; allowed are three finite numbers.")
+        refuse_beyond(self.sigma, "instruments.sigma", "laser tracker: sigma")
+        refuse_beyond(self.sigma_per_metre, "sigma_per_metre", "laser tracker: sigma_per_metre")
+        refuse_beyond(self.station, "position, station, point", "laser tracker: station")
 
     def sigma_at(self, points: Array) -> Array:
         """Return the standard deviation (N), in m, of each coordinate of points (N, 3), in m."""
@@ -69,11 +68,7 @@ class Camera:
     def __post_init__(self) -> None:
         if self.camera_on not in get_args(CameraPlace):
             raise JobError(f"camera: camera_on is {self.camera_on!r}; allowed are {', '.join(get_args(CameraPlace))}.")
-        for name in ("fx", "fy"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise JobError(f"camera: {name} is {getattr(self, name)}; allowed are finite numbers above 0.")
-        for name in ("cx", "cy", "k1", "k2", "p1", "p2", "k3"):
-            if not np.isfinite(getattr(self, name)):
-                raise JobError(f"camera: {name} is {getattr(self, name)}; allowed are finite numbers.")
-        if not (np.isfinite(self.sigma) and self.sigma >= 0.0):
-            raise JobError(f"camera: sigma is {self.sigma}; allowed are finite numbers from 0.")
+        for names in ("fx, fy", "cx, cy", "k1, k2, p1, p2, k3"):
+            for name in names.split(", "):
+                refuse_beyond(getattr(self, name), names, f"camera: {name}")
+        refuse_beyond(self.sigma, "instruments.sigma of a camera", "camera: sigma")

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
+from calib.foundations.ranges import OF_DIMENSION
 from calib.foundations.units import NUMBER, UNITS, Unit
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, lines, refuse_ragged, separator_of
@@ -33,8 +34,6 @@ AS_WRITTEN: Mapping[str, str] = MappingProxyType({})
 
 _MOST_COLUMNS = 1000
 _LONGEST_WORD = 200
-# In SI units, beyond all that is measured; seconds since 1970 are within.
-_LARGEST_NUMBER = 1e12
 # What a plain number is made of; of these, float() takes only plain numbers.
 _PLAIN = b"0123456789.+-eE"
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
@@ -288,11 +287,13 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
         # Objects of a frame pass the same gate as the cells of a file.
         numbers = _parsed(values if isinstance(values, tuple) else [str(value) for value in values], name, place)
     si = read_only_view(np.asarray(unit.factor * numbers))
-    within = np.abs(si) <= _LARGEST_NUMBER  # false for nan
+    allowed = OF_DIMENSION[unit.dimension]
+    low, high = allowed.ends
+    within = (si >= low) & (si <= high)  # false for nan
     if not within.all():
         row = int(np.argmin(within))
         value = shortened(str(values[row]))
-        reason = f"beyond {_LARGEST_NUMBER:g} in SI units" if np.isfinite(si[row]) else "not a finite number"
+        reason = f"out of range; allowed is {allowed}" if np.isfinite(si[row]) else "not a finite number"
         raise MeasurementError(f"{place(row)}: column {name!r}: {value} is {reason}.")
     return si
 

@@ -43,10 +43,11 @@ def arm_of(
         origins[k] = origins[k] @ link.frame @ deviation.motion(d) @ rigid.inverse(link.frame)
     positions = np.zeros((len(readings), len(urdf.joints)))
     known = [column[robot.chain[i].name] for i in robot.moving]
+    of_arm = frozenset(known)
     positions[:, known] = robot.joint_positions(readings, deviations, conditions)
-    for k, joint in enumerate(urdf.joints):
-        if k not in known:
-            positions[:, k] = _following(urdf, joint, column, positions, known)
+    for k in range(len(urdf.joints)):
+        if k not in of_arm:
+            positions[:, k] = _following(urdf, k, column, positions, of_arm)
     return Arm(root, origins, positions)
 
 
@@ -64,13 +65,13 @@ def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
     return found
 
 
-def _following(urdf: Urdf, joint: UrdfJoint, column: dict[str, int], positions: Array, known: list[int]) -> Array:
+def _following(urdf: Urdf, k: int, column: dict[str, int], positions: Array, known: frozenset[int]) -> Array:
     """Return the positions (N,) of a joint that is not on the arm: those of its driver, or 0."""
-    if joint.mimic is None:
-        return np.zeros(len(positions))
-    k = column[joint.mimic.joint]
-    driver = positions[:, k] if k in known else _following(urdf, urdf.joints[k], column, positions, known)
-    return joint.mimic.multiplier * driver + joint.mimic.offset
+    multiple, constant = 1.0, 0.0
+    while k not in known and (mimic := urdf.joints[k].mimic) is not None:
+        multiple, constant = multiple * mimic.multiplier, constant + multiple * mimic.offset
+        k = column[mimic.joint]
+    return multiple * positions[:, k] + constant if k in known else np.full(len(positions), constant)
 
 
 def _motions(joint: UrdfJoint, q: Array) -> Array:

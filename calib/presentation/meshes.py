@@ -18,6 +18,7 @@ import numpy.typing as npt
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
+from calib.presentation.mesh_counts import MOST_CORNERS, counts
 
 Rgb = tuple[float, float, float]
 
@@ -31,6 +32,9 @@ _DAMAGED = (
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
+# Of the cells of grids that simplify; the first one is so many times finer than it might be.
+_GROWTH = 1.4
+_SAFETY = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +73,11 @@ def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) 
     return Triangles(vertices, _repeated(wall, len(starts)), rgb)
 
 
-def primitive(kind: str, sizes: Sequence[float], rgb: Rgb) -> Triangles:
-    """Return a box of three edges, a sphere of a radius or a cylinder (along z) of a radius and a length, in m."""
+def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) -> Triangles:
+    """Return a box of three edges, a sphere of a radius or a cylinder (along z) of a radius and a length, in m.
+
+    What is round has about so many ``faces``: of a sphere at most 1280, of a cylinder 192, of both at least 20.
+    """
     from trimesh import creation  # noqa: PLC0415
 
     # Of size 1 first: trimesh divides by the size of a sphere, and some have none.
@@ -78,9 +85,10 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb) -> Triangles:
     if kind == "box":
         mesh = creation.box(extents=sizes)
     elif kind == "sphere":
-        mesh, scale = creation.icosphere(subdivisions=3), sizes[0]
+        halvings = max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)
+        mesh, scale = creation.icosphere(subdivisions=halvings), sizes[0]
     else:
-        mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=48)
+        mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=min(max(faces // 4, 5), 48))
     return Triangles(scale * np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 
@@ -95,9 +103,11 @@ def moved(part: Triangles, T: Array) -> Triangles:
     return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
 
 
-def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
+def read_mesh(path: Path, otherwise: Rgb, spare: int = MOST_CORNERS) -> tuple[Triangles, ...] | None:
     """Return the triangles of a mesh file in m, in its own colours or ``otherwise``; None when the file is unusable.
 
+    It is unusable as well when its triangles have more corners than the file has bytes and ``spare`` ones, or are in
+    too many parts.
     Nothing but ``path`` is opened: textures and material libraries beside it are not followed.
     """
     import trimesh  # noqa: PLC0415
@@ -109,6 +119,8 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
         data = read_bytes(path, RobotError, _LARGEST_FILE)
         if path.suffix.lower() == ".dae":
             _refuse_doctype(data)
+        if not counts(data, path.suffix.lower()).within(spare + len(data)):
+            return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=None)
@@ -122,7 +134,9 @@ def read_mesh(path: Path, otherwise: Rgb) -> tuple[Triangles, ...] | None:
     except (RobotError, DaeError, *_DAMAGED):
         return None
     usable = (
-        bool(parts) and all(np.isfinite(part.vertices).all() for part in parts) and any(len(p.faces) for p in parts)
+        bool(parts)
+        and all(np.isfinite(part.vertices).all() for part in parts)
+        and 0 < 3 * sum(len(part.faces) for part in parts) <= spare + len(data)
     )
     return joined(parts) if usable else None
 
@@ -141,24 +155,43 @@ def _refuse_doctype(data: bytes) -> None:
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
     """Return the parts with at most ``most_faces`` faces in all: vertices that share a cell of a grid become one.
 
-    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough.
+    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough, from
+    where so many faces could first cover as much surface.
     """
     cell = 1e-6
     out = tuple(_clustered(part, cell) for part in parts)
     cell = 5e-4
+    if sum(len(part.faces) for part in out) > most_faces:
+        while cell < np.sqrt(sum(map(_surface, out)) / most_faces) / _SAFETY:
+            cell *= _GROWTH
     while sum(len(part.faces) for part in out) > most_faces:
-        out, cell = tuple(_clustered(part, cell) for part in out), 1.4 * cell
+        out, cell = tuple(_clustered(part, cell) for part in out), _GROWTH * cell
     return out
 
 
-def creased(part: Triangles) -> Triangles:
+def _surface(part: Triangles) -> float:
+    a, b, c = np.swapaxes(part.vertices[part.faces], 0, 1)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+def creased(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
     """Return the triangles with vertices doubled along sharp edges, which smooth shading would otherwise smear."""
     import trimesh  # noqa: PLC0415
 
-    if not len(part.faces):
-        return part
-    mesh = trimesh.graph.smooth_shade(trimesh.Trimesh(part.vertices, part.faces, process=False), angle=_CREASE)
-    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), part.rgb)
+    if not any(len(part.faces) for part in parts):
+        return tuple(parts)
+    # All at once: a library call for every part of thousands takes longer than all else.
+    whole = _concatenated(parts, parts[0].rgb)
+    mesh = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles <= _CREASE]
+    patch = trimesh.graph.connected_component_labels(smooth, node_count=len(whole.faces))
+    out, end = [], 0
+    for part in parts:
+        start, end = end, end + len(part.faces)
+        corners = np.stack([np.repeat(patch[start:end], 3), part.faces.ravel()], axis=1)
+        doubled, index = np.unique(corners, axis=0, return_inverse=True)
+        out.append(Triangles(part.vertices[doubled[:, 1]], index.reshape(-1, 3), part.rgb))
+    return tuple(out)
 
 
 def _triangles(mesh: Any, otherwise: Rgb) -> Triangles:
@@ -182,9 +215,21 @@ def _concatenated(parts: Sequence[Triangles], rgb: Rgb) -> Triangles:
 
 
 def _clustered(part: Triangles, cell: float) -> Triangles:
-    _, first, index = np.unique(np.round(part.vertices / cell), axis=0, return_index=True, return_inverse=True)
+    _, first, index = np.unique(_numbered(np.round(part.vertices / cell)), return_index=True, return_inverse=True)
     faces = index.reshape(-1)[part.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    _, once = np.unique(_numbered(np.sort(faces, axis=1)), return_index=True)
     return Triangles(part.vertices[first], faces[np.sort(once)], part.rgb)
+
+
+def _numbered(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a number (N,) for each of rows (N, 3) of whole numbers, in the order of the rows: many times faster."""
+    if not len(rows):
+        return np.zeros(0)
+    low = rows.min(axis=0)
+    sizes = rows.max(axis=0) - low + 1.0
+    if not np.prod(sizes) < 2.0**62:
+        return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+    x, y, z = (rows - low).astype(np.int64).T
+    return np.asarray((x * int(sizes[1]) + y) * int(sizes[2]) + z)

@@ -21,6 +21,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.presentation.arm import Arm, link_placements
+from calib.presentation.mesh_counts import MOST_CORNERS
 from calib.presentation.meshes import (
     Rgb,
     Triangles,
@@ -33,7 +34,7 @@ from calib.presentation.meshes import (
     simplified,
     sticks,
 )
-from calib.presentation.visuals import Shape, visuals
+from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 
@@ -51,7 +52,10 @@ _GRID: Rgb = (0.80, 0.81, 0.83)
 
 # A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
 _MOST_FACES = 40_000
+_LEAST_FACES = 200  # of a mesh, however many there are
 _MOST_POINTS = 1000
+# Links that are drawn as round sticks; more of them get four sides.
+_MOST_ROUND = 100
 # Below a nanometre an error is rounding, and magnifying it would show noise as a finding.
 _ROUNDING = 1e-9
 _PAGE = "scene.html.jinja"
@@ -241,43 +245,75 @@ def _edges(errors: Array) -> Array:
 
 
 def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
-    drawn = {
-        name: [None if shape is None else _triangles(shape, scene.mesh_roots) for shape in shapes]
-        for name, shapes in visuals(scene.urdf, _METAL).items()
-    }
-    owned = [(name, part) for name, found in drawn.items() for parts in found for part in parts or ()]
+    shapes = visuals(scene.urdf, _METAL)
+    drawn = _drawn(shapes, scene.mesh_roots)
+    # Few and large parts: a link's own of one colour.
+    whole = {name: joined([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
     # One budget for the whole arm, so that every link keeps the same fineness.
-    fine = [creased(part) for part in simplified([part for _, part in owned], _MOST_FACES)]
+    fine = iter(creased(simplified([part for parts in whole.values() for part in parts], _MOST_FACES)))
+    own = {name: [next(fine) for _ in parts] for name, parts in whole.items()}
+    carries: dict[str, list[Array]] = {name: [] for name in drawn}
+    for joint in scene.urdf.joints:
+        carries[joint.parent].append(T[joint.child][:3, 3])
     return tuple(
         _Link(
             name,
             T[name],
-            joined([part for (owner, _), part in zip(owned, fine, strict=True) if owner == name]),
-            np.array([T[joint.child][:3, 3] for joint in scene.urdf.joints if joint.parent == name]).reshape(-1, 3),
+            tuple(own[name]),
+            np.array(carries[name]).reshape(-1, 3),
             sum(parts is None for parts in found),
         )
         for name, found in drawn.items()
     )
 
 
-def _triangles(shape: Shape, roots: Sequence[Path]) -> tuple[Triangles, ...] | None:
+def _drawn(
+    shapes: Mapping[str, Sequence[Shape | None]], roots: Sequence[Path]
+) -> Mapping[str, Sequence[tuple[Triangles, ...] | None]]:
+    """Return the triangles of all shapes in their links' frames, None for those that cannot be had, or are too many."""
+    every = [shape for found in shapes.values() for shape in found if shape is not None]
+    share = _MOST_FACES // max(1, len(every))
+    spare = MOST_CORNERS
+    meshes: dict[tuple[str, Rgb], tuple[Triangles, ...] | None] = {}
+    for shape in every:
+        if shape.kind == "mesh" and (shape.file, shape.rgb) not in meshes:
+            path = find_mesh(shape.file, roots)
+            parts = None if path is None else read_mesh(path, shape.rgb, spare)
+            if path is not None and parts is not None:
+                spare -= max(0, 3 * sum(len(part.faces) for part in parts) - path.stat().st_size)
+                # It may come very often; four times its share is finer than it will be in the end.
+                parts = simplified(parts, max(4 * share, _LEAST_FACES))
+            meshes[shape.file, shape.rgb] = parts
+    return {
+        name: [None if shape is None else _triangles(shape, share, meshes) for shape in found]
+        for name, found in shapes.items()
+    }
+
+
+def _triangles(
+    shape: Shape, share: int, meshes: Mapping[tuple[str, Rgb], tuple[Triangles, ...] | None]
+) -> tuple[Triangles, ...] | None:
     """Return the triangles of a shape in its link's frame, or None when its mesh cannot be had."""
     if shape.kind != "mesh":
-        return (moved(primitive(shape.kind, shape.sizes, shape.rgb), shape.T),)
-    path = find_mesh(shape.file, roots)
-    parts = None if path is None else read_mesh(path, shape.rgb)
-    return None if parts is None else tuple(moved(part, shape.T @ np.diag([*shape.sizes, 1.0])) for part in parts)
+        return (moved(primitive(shape.kind, shape.sizes, shape.rgb, share), shape.T),)
+    parts = meshes[shape.file, shape.rgb]
+    if parts is None:
+        return None
+    placed = tuple(moved(part, shape.T @ np.diag([*shape.sizes, 1.0])) for part in parts)
+    # As of the sizes of shapes: one vertex at a place without sense would make all else a dot.
+    return placed if all(np.abs(part.vertices).max(initial=0.0) <= LARGEST for part in placed) else None
 
 
 def _robot(links: Sequence[_Link], extent: float) -> Iterator[_Drawing]:
     # A robot without any shape is a stick figure; in one with shapes, only the links whose mesh is missing are.
     shapeless = not any(link.parts for link in links)
+    few = len(links) <= _MOST_ROUND
     for link in links:
         parts = list(link.parts)
         if shapeless or link.missing:
             ends = _moved(link.carries, inverse(link.T))
-            parts.append(sticks(np.zeros_like(ends), ends, 0.012 * extent, _METAL, sides=24))
-            parts.append(balls(np.zeros((1, 3)), 0.02 * extent, _JOINT, subdivisions=3))
+            parts.append(sticks(np.zeros_like(ends), ends, 0.012 * extent, _METAL, sides=24 if few else 4))
+            parts.append(balls(np.zeros((1, 3)), 0.02 * extent, _JOINT, subdivisions=3 if few else 0))
         yield _Drawing(("robot", _node(link.name)), joined(parts), link.T, flat=False)
 
 
@@ -402,7 +438,12 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     if n > _MOST_POINTS:
         notes.append(f"{_MOST_POINTS} of the {n} points are drawn, the worst among them; the figures are of all.")
     if missing:
-        notes.append(f"{missing} mesh{'es' if missing > 1 else ''} not found, drawn as sticks.")
+        shapes = f"{missing} shape{'s' if missing > 1 else ''}"
+        notes.append(
+            f"{missing} shapes are more than the {MOST_SHAPES} that are drawn; there are sticks in their place."
+            if missing > MOST_SHAPES
+            else f"{shapes} not found, damaged or too large, drawn as sticks."
+        )
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}
         for name, e in zip(("before", "after"), errors, strict=True)

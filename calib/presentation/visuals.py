@@ -17,7 +17,9 @@ from calib.presentation.meshes import Rgb
 from calib.robot.urdf import Element, Urdf, read_document
 
 # In m, of sizes, places and scales: larger ones are mistakes, and would make all else a dot.
-_LARGEST = 1e4
+LARGEST = 1e4
+# Ten times those of the robots we know; each is read by itself.
+MOST_SHAPES = 1000
 
 
 class Shape(NamedTuple):
@@ -34,13 +36,19 @@ class Shape(NamedTuple):
 
 
 def visuals(urdf: Urdf, otherwise: Rgb) -> Mapping[str, Sequence[Shape | None]]:
-    """Return the shapes of every link, None for one that cannot be drawn; ``otherwise``: colour of what has none."""
+    """Return the shapes of every link, None for one that cannot be drawn; ``otherwise``: colour of what has none.
+
+    Where a robot has more than 1000, none is drawn.
+    """
     robot = read_document(urdf.source, urdf.where, generations=4)
-    colours = {m.attributes.get("name", ""): rgb for m in _all(robot, "material") if (rgb := _colour(m)) is not None}
-    return {
-        link.attributes["name"]: [_shape(visual, colours, otherwise) for visual in _all(link, "visual")]
-        for link in _all(robot, "link")
-    }
+    found = {link.attributes["name"]: _all(link, "visual") for link in _all(robot, "link")}
+    if sum(map(len, found.values())) > MOST_SHAPES:
+        return {name: [None] * len(shapes) for name, shapes in found.items()}
+    # Only those that are asked for: a file may have very many.
+    named = {m.attributes.get("name", "") for shapes in found.values() for v in shapes for m in _all(v, "material")}
+    stated = {m.attributes.get("name", ""): m for m in _all(robot, "material") if m.attributes.get("name", "") in named}
+    colours = {name: rgb for name, m in stated.items() if (rgb := _colour(m)) is not None}
+    return {name: [_shape(visual, colours, otherwise) for visual in shapes] for name, shapes in found.items()}
 
 
 def _shape(visual: Element, colours: Mapping[str, Rgb], otherwise: Rgb) -> Shape | None:
@@ -67,7 +75,7 @@ def _shape(visual: Element, colours: Mapping[str, Rgb], otherwise: Rgb) -> Shape
     else:
         kind, sizes = "cylinder", [shape.cylinder.radius, shape.cylinder.length]
     wrong = (kind in ("box", "mesh") and len(sizes) != 3) or (kind != "mesh" and min(sizes) < 0.0)
-    if wrong or not np.all(np.abs([*sizes, *T.ravel()]) <= _LARGEST):
+    if wrong or not np.all(np.abs([*sizes, *T.ravel()]) <= LARGEST):
         return None
     return Shape(kind, tuple(sizes), file, T, rgb)
 

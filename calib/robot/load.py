@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.csv_text import begins_formula
+from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
@@ -56,6 +57,11 @@ def load_robot(
         raise RobotError(
             f"{document.where}: the arm and its loops have {len(joints)} joints; allowed are {MOST_JOINTS}."
         )
+    # They head the columns of tables that are written, and the rows of others.
+    if formula := next(filter(has_formula, (joint.name for joint in joints)), None):
+        raise RobotError(
+            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
+        )
     chain = _chain(joints)
     moving = [joint for joint in joints if joint.type != "fixed"]
     closed = tuple(_loop(document, loop, joints, moving) for loop in loops)
@@ -99,15 +105,17 @@ def with_document(robot: Robot, document: Urdf) -> Robot:
 
 
 def _gravity(document: Urdf, gravity: Sequence[float]) -> tuple[float, float, float]:
-    if len(gravity) != 3 or not np.all(np.isfinite(gravity)):
-        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three finite numbers in m/s^2.")
+    if len(gravity) != 3:
+        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three numbers in m/s^2.")
+    refuse_beyond(gravity, "gravity", f"{document.where}: gravity", RobotError)
     x, y, z = map(float, gravity)
     return x, y, z
 
 
 def _checked(document: Urdf, payload: Payload | None) -> Payload | None:
-    if payload is not None and not (np.isfinite(payload.mass) and payload.mass >= 0.0):
-        raise RobotError(f"{document.where}: the payload's mass {payload.mass!r} is not a number of kg from 0.")
+    if payload is not None:
+        refuse_beyond(payload.mass, "mass", f"{document.where}: the payload's mass", RobotError)
+        refuse_beyond(payload.position, "position, station, point", f"{document.where}: the payload", RobotError)
     return payload
 
 
@@ -218,11 +226,6 @@ def _couple(
                 dimension: Literal["angle", "length"] = "length" if driver.type == "prismatic" else "angle"
                 readings.append(Reading(name, dimension, driver.lower, driver.upper))
     names = [reading.name for reading in readings]
-    # They head the columns of tables that are written.
-    if formula := next(filter(begins_formula, names), None):
-        raise RobotError(
-            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
-        )
     coupling = np.zeros((len(moving), len(names)))
     for i, (multiples, _) in enumerate(rows):
         for name, multiple in multiples.items():

@@ -33,6 +33,8 @@ _ONE_POSITION = ("revolute", "continuous", "prismatic")
 LARGEST_URDF = 10_000_000
 # Of an arm with its loops: ten times those of the longest; time and memory grow with the square.
 MOST_JOINTS = 200
+# Of the whole document, and as many joints: a cell with all its fixed frames has some hundreds.
+MOST_LINKS = 2000
 _DEEPEST = 100
 _LONGEST_NAME = 200
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
@@ -146,6 +148,9 @@ def parse_urdf(source: bytes, where: str) -> Urdf:
         raise RobotError(
             f"{where}:{robot.line}: the outermost element is <{shortened(robot.tag)}>; a URDF has <robot>."
         )
+    for tag in ("link", "joint"):
+        if (many := sum(element.tag == tag for element in robot.children)) > MOST_LINKS:
+            raise RobotError(f"{where}: has {many} {tag}s; allowed are {MOST_LINKS}.")
     links = tuple(_unique("link", robot, where))
     if not links:
         raise RobotError(f"{where}:{robot.line}: the robot has no link.")
@@ -418,6 +423,21 @@ def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
         followed[joint.name] = driver.name
     if loop := _cycle(followed):
         raise RobotError(f"{where}:{by_name[loop[0]].line}: the joints {listed(loop, 8)} mimic each other in a circle.")
+    known: dict[str, tuple[float, float]] = {}
+    for name in followed:
+        way = [name]
+        while (last := followed.get(way[-1])) is not None and way[-1] not in known:
+            way.append(last)
+        multiple, offset = known.get(way[-1], (1.0, 0.0))
+        for joint in (by_name[step] for step in reversed(way) if step in followed and step not in known):
+            mimic = cast(Mimic, joint.mimic)
+            multiple, offset = mimic.multiplier * multiple, mimic.multiplier * offset + mimic.offset
+            if not max(abs(multiple), abs(offset)) <= _LARGEST_NUMBER:
+                raise RobotError(
+                    f"{where}:{joint.line}: joint {shown(joint.name)} follows others that follow others, more than "
+                    f"{_LARGEST_NUMBER:g} times, or from as far away."
+                )
+            known[joint.name] = multiple, offset
 
 
 def _cycle(successor: Mapping[str, str]) -> list[str] | None:

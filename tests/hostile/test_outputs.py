@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.foundations.csv_text import begins_formula, csv_text
+from calib.foundations.csv_text import csv_text, has_formula
 from calib.foundations.errors import RobotError
 from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
@@ -18,6 +18,7 @@ from tests.job.cases import JOB, TABLE, URDF, Said, copy_case, edit, run
 SCRIPT = "<script>alert(1)</script><img src=x onerror=alert(2)>"
 # The terminal's own codes: red, clear, a link, a title, a line overwritten, text turned round.
 TERMINAL = "\x1b[31m\x1b[2J\x1b]8;;http://evil.example\x07\x9b31m\r\u202e"
+BEHIND = 'a;=1+1;"=2+2"\t＋3+3'
 FORMULA = '=cmd|"/C calc"!A0'
 # No control characters in XML, and no quote in an attribute of this one.
 IN_XML = "&lt;script>alert(1)&lt;/script>&#x202e;../../x"
@@ -32,10 +33,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
         path = folder / name
         lines = path.read_text(encoding="utf-8").splitlines()
         header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
-        names = (f"{SCRIPT}{TERMINAL}".replace("\r", ""), FORMULA, "../../etc/passwd")
+        names = (f"{SCRIPT}{TERMINAL}".replace("\r", ""), FORMULA, "../../etc/passwd", BEHIND)
         lines[header] += ",point"
         for k in range(header + 1, len(lines)):
-            lines[k] += ',"' + names[k % 3].replace('"', '""') + '"'
+            lines[k] += ',"' + names[k % 4].replace('"', '""') + '"'
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     edit(URDF, ('<robot name="arm_cmm"', f'<robot name="{IN_XML}"'))(folder)
     evil = "=1+1<b>.csv"
@@ -83,7 +84,10 @@ def test_spreadsheets_compute_nothing(results: tuple[Path, Said]) -> None:
     cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
     assert f"'{FORMULA}" in cells
     assert "'=1+1<b>.csv" in cells
-    assert not [cell for cell in cells if begins_formula(cell)]
+    assert not [cell for cell in cells if has_formula(cell)]
+    # However a spreadsheet parts the cells.
+    parts = re.split(r"[,;|\t\n]", text)
+    assert not [part for part in parts if has_formula(part.strip('" '))]
 
 
 def test_names_make_no_files(results: tuple[Path, Said]) -> None:
@@ -101,7 +105,32 @@ def test_cells() -> None:
     assert found == ["'=1+1", "+1", "-1.5e-3", "-", "+", "'+49 30", "'-x", "'@a", "'\tx", "a=b", "", "1.5", "'=1"]
 
 
-@pytest.mark.parametrize("name", ["=1+1", "@sum", "-j", "+j"])
+@pytest.mark.parametrize(
+    ("word", "written"),
+    [
+        ("a;=1+1", '"a;\'=1+1"'),
+        ("a\t@sum", '"a\t\'@sum"'),
+        ("a\n-b", '"a\n\'-b"'),
+        ("a|+b", '"a|\'+b"'),
+        ('a;"=1+1"', '"a;""\'=1+1"""'),
+        ("a; =1;=2", "\"a; '=1;'=2\""),
+        ("＝1+1", "'＝1+1"),
+        ("＋1", "'＋1"),
+        ("a;－1", '"a;\'－1"'),
+        ("＠sum", "'＠sum"),
+        ("a=b", "a=b"),
+        ("1,-2;+3.5", '"1,-2;+3.5"'),
+        ("a;b", '"a;b"'),
+        ("# a", '"# a"'),
+    ],
+)
+def test_cells_of_other_separators_and_widths(word: str, written: str) -> None:
+    assert csv_text([[word, 1]]) == f"{written},1\n"
+    ((read, _),) = csv.reader(io.StringIO(csv_text([[word, 1]]), newline=""))
+    assert read.replace("'", "") == word
+
+
+@pytest.mark.parametrize("name", ["=1+1", "@sum", "-j", "+j", "j;=1", "＝j"])
 def test_joints_with_names_of_formulas_are_refused(name: str) -> None:
     urdf = f'<robot><link name="a"/><link name="b"/><joint name="{name}" type="revolute"><parent link="a"/>'
     with pytest.raises(RobotError) as caught:

@@ -91,7 +91,7 @@ def test_line_ends_and_marks(tmp_path: Path, end: str, mark: str) -> None:
         (HEADER + '1, 2, "a\n', ":2: a quote is not closed, or something follows it."),
         (HEADER + '1, 2, "a"b\n', ":2: a quote is not closed, or something follows it."),
         (HEADER + "1, 1e400, a\n", ":2: column 'x': 1e400 is not a finite number."),
-        (HEADER + "1, 1e300, a\n", ":2: column 'x': 1e300 is beyond 1e+12 in SI units."),
+        (HEADER + "1, 1e300, a\n", ":2: column 'x': 1e300 is out of range; allowed is -10000 to 10000 m."),
         (HEADER + f"1, {'9' * 5000}, a\n", f":2: column 'x': {'9' * 60}... is not a finite number."),
         (HEADER + "1, nan, a\n", ":2: column 'x': 'nan' is not a number like 12.5 or 1.25e1."),
         (HEADER + "1, -inf, a\n", ":2: column 'x': '-inf' is not a number like 12.5 or 1.25e1."),

@@ -464,9 +464,9 @@ def test_losses_are_one_for_each_set() -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("distance", ("a", "b"), 1.0, 0.0), "sigma is 0.0; allowed are numbers above 0."),
-        (("distance", ("a", "b"), -1.0, 1.0), "the distance is -1.0; allowed are numbers from 0."),
-        (("offset", ("a", "b"), np.nan, 1.0), "the offset is nan; allowed are finite numbers."),
+        (("distance", ("a", "b"), 1.0, 0.0), "sigma is 0 m; allowed is 1e-06 to 1000 mm."),
+        (("distance", ("a", "b"), -1.0, 1.0), "the distance is -1 m; allowed is 0 to 10000 m."),
+        (("offset", ("a", "b"), np.nan, 1.0), "the offset is nan m; allowed is -10000 to 10000 m."),
         (("angle", ("a", "a"), 1.0, 1.0), "is one target; a relation is between two."),
     ],
 )

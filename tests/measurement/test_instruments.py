@@ -14,11 +14,11 @@ def test_noise_grows_with_the_distance_from_the_station() -> None:
 @pytest.mark.parametrize(
     ("tracker", "sentence"),
     [
-        ((-1e-6, 0.0), "laser tracker: sigma is -1e-06; allowed are finite numbers from 0."),
-        ((0.0, float("nan")), "laser tracker: sigma_per_metre is nan; allowed are finite numbers from 0."),
+        ((-1e-6, 0.0), "laser tracker: sigma is -1e-06 m; allowed is 0, or 1e-06 to 1000 mm."),
+        ((0.0, float("nan")), "laser tracker: sigma_per_metre is nan m; allowed is 0, or 1e-06 to 1000 mm."),
         (
             (0.0, 0.0, (0.0, 0.0, float("inf"))),
-            "laser tracker: station is (0.0, 0.0, inf); allowed are three finite numbers.",
+            "laser tracker: station is inf m; allowed is -10000 to 10000 m.",
         ),
     ],
 )

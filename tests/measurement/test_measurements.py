@@ -189,7 +189,11 @@ THERE = "'j1', 'slide', 'x', 'y', 'z'"
             "pose",
             "t:1: the quaternion has the norm 1.05357 where 1 is allowed, within 0.001; the order is qw, qx, qy, qz.",
         ),
-        (POSITION | {"sigma [mm]": [0.1, -0.1]}, "position", "t:1: column 'sigma' is negative."),
+        (
+            POSITION | {"sigma [mm]": [0.1, -0.1]},
+            "position",
+            "t:1: column 'sigma' is out of range; allowed is 0, or 1e-06 to 1000 mm.",
+        ),
         (
             POSITION | {"sigma [mm]": [1, 1], "sigma_x [mm]": [1, 1]},
             "position",
@@ -216,8 +220,8 @@ def test_a_quaternion_with_few_digits_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("kind", "columns", "noise", "error", "sentence"),
     [
-        ("position", {}, {"sigma": -1.0}, JobError, "t: sigma is -1.0; allowed are finite numbers from 0."),
-        ("position", {}, {"sigma": np.inf}, JobError, "t: sigma is inf; allowed are finite numbers from 0."),
+        ("position", {}, {"sigma": -1.0}, JobError, "t: sigma is -1 m; allowed is 0, or 1e-06 to 1000 mm."),
+        ("position", {}, {"sigma": np.inf}, JobError, "t: sigma is inf m; allowed is 0, or 1e-06 to 1000 mm."),
         ("position", {}, {"sigma_angle": 1.0}, JobError, "t: sigma_angle is given, and only poses have angles."),
         (
             "pose",

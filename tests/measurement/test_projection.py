@@ -77,11 +77,11 @@ def test_a_mark_in_the_camera_is_finite() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("fx", 0.0, "fx is 0.0; allowed are finite numbers above 0"),
+        ("fx", 0.0, "fx is 0 px; allowed is 1 to 1e\\+06 px"),
         ("fy", float("inf"), "fy is inf"),
-        ("cx", float("nan"), "cx is nan; allowed are finite numbers"),
+        ("cx", float("nan"), "cx is nan px; allowed is -1e\\+06 to 1e\\+06 px"),
         ("k3", float("inf"), "k3 is inf"),
-        ("sigma", -0.1, "sigma is -0.1; allowed are finite numbers from 0"),
+        ("sigma", -0.1, "sigma is -0.1 px; allowed is 0, or 0.0001 to 10000 px"),
         ("camera_on", "wall", "camera_on is 'wall'; allowed are floor, tip"),
     ],
 )

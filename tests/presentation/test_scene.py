@@ -368,7 +368,7 @@ def test_missing_meshes_become_sticks_and_are_counted(tmp_path: Path) -> None:
     import trimesh
 
     text = render_scene(scene(shape=MESH, mesh_roots=(tmp_path,)))
-    assert "1 mesh not found" in text
+    assert "1 shape not found" in text
     folder = tmp_path / "arm" / "meshes"
     folder.mkdir(parents=True)
     (folder / "base.stl").write_bytes(trimesh.creation.box(extents=(0.2, 0.3, 0.1)).export(file_type="stl"))

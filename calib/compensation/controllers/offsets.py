@@ -6,7 +6,6 @@ the joint the other way round, the number needs that sign or ratio. Base and too
 """
 
 import csv
-import io
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ import numpy as np
 from calib.compensation.controllers.export import Export, LeftOut, exported, poses, rms, whole_positions
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import csv_text
 from calib.foundations.units import UNITS
 from calib.robot.robot import Deviations
 
@@ -29,13 +29,11 @@ def export_offsets(model: CalibratedModel) -> Export:
     """
     robot, d = model.robot, model.deviations
     own = dict(zip((robot.chain[i].name for i in robot.moving), map(float, d.offsets), strict=True))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEADER)
+    rows: list[tuple[str, ...]] = [_HEADER]
     for reading in robot.readings:
         offset, turns = own.get(reading.name, 0.0) + 0.0, reading.dimension == "angle"
         value = repr(offset / UNITS["deg" if turns else "mm"].factor)
-        writer.writerow([reading.name, *((value, "") if turns else ("", value))])
+        rows.append((reading.name, *((value, "") if turns else ("", value))))
     read = {reading.name for reading in robot.readings}
     kept = np.array([value if name in read else 0.0 for name, value in own.items()])
     readings = poses(model)
@@ -47,7 +45,7 @@ def export_offsets(model: CalibratedModel) -> Export:
         f"# rms at the tip to the whole calibration: without any correction {before * 1e3:.4f} mm, "
         f"with these offsets alone {after * 1e3:.4f} mm.\n"
     )
-    table = comments + text.getvalue()
+    table = comments + csv_text(rows)
 
     def read_back(readings: Array) -> Array:
         offsets = read_offsets(table)

@@ -19,9 +19,12 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import csv_cell, has_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
-from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, parse_quantity, unit_of
+from calib.foundations.ranges import OF_DIMENSION, parse_within
+from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, unit_of
+from calib.foundations.words import shown
 from calib.robot.dh.table import NUMBERS, Convention, DhRow, DhTable, RowType, check_convention
 from calib.robot.urdf import MOST_JOINTS
 
@@ -88,7 +91,7 @@ def write_dh(table: DhTable) -> str:
     lines.append(", ".join([*_WORDS, *(f"{n} [{unit.symbol}]" for n, unit in zip(numbers, units, strict=True))]))
     for row in table.rows:
         cells = [_text(getattr(row, name), unit) for name, unit in zip(numbers, units, strict=True)]
-        lines.append(", ".join([_quoted(row.joint), row.type, *cells]))
+        lines.append(", ".join([csv_cell(row.joint), row.type, *cells]))
     return "\n".join(lines) + "\n"
 
 
@@ -106,10 +109,6 @@ def _text(value: float, unit: Unit) -> str:
     texts = (f"{exact:.{digits}g}" for digits in range(12, 25))
     text = next((text for text in texts if _si(text, unit) == value), repr(value / unit.factor))
     return text if "e" in text or "." not in text else text.rstrip("0").rstrip(".")
-
-
-def _quoted(name: str) -> str:
-    return f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',"#') or name != name.strip() else name
 
 
 def _lines(data: bytes, where: str) -> list[_Line]:
@@ -187,6 +186,8 @@ def _row(line: _Line, units: dict[str, Unit | None], number: int) -> DhRow:
             values[name] = _si(cell, unit)
     if not words["joint"]:
         raise RobotError(f"{at}: column 'joint': the cell is empty.")
+    if has_formula(words["joint"]):
+        raise RobotError(f"{at}: joint {shown(words['joint'])} has the name of a spreadsheet's formula; rename it.")
     if words["type"] not in get_args(RowType):
         raise RobotError(f"{at}: column 'type': {words['type']!r} is not one of {', '.join(get_args(RowType))}.")
     return DhRow(words["joint"], cast(RowType, words["type"]), **values)
@@ -212,7 +213,8 @@ def _pose(line: _Line | None) -> Array:
     if len(cells) != len(_POSE):
         raise RobotError(f"{at}: {name!r} needs six cells with units, {', '.join(_POSE)}, like '10 mm' and '90 deg'.")
     dimensions: tuple[Dimension, ...] = ("length",) * 3 + ("angle",) * 3
+    ranges = [OF_DIMENSION[kind] for kind in dimensions]
     values = np.array(
-        [parse_quantity(cell, kind, f"{at}: {name}", RobotError) for cell, kind in zip(cells, dimensions, strict=True)]
+        [parse_within(cell, of, f"{at}: {name}", RobotError) for cell, of in zip(cells, ranges, strict=True)]
     )
     return read_only(rigid.placement(rigid.rotation_of_rpy(values[3:]), values[:3]))

@@ -1,0 +1,212 @@
+"""Small files made to take long or to swell: what bounds them, without a clock; scripts/hostile_files.py measures."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.foundations.errors import CalibError, MeasurementError, RobotError
+from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_TARGETS
+from calib.identification import sanity
+from calib.identification.error_model import error_model
+from calib.identification.identify import identify
+from calib.job.inputs import load_arm
+from calib.measurement.kinds import Kind
+from calib.measurement.read import read_measurements
+from calib.presentation import meshes, scene
+from calib.presentation.arm import arm_of, link_placements
+from calib.presentation.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
+from calib.presentation.meshes import read_mesh, simplified
+from calib.presentation.visuals import MOST_SHAPES, visuals
+from calib.robot.load import load_robot
+from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
+from scripts import hostile_files
+from scripts.hostile_files import HOSTILE, fill
+
+GREY = (0.5, 0.5, 0.5)
+# For a file of each kind how many bytes are beyond its limit.
+TOO_MANY = {
+    "levels": ("levels", COUNTS["levels"], 6_000),
+    "measurements": ("measurements", COUNTS["measurements"], 20_000),
+    "targets": ("targets", COUNTS["targets"], 20_000),
+    "relations": ("relations", COUNTS["relations"], 90_000),
+    "tools": ("tools", COUNTS["tools"], 20_000),
+    "instruments": ("instruments", COUNTS["instruments"], 20_000),
+    "couplings": ("robot.coupling", COUNTS["robot.coupling"], 20_000),
+    "loops": ("robot.loop", COUNTS["robot.loop"], 10_000),
+    "mesh roots": ("robot.mesh_roots", COUNTS["robot.mesh_roots"], 2_000),
+    "drivers": ("robot.coupling[0].drivers", COUNTS["robot.coupling.drivers"], 5_000),
+    "orders": ("error_model.harmonic_orders", COUNTS["error_model.harmonic_orders"], 500),
+    "columns": ("measurements[0].columns", COUNTS["measurements.columns"], 20_000),
+    "other names": ("measurements[0].targets", COUNTS["measurements.targets"], 20_000),
+    "placements": ("error_model.placements", MOST_NAMES, 10_000),
+    "offsets": ("error_model.offsets", MOST_NAMES, 20_000),
+}
+
+
+@pytest.mark.parametrize("name", TOO_MANY)
+def test_lists_of_a_job_end(tmp_path: Path, name: str) -> None:
+    key, most, size = TOO_MANY[name]
+    fill(name, tmp_path, size)
+    with pytest.raises(CalibError) as caught:
+        load_arm(tmp_path / "calibration.toml")
+    said = str(caught.value).removeprefix(f"{tmp_path}/calibration.toml: ")
+    assert said.startswith(f"{key}: has ")
+    assert said.endswith(f" entries; allowed are {most}.")
+
+
+@pytest.mark.parametrize(("name", "what"), [("points", "'point'"), ("sockets", "'target'"), ("one socket", "")])
+def test_unknowns_of_tables_end(tmp_path: Path, name: str, what: str) -> None:
+    fill(name, tmp_path, 40_000)
+    robot = load_robot(tmp_path / "arm_cmm.urdf", "probe")
+    kind: Kind = "position" if name == "points" else "socket"
+    if not what:
+        assert len(read_measurements(tmp_path / "identification.csv", robot, kind)) > MOST_TARGETS
+        return
+    with pytest.raises(MeasurementError, match=rf"column {what} has \d+ names; allowed are 100\.$"):
+        read_measurements(tmp_path / "identification.csv", robot, kind)
+
+
+def test_unknowns_of_several_tables_end() -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(2).encode(), "arm.urdf"))
+    sets = []
+    for k in range(2):
+        table = {"j0 [rad]": np.arange(60.0), "j1 [rad]": np.ones(60), "target": [f"t{k}-{i}" for i in range(60)]}
+        sets.append(read_measurements(table, robot, "socket", sigma=1e-5))
+    with pytest.raises(MeasurementError, match=r"the measurements have 120 targets together; allowed are 100\."):
+        identify(error_model(robot, offsets="all"), sets)
+
+
+@pytest.mark.parametrize(("joints", "tried"), [(30, 30), (31, 0)])
+def test_mistakes_of_single_readings_are_tried_of_arms_of_some_joints(
+    joints: int, tried: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(joints).encode(), "arm.urdf"))
+    chance = np.random.default_rng(0)
+    table = {f"j{k} [rad]": chance.uniform(-1, 1, 40) for k in range(joints)} | {
+        f"{a} [m]": chance.normal(size=40) for a in "xyz"
+    }
+    data = read_measurements(table, robot, sigma=1e-5)
+    asked: list[int] = []
+    monkeypatch.setattr(sanity, "_of_readings", lambda readings: asked.append(len(readings)) or iter(()))
+    sanity.signatures(error_model(robot, offsets="all"), [data])
+    assert set(asked) == {tried}
+
+
+@pytest.mark.parametrize("name", ["branches", "a tail", "shapes on branches"])
+def test_links_end(tmp_path: Path, name: str) -> None:
+    fill(name, tmp_path, 400_000)
+    with pytest.raises(RobotError, match=rf"arm_cmm.urdf: has \d+ links; allowed are {MOST_LINKS}\."):
+        read_urdf(tmp_path / "arm_cmm.urdf")
+
+
+def test_mimics_that_multiply(tmp_path: Path) -> None:
+    fill("mimics", tmp_path, 20_000)
+    with pytest.raises(RobotError, match=r"follows others that follow others, more than 1e\+06 times"):
+        read_urdf(tmp_path / "arm_cmm.urdf")
+
+
+def test_mimics_beside_the_arm_follow_over_a_thousand_others() -> None:
+    n = 1500
+    links = '<link name="a"/><link name="b"/>' + "".join(f'<link name="l{k}"/>' for k in range(n))
+    joint = '<joint name="{}" type="prismatic"><parent link="a"/><child link="{}"/><axis xyz="0 0 1"/>{}</joint>'
+    follow = [
+        joint.format(f"m{k}", f"l{k}", f'<mimic joint="{f"m{k - 1}" if k else "j"}" offset="0.001"/>') for k in range(n)
+    ]
+    robot = load_robot(
+        parse_urdf(f"<robot>{links}{joint.format('j', 'b', '')}{''.join(follow)}</robot>".encode(), "r"), "b"
+    )
+    arm = arm_of(robot, robot.no_deviations(), np.array([[0.25]]), np.eye(4))
+    assert link_placements(robot.urdf, arm)[f"l{n - 1}"][0, 2, 3] == pytest.approx(0.25 + 1.5)
+
+
+def test_a_robot_of_too_many_shapes_is_drawn_as_sticks(tmp_path: Path) -> None:
+    fill("boxes", tmp_path, 80_000)
+    urdf = read_urdf(tmp_path / "arm_cmm.urdf")
+    found = visuals(urdf, GREY)
+    assert sum(map(len, found.values())) > MOST_SHAPES
+    assert not any(shape for shapes in found.values() for shape in shapes)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("dae doubling", 4_000),
+        ("dae doubling in the scene", 4_000),
+        ("dae instances", 150_000),
+        ("dae geometries", 900_000),
+        ("dae nodes", 100_000),
+        ("glb accessor", 3_000),
+        ("glb accessors", 3_000),
+        ("glb same points", 150_000),
+        ("glb instances", 150_000),
+        ("obj materials", 40_000),
+        ("stl solids", 150_000),
+    ],
+)
+def test_meshes_that_swell_are_not_made(tmp_path: Path, name: str, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    import trimesh
+
+    monkeypatch.setattr(trimesh, "load_scene", None)
+    fill(name, tmp_path, size)
+    (path,) = tmp_path.glob("m.*")
+    data = path.read_bytes()
+    found = counts(data, path.suffix)
+    assert found.corners > MOST_CORNERS + len(data) or found.parts > MOST_PARTS
+    assert read_mesh(path, GREY) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["dae instances", "dae nodes", "dae triangles", "glb instances", "obj objects", "stl triangles"],
+)
+def test_meshes_that_do_not_are_read_and_counted_right(tmp_path: Path, name: str) -> None:
+    fill(name, tmp_path, 3_000)
+    (path,) = tmp_path.glob("m.*")
+    parts = read_mesh(path, GREY)
+    assert parts is not None
+    said = counts(path.read_bytes(), path.suffix)
+    assert 3 * sum(len(part.faces) for part in parts) <= max(said.corners, len(path.read_bytes()))
+
+
+def test_nodes_that_have_each_other_in_a_circle(tmp_path: Path) -> None:
+    fill("dae doubling", tmp_path, 400)
+    path = tmp_path / "m.dae"
+    path.write_bytes(path.read_bytes().replace(b'<node id="n0">', b'<node id="n0"><instance_node url="#n1"/>'))
+    assert read_mesh(path, GREY) is None
+
+
+def test_a_mesh_that_comes_often_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill("one mesh often", tmp_path, 5_000)
+    read: list[Path] = []
+
+    def counted(path: Path, rgb: meshes.Rgb, spare: int) -> tuple[meshes.Triangles, ...] | None:
+        read.append(path)
+        return read_mesh(path, rgb, spare)
+
+    monkeypatch.setattr(scene, "read_mesh", counted)
+    shapes = visuals(read_urdf(tmp_path / "arm_cmm.urdf"), GREY)
+    drawn = scene._drawn(shapes, (tmp_path,))
+    assert read == [tmp_path / "m.stl"]
+    assert sum(parts is not None for parts in drawn["base_link"]) >= 100
+
+
+def test_simplifying_begins_where_it_can_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of random triangles the first forty grids would change nothing."""
+    chance = np.random.default_rng(0)
+    soup = meshes.Triangles(chance.uniform(-1, 1, (30_000, 3)), np.arange(30_000).reshape(-1, 3), GREY)
+    grids: list[float] = []
+    real = meshes._clustered
+    monkeypatch.setattr(meshes, "_clustered", lambda part, cell: (grids.append(cell), real(part, cell))[1])
+    (found,) = simplified([soup], 1000)
+    assert len(found.faces) <= 1000
+    assert len(grids) < 12
+
+
+@pytest.mark.parametrize("name", [name for name in HOSTILE if hostile_files._RESULTS not in HOSTILE[name].run])
+def test_every_generator_writes_a_file_of_its_size(tmp_path: Path, name: str) -> None:
+    sizes = []
+    for size in (20_000, 60_000):
+        fill(name, tmp_path / str(size), size)
+        sizes.append(sum(path.stat().st_size for path in (tmp_path / str(size)).iterdir()))
+    assert sizes[0] <= sizes[1] < 400_000
