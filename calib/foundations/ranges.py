@@ -107,6 +107,9 @@ OF_DIMENSION: Mapping[Dimension, Range] = MappingProxyType(
     }
 )
 
+# A cell that is nearer to 0 in SI units, and not 0, comes from memory that nobody wrote to; its inverse is no number.
+SMALLEST_CELL = 1e-100
+
 # How many of what a job may have.
 COUNTS: Mapping[str, int] = MappingProxyType(
     {

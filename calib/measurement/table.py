@@ -19,7 +19,7 @@ import numpy.typing as npt
 from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
-from calib.foundations.ranges import OF_DIMENSION
+from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
 from calib.foundations.units import NUMBER, UNITS, Unit
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, lines, refuse_ragged, separator_of
@@ -289,11 +289,17 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
     si = read_only_view(np.asarray(unit.factor * numbers))
     allowed = OF_DIMENSION[unit.dimension]
     low, high = allowed.ends
-    within = (si >= low) & (si <= high)  # false for nan
+    lost = (si > -SMALLEST_CELL) & (si < SMALLEST_CELL) & (si != 0.0)
+    within = (si >= low) & (si <= high) & ~lost  # false for nan
     if not within.all():
         row = int(np.argmin(within))
         value = shortened(str(values[row]))
-        reason = f"out of range; allowed is {allowed}" if np.isfinite(si[row]) else "not a finite number"
+        if not np.isfinite(si[row]):
+            reason = "not a finite number"
+        elif lost[row]:
+            reason = f"out of range; what is not 0 has a size of {SMALLEST_CELL:g} or more in SI units"
+        else:
+            reason = f"out of range; allowed is {allowed}"
         raise MeasurementError(f"{place(row)}: column {name!r}: {value} is {reason}.")
     return si
 

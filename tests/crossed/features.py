@@ -336,7 +336,7 @@ EXEMPT: Mapping[str, str] = {
     "robot.mesh_roots": "matters to drawing alone; tests/presentation/test_scene.py",
     "error_model.dh_parallel": "which of two DH numbers is free; tests/identification/test_dh_model.py",
     **{
-        f"instruments.{key}": "an arm that touches, whose own state is crossed in tests/job/test_arm.py"
+        f"instruments.{key}": "an arm that touches; its backlash and its grid: tests/job/test_arm.py"
         for key in ("model", "urdf", "tip", "tool", "point", "pivot")
     },
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "p1", "p2")},

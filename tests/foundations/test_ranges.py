@@ -65,6 +65,7 @@ def test_what_is_no_number_is_in_no_range(value: float) -> None:
 
 MAGNITUDES: dict[str, tuple[Edit, str, str]] = {
     "sigma": (job(('"0.02 mm"', '"1e100 mm"')), "measurements[0].sigma: '1e100 mm'", "sigma"),
+    "large sigma": (job(('"0.02 mm"', '"1e30 mm"')), "measurements[0].sigma: '1e30 mm'", "sigma"),
     "small sigma": (job(('"0.02 mm"', '"1e-300 mm"')), "measurements[0].sigma: '1e-300 mm'", "sigma"),
     "prior": (
         job(('offsets = "all"', PRIOR.format("1e300 m"))),
@@ -101,6 +102,64 @@ def test_a_job_with_a_slip_of_the_pen(tmp_path: Path, name: str, monkeypatch: py
     sentence = f"Error: calibration.toml: {value} is out of range; allowed is {RANGES[key]}.\n"
     assert run("calibrate", "calibration.toml", "-o", "out") == (1, "", sentence)
     assert tree(tmp_path) == before
+
+
+SIGMA_COLUMN = job(
+    ('file = "identification.csv"\nobserves = "position"\nsigma = "0.02 mm"', 'file = "identification.csv"')
+)
+
+
+def in_column(title: str, value: str) -> Edit:
+    """All cells of a column of the table to identify from; the column is added where there is none."""
+
+    def change(folder: Path) -> None:
+        path = folder / "identification.csv"
+        header, *rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+        titles = header.split(", ")
+        cells = [row.split(", ") for row in rows]
+        if title not in titles:
+            titles.append(title)
+            cells = [[*row, ""] for row in cells]
+        for row in cells:
+            row[titles.index(title)] = value
+        path.write_text("\n".join(", ".join(row) for row in (titles, *cells)) + "\n", encoding="utf-8")
+
+    return change
+
+
+CELLS: dict[str, tuple[tuple[Edit, ...], str]] = {
+    "positions of nothing": (
+        tuple(in_column(f"{axis} [mm]", "1e-300") for axis in "xyz"),
+        "column 'x': 1e-300 is out of range; what is not 0 has a size of 1e-100 or more in SI units",
+    ),
+    "a place far away": (
+        (in_column("y [mm]", "1e30"),),
+        "column 'y': 1e30 is out of range; allowed is -10000 to 10000 m",
+    ),
+    "a large sigma": (
+        (SIGMA_COLUMN, in_column("sigma [mm]", "1e6")),
+        "column 'sigma' is out of range; allowed is 0, or 1e-06 to 1000 mm",
+    ),
+    "a sigma beyond all": (
+        (SIGMA_COLUMN, in_column("sigma [mm]", "1e100")),
+        "column 'sigma': 1e100 is out of range; allowed is -10000 to 10000 m",
+    ),
+    "a reading of nothing": (
+        (in_column("joint_1 [deg]", "-6.9e-310"),),
+        "column 'joint_1': -6.9e-310 is out of range; what is not 0 has a size of 1e-100 or more in SI units",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_cells_out_of_range(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(copy_case(tmp_path).parent)
+    changes, sentence = CELLS[name]
+    for change in changes:
+        change(tmp_path)
+    for command in (("check", "calibration.toml"), ("calibrate", "calibration.toml", "-o", "out")):
+        assert run(*command) == (1, "", f"Error: identification.csv:2: {sentence}.\n")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,14 @@ import pytest
 import calib
 from calib.compensation.grid import grid_from_residuals
 from calib.compensation.model_file import CalibratedModel
-from calib.job.arm import Arm, read_arm
+from calib.foundations.errors import MeasurementError
+from calib.job.arm import Arm, read_arm, touched
 from calib.job.inputs import load
 from calib.job.read import read_job
+from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
+from calib.robot.joint_terms import with_joint_terms
+from calib.robot.transmission import JointTerm
 from tests.job.cases import CASE as ARM_CASE
 from tests.job.cases import ROOT, Edit, edit, run, tree, write
 
@@ -100,6 +104,40 @@ def test_residual_grid_of_the_arm_counts() -> None:
     plain = Arm(model, np.zeros(3), 1e-4, {}, ())
     bent = replace(plain, model=replace(model, residual_model=grid))
     assert np.abs(bent.points(readings) - plain.points(readings) - errors).max() < 1e-12
+
+
+def test_backlash_and_a_grid_of_the_arm_count_in_its_table(folder: Path) -> None:
+    """The arm takes its own sides of approach from the table, the robot those of its own joints."""
+    half = 1e-3  # of the gap
+    robot = with_joint_terms(calib.load_robot(CASE / "welder.urdf", "flange"), [JointTerm("joint_2", "backlash")])
+    amounts = replace(robot.no_deviations(), terms=np.array([half]))
+    nodes = np.array([(a, b) for a in (-4.0, 0.0, 4.0) for b in (-4.0, 0.0, 4.0)])
+    errors = np.random.default_rng(2).normal(scale=1e-3, size=(9, 3))
+    grid = grid_from_residuals(
+        np.column_stack([nodes, np.zeros((9, 4))]), errors, robot.readings, ["joint_1", "joint_2"], "base"
+    )
+    point = np.array([0.0, 0.0, 0.2])
+    arm = Arm(CalibratedModel(robot, amounts, np.eye(4), {}, grid), point, 1e-4, {}, ())
+    positioner = calib.load_robot(CASE / "positioner.urdf", "table")
+    rows = [row for row in (folder / TABLE).read_text(encoding="utf-8").splitlines() if not row.startswith("#")]
+    path = folder / "sides.csv"
+
+    def seen(titles: str, cells: tuple[str, ...]) -> Measurements:
+        lines = [rows[0] + titles, *(row + cells[k % len(cells)] for k, row in enumerate(rows[1:]))]
+        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return touched(path, arm, positioner, {})[0]
+
+    found = seen(", direction_joint_2, direction_tilt", (", +, -", ", -, +"))
+    q = arm_readings(TABLE)
+    side = np.where(np.arange(len(q)) % 2, -1.0, 1.0)
+    q_true = q + half * side[:, None] * (np.arange(6) == 1)
+    T = robot.tips(q_true)
+    expected = T[:, :3, :3] @ point + T[:, :3, 3] + grid.at(q)
+    assert np.abs(found.position - expected).max() < 1e-12
+    assert found.conditions.approach is not None
+    assert found.conditions.approach[:, 0].tolist() == (-side).tolist()
+    with pytest.raises(MeasurementError, match=r"sides.csv: there is no column 'direction_joint_2'"):
+        seen(", direction_tilt", (", -",))
 
 
 SENTENCES: dict[str, tuple[Edit, str]] = {
