@@ -1,6 +1,7 @@
 """The ranges of quantities: one table, which jobs, Python, tables and the documentation have in common."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import calib
 from calib.foundations.errors import CalibError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, OF_DIMENSION, RANGES, refuse_beyond
 from calib.job.fields import number, quantity
+from calib.job.schema import CouplingSection
 from calib.robot.gravity import Payload
 from tests.job.cases import CASE, Edit, append, copy_case, job, run, tree
 
@@ -54,6 +56,14 @@ def test_ends_are_within_and_what_is_beyond_is_not(key: str) -> None:
         with pytest.raises(ValueError, match="is out of range; allowed is"):
             quantity(key)(f"{value!r} {allowed.unit}")
     assert allowed.holds(0.0) == (allowed.zero or allowed.low <= 0.0)
+
+
+def test_the_unit_of_an_offset_decides_its_range() -> None:
+    for offset in ("-900 rad", "9000 m", None):
+        assert CouplingSection(joint="a", drivers={"b": 1.0}, offset=offset).offset == offset
+    for offset, key in (("9000 rad", "coupling.offset"), ("11000 m", "coupling.offset of what slides")):
+        with pytest.raises(ValueError, match=re.escape(f"allowed is {RANGES[key]}.")):
+            CouplingSection(joint="a", drivers={"b": 1.0}, offset=offset)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
