@@ -7,7 +7,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError, RobotError
 from calib.robot.conditions import ordinary
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import Deviations, Robot, TipModel
 
 _MOST_BATCHES = 200
 
@@ -30,12 +30,16 @@ def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None]
     """Return at which of the readings (N, nr) the loops of all machines close; None stands for the nominal one."""
     found = np.ones(len(readings), dtype=bool)
     if robot.loops:
-        for n in range(len(readings)):
-            try:
-                for deviations in machines:
-                    robot.joint_positions(readings[n : n + 1], deviations, ordinary(readings[n : n + 1]))
-            except PoseError:
-                found[n] = False
+        for model in [TipModel(robot, deviations) for deviations in machines]:
+            blocks = [np.flatnonzero(found)]
+            while blocks:
+                if not len(rows := blocks.pop()):
+                    continue
+                try:
+                    model.joint_positions(readings[rows], ordinary(readings[rows]))
+                except PoseError as e:
+                    found[rows[e.row]] = False
+                    blocks += np.array_split(np.delete(rows, e.row), 2)
     return found
 
 

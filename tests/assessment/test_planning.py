@@ -167,7 +167,7 @@ def test_plan_of_a_job_completes_what_was_measured(tmp_path: Path, monkeypatch: 
         (("--tool", "1 2 mm"), "tool: '1 2 mm' is not three numbers, like '50 0 50 mm'."),
         (("--misfit", "3 deg"), "misfit: unit 'deg' is not a unit of length; allowed are m, cm, mm, um, inch."),
         (("--candidates", "none.csv"), "none.csv: there is no such file."),
-        (("--sigma", "0 mm"), "sigma: 0.0 is not a number from 1e-09."),
+        (("--sigma", "0 mm"), "sigma: '0 mm' is out of range; allowed is 1e-06 to 1000 mm."),
         (("--tip", "nobody"), "arm_cmm.urdf: tip 'nobody' is not a link of the URDF; its links are "),
     ],
 )

@@ -17,6 +17,7 @@ from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.sampling import closing
 from calib.robot.urdf import parse_urdf
 from tests.identification import machines
 
@@ -464,6 +465,29 @@ def test_two_loops_are_named_together() -> None:
     names = [reading.name for reading in robot.readings]
     readings[4, names.index("crank")] = readings[4, names.index("lower")] + 0.5 * np.pi
     assert str(refused(robot, readings)).startswith("row 4: loop 'parallelogram', 'second' is at a dead centre")
+
+
+@pytest.mark.parametrize("name", ["parallelogram", "five-bar", "slider-crank"])
+def test_where_all_machines_close_is_what_single_rows_say(name: str) -> None:
+    robot, _ = machine(name)
+    if name == "slider-crank":
+        robot = load(SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 -0.3 0.05"'), "tip", CROSSHEAD)
+    readings = np.random.default_rng(3).uniform(-3.0, 3.0, (60, len(robot.readings)))
+    readings[:5] = 0.0
+    both = (None, deviations(robot, 2e-2, 2e-2))
+
+    def closes(row: Array) -> bool:
+        try:
+            for d in both:
+                robot.tips(row[None], d)
+        except PoseError:
+            return False
+        return True
+
+    expected = [closes(row) for row in readings]
+    assert closing(robot, readings, both).tolist() == expected
+    assert 0 < sum(expected) < 60
+    assert closing(robot, readings[:0], both).shape == (0,)
 
 
 # ---- out of the toolkit and back
