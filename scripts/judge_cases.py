@@ -157,9 +157,12 @@ def reading_columns(found: Arm, readings: Array) -> dict[str, Any]:
     return {f"{name} [rad]": readings[:, k] for k, name in enumerate(found.ranges)}
 
 
-def tracked(which: str, seed: int) -> Case:
-    """Positions or poses of one to three tools, from an instrument beside the robot."""
-    rng = np.random.default_rng([seed, 1, *which.encode()])
+def tracked(which: str, seed: int, few: bool = False) -> Case:
+    """Positions or poses of one to three tools, from an instrument beside the robot.
+
+    ``few``: 8 to 20 positions of one tool at a stated noise of 0.05 mm, zeros off by 3 or 6 deg, all placements free.
+    """
+    rng = np.random.default_rng([seed, 1, *which.encode(), few])
     found, robot = known_arm(which)
     kind = str(rng.choice(["position", "position", "pose"]))
     errors, n = drawn_errors(rng), int(rng.integers(3, 31))
@@ -170,14 +173,25 @@ def tracked(which: str, seed: int) -> Case:
     base_free, tool_free = bool(rng.random() < 0.85), bool(rng.random() < 0.85)
     placements = free_placements(which, found) if with_placements else ()
     base = pose(rng, 3.0)
+    sigma = float(np.exp(rng.uniform(np.log(0.02e-3), np.log(0.2e-3))))
+    sigma_angle = float(sigma * rng.uniform(1.0, 5.0))
+    stated = bool(rng.random() < 0.6)
+    if few:
+        kind, n, several, with_placements, base_free, tool_free = (
+            "position",
+            int(rng.integers(8, 21)),
+            1,
+            True,
+            True,
+            True,
+        )
+        errors = Errors(float(np.radians(rng.choice([3.0, 6.0]))), errors.length, errors.angle)
+        sigma, stated, placements = 0.05e-3, True, free_placements(which, found)
     tools = np.stack([placed(pose(rng, 1.0)[:3, :3], rng.uniform(-0.15, 0.15, 3)) for _ in range(several)])
     if kind == "position":
         tools[:, :3, :3] = np.eye(3)
     true = machine(rng, found, errors, placements, base, tools)
     readings = draw(which, found, rng, n)
-    sigma = float(np.exp(rng.uniform(np.log(0.02e-3), np.log(0.2e-3))))
-    sigma_angle = float(sigma * rng.uniform(1.0, 5.0))
-    stated = bool(rng.random() < 0.6)
     tool = np.arange(n) % several
     seen = predict(found, true, readings, tool)[0]
     position = seen[:, :3, 3] + sigma * rng.standard_normal((n, 3))
@@ -229,7 +243,7 @@ def tracked(which: str, seed: int) -> Case:
         "stated": stated,
     }
     return Case(
-        which,
+        f"{which}_few" if few else which,
         seed,
         label,
         layout,
@@ -347,7 +361,7 @@ def sockets(seed: int) -> Case:
     if prior is not None:
         errors = Errors(min(errors.zero, 2.0 * prior[1]), min(errors.length, 1e-3), min(errors.angle, 2.0 * prior[1]))
     placements = free_placements("panda", found)
-    tools = placed(np.eye(3), rng.uniform(-0.05, 0.05, 3) + [0.0, 0.0, 0.1])[None]
+    tools = placed(np.eye(3), rng.uniform((-0.05, -0.05, 0.05), (0.05, 0.05, 0.15)))[None]
     true = machine(rng, found, errors, placements, np.eye(4), tools)
     angles = rng.uniform(-np.pi, np.pi, several)
     places = np.stack(
@@ -365,12 +379,9 @@ def sockets(seed: int) -> Case:
     free: dict[str, Any] = {"offsets": "all", "placements": "all", "tool": "position"}
     distances: tuple[Distance, ...] = ()
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
+    free["base"] = "fixed"
     if known == "places":
         free["targets"] = {name: Target(T) for name, T in zip(names, targets, strict=True)}
-        # Places are known in the instrument's frame, in which the base is known as well.
-        free["base"] = "fixed"
-    else:
-        free["base"] = "fixed"
     parameters += [f"tool.{c}" for c in POSE[:3]]
     if known != "places":
         parameters += [f"target.{name}.{c}" for name in names for c in POSE[:3]]
@@ -512,6 +523,7 @@ def _in_sight(found: Arm, true: State, lens: Lens, readings: Array) -> Array:
 
 FAMILIES: Mapping[str, Callable[[int], Case]] = {
     "ur5": lambda seed: tracked("ur5", seed),
+    "ur5_few": lambda seed: tracked("ur5", seed, few=True),
     "panda": lambda seed: tracked("panda", seed),
     "arm_cmm": lambda seed: tracked("arm_cmm", seed),
     "arm_cmm_rows": arm_cmm_rows,

@@ -147,10 +147,61 @@ class Arm:
             (joint.origin @ placed(rx_ry_rz(d[:, j, 3:]), d[:, j, :3]))[:, None] if deviating[j] else joint.origin
             for j, joint in enumerate(self.joints)
         ]
-        frames = self._walk(origins, q)
-        if self.loop is not None:
-            frames = self._closed(self.loop, origins, q, frames)
+        if np.iscomplexobj(d):
+            return self._with_steps(origins, q)
+        frames, _ = self._closed(origins, q)
         return frames[self.tip[0]] @ self.tip[1]
+
+    def _with_steps(self, origins: Sequence[Array], q: Sequence[Array]) -> Array:
+        """Tips of machines whose parameters have complex steps: the product rule in the place of complex products."""
+        real = [T[:1].real if T.ndim > 2 else T.real for T in origins]
+        frames, _ = self._closed(real, [v[:1].real for v in q])
+        frames = [np.broadcast_to(T, (1, len(q[0][0]), 4, 4))[0] for T in frames]
+        by_origin = [T.imag / STEP if np.iscomplexobj(T) else np.zeros((1, 1, 1, 1)) for T in origins]
+        by_q = [v.imag / STEP for v in q]
+        B = len(q[0])
+
+        def change(end: tuple[int, Array]) -> Array:
+            """Derivatives (B, N, 4, 4) of a link's placement."""
+            link = frames[end[0]] @ end[1]
+            found = np.zeros((B, *link.shape))
+            j = end[0]
+            while j >= 0:
+                joint = self.joints[j]
+                ahead = inverse(frames[j]) @ link
+                moved = np.flatnonzero(np.any(by_origin[j] != 0.0, axis=(1, 2, 3)))
+                if len(moved):
+                    before = (frames[joint.parent] if joint.parent >= 0 else np.eye(4)) @ by_origin[j][moved]
+                    # The joint's own motion is what its frame is beyond its origin.
+                    own = frames[joint.parent] @ real[j] if joint.parent >= 0 else real[j]
+                    own = np.broadcast_to(own, (1, *link.shape))[0]
+                    found[moved] += before @ (inverse(own) @ frames[j] @ ahead)
+                turned = np.flatnonzero(np.any(by_q[j] != 0.0, axis=1)) if joint.kind != "fixed" else ()
+                if len(turned):
+                    G = np.zeros((4, 4))
+                    if joint.kind == "revolute":
+                        G[1, 0], G[0, 1] = 1.0, -1.0
+                    else:
+                        G[2, 3] = 1.0
+                    found[turned] += by_q[j][turned][:, :, None, None] * (frames[j] @ G @ ahead)
+                j = joint.parent
+            return found
+
+        if self.loop is not None:
+            for j in self.loop.passive:
+                by_q[j] = np.zeros_like(by_q[j])
+            (A, b), (dA, db) = (
+                [frames[j] @ at_ for j, at_ in self.loop.ends],
+                [change(end) for end in self.loop.ends],
+            )
+            columns = self._by_passive(self.loop, frames, [A, b])
+            apart = (b[:, :3, 3] - A[:, :3, 3])[..., None]
+            dr = np.swapaxes(dA[..., :3, :3], -1, -2) @ apart
+            dr = dr + np.swapaxes(A[..., :3, :3], -1, -2) @ (db[..., :3, 3] - dA[..., :3, 3])[..., None]
+            for j, v in zip(self.loop.passive, self._newton(self.loop, columns, dr[..., 0]), strict=True):
+                by_q[j] = v
+        T = frames[self.tip[0]] @ self.tip[1]
+        return T + 1j * STEP * change(self.tip)
 
     def _walk(self, origins: Sequence[Array], q: Sequence[Array]) -> list[Array]:
         frames: list[Array] = []
@@ -169,33 +220,43 @@ class Arm:
             frames.append(T)
         return frames
 
-    def _closed(self, loop: Loop, origins: Sequence[Array], q: list[Array], frames: list[Array]) -> list[Array]:
-        """Newton's method; what is complex about the parameters comes into the answer with the last steps."""
-        for _ in range(20):
-            ends = [frames[j] @ at for j, at in loop.ends]
-            A, b = ends[0], ends[1][..., :3, 3]
-            R_t = np.swapaxes(A[..., :3, :3], -1, -2)
-            r = (R_t @ (b - A[..., :3, 3])[..., None])[..., 0]
-            columns = []
-            for passive in loop.passive:
-                axis, origin = frames[passive][..., :3, 2], frames[passive][..., :3, 3]
-                column = np.zeros_like(r)
-                if self._carries(passive, loop.ends[1][0]):
-                    column = column + (R_t @ np.cross(axis, b - origin)[..., None])[..., 0]
-                if self._carries(passive, loop.ends[0][0]):
-                    # The first end's frame turns: seen in it, the second end moves the other way.
-                    column = column - (R_t @ np.cross(axis, b - origin)[..., None])[..., 0]
-                columns.append(column)
-            (i, k), (u, v) = loop.closes, columns
-            determinant = u[..., i] * v[..., k] - u[..., k] * v[..., i]
-            du = -(v[..., k] * r[..., i] - v[..., i] * r[..., k]) / determinant
-            dv = -(u[..., i] * r[..., k] - u[..., k] * r[..., i]) / determinant
-            q[loop.passive[0]] = q[loop.passive[0]] + du
-            q[loop.passive[1]] = q[loop.passive[1]] + dv
+    def _closed(self, origins: Sequence[Array], q: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+        """Frames and positions of all joints, the loop closed by Newton's method."""
+        q = list(q)
+        frames = self._walk(origins, q)
+        for _ in range(0 if self.loop is None else 30):
+            assert self.loop is not None
+            ends = [frames[j] @ at for j, at in self.loop.ends]
+            R_t = np.swapaxes(ends[0][..., :3, :3], -1, -2)
+            r = (R_t @ (ends[1][..., :3, 3] - ends[0][..., :3, 3])[..., None])[..., 0]
+            steps = self._newton(self.loop, self._by_passive(self.loop, frames, ends), r)
+            for j, step in zip(self.loop.passive, steps, strict=True):
+                q[j] = q[j] + step
             frames = self._walk(origins, q)
-            if max(np.max(np.abs(du)), np.max(np.abs(dv))) < 1e-13:
+            if max(np.max(np.abs(step)) for step in steps) < 1e-13:
                 break
-        return frames
+        return frames, q
+
+    def _by_passive(self, loop: Loop, frames: Sequence[Array], ends: Sequence[Array]) -> list[Array]:
+        """What each passive joint does to the second end (..., 3), seen in the first one."""
+        A, b = ends[0], ends[1][..., :3, 3]
+        R_t = np.swapaxes(A[..., :3, :3], -1, -2)
+        found = []
+        for passive in loop.passive:
+            axis, origin = frames[passive][..., :3, 2], frames[passive][..., :3, 3]
+            # Where the first end is carried along, the second one moves the other way in it.
+            way = float(self._carries(passive, loop.ends[1][0])) - float(self._carries(passive, loop.ends[0][0]))
+            found.append(way * (R_t @ np.cross(axis, b - origin)[..., None])[..., 0])
+        return found
+
+    @staticmethod
+    def _newton(loop: Loop, columns: Sequence[Array], r: Array) -> tuple[Array, Array]:
+        (i, k), (u, v) = loop.closes, columns
+        determinant = u[..., i] * v[..., k] - u[..., k] * v[..., i]
+        return (
+            -(v[..., k] * r[..., i] - v[..., i] * r[..., k]) / determinant,
+            -(u[..., i] * r[..., k] - u[..., k] * r[..., i]) / determinant,
+        )
 
     def _carries(self, joint: int, other: int) -> bool:
         while other >= 0 and other != joint:
@@ -534,7 +595,8 @@ def minimise(cost: Cost, x: Array, most: int = 200) -> Minimum:
     hold[np.arange(len(held)), held] = 1.0 / cost.widths[held]
     damping, idle, settled, k = 0.0, 0, False, 0
     total = sum(cost.of(x))
-    for k in range(1, most + 1):
+    while k < most:
+        k += 1
         data, pull = cost.whitened(x[None])
         J = np.concatenate([cost.jacobian(x), hold])
         r = np.concatenate([data[0], pull[0]])

@@ -54,8 +54,8 @@ def summary(verdicts: Sequence[Verdict]) -> str:
     """A table of families in Markdown."""
     kinds = ("cost", "tool", "cost and tool", "other minimum", "refused wrongly", "failed")
     lines = [
-        f"| family | cases | right | refused rightly | {' | '.join(kinds)} | far | not converged | evaluations: median, "
-        "90 %, most | cost over independent: most | error over independent: median, most |",
+        f"| family | cases | right | refused rightly | {' | '.join(kinds)} | far | not converged | evaluations: "
+        "median, 90 %, most | cost over independent: most | error over independent: median, most |",
         "|---|" + "--:|" * (len(kinds) + 8),
     ]
     names = list(dict.fromkeys(v.family for v in verdicts))

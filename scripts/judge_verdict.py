@@ -7,7 +7,7 @@ found where none is stated, and how far parameters are from where they are held.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -36,8 +36,9 @@ class Verdict:
 
     ``outcome``: "right", "refused" (rightly), or what is wrong: "refused wrongly", "failed", "cost", "tool", "cost and
     tool"; "other minimum" where the cost is lower than the independent one's and the tool is worse. ``polished``: how
-    much of the cost an independent search from calib's answer takes away. ``data_cost``, ``independent_data_cost``:
-    without what is held; ``kinematics``: the largest difference in sigmas of calib's residuals from independent ones.
+    much of a higher cost an independent search from calib's answer takes away in 30 steps. ``data_cost`` and
+    ``independent_data_cost``: without what is held. ``kinematics``: the largest difference in sigmas of calib's
+    residuals from independent ones.
     """
 
     family: str
@@ -89,17 +90,19 @@ def judge(case: Case, holding: Holding = "stated") -> Verdict:
         counts = case.numbers, len(case.truth), rank, None
         none = (nan,) * 8
         return Verdict(case.family, case.seed, outcome, *counts, *none, None, None, seconds, True, said)
-    found = state_of(case, fit)
+    found = state_of(case.layout, fit)
     names = {parameter.name for parameter in fit.parameters}
     if names != set(case.layout.names):
         raise AssertionError(f"calib's parameters are others: {sorted(names ^ set(case.layout.names))}")
     cost = stated(case, fit, holding)
+    if case.aligned == "similar":
+        # A smaller arm has smaller residuals, and nothing measured says how large it is: costs are of one size.
+        apart = found.targets[0, 1, :3, 3] - found.targets[0, 0, :3, 3]
+        cost = replace(cost, distances=(Distance((0, 1), float(np.linalg.norm(apart)), 1e-7),))
     x = case.layout.values(found)
     data, held_cost = cost.of(x)
     independent = minimise(cost, case.truth)
-    polished = minimise(cost, x)
     total = data + held_cost
-    # Of two independent answers the lower one is the minimum that is to be had; the tool is compared with the former.
     error, other = (miss(case, state) for state in (found, case.layout.state(independent.x[None])))
     higher = total > independent.total * (1.0 + HIGHER) + HIGHER
     worse = error > other * (1.0 + WORSE) + NOTHING
@@ -122,7 +125,7 @@ def judge(case: Case, holding: Holding = "stated") -> Verdict:
         independent.total,
         data,
         independent.data,
-        total - polished.total,
+        total - minimise(cost, x, 30).total if higher else 0.0,
         error * 1e3,
         other * 1e3,
         kinematics(case, fit, cost, x),
@@ -182,15 +185,15 @@ def _frames(layout: Layout, fit: calib.Fit, *, nominal: bool = False) -> State:
     return State(at.deviations, at.offsets, machine.frames.base[None], tools[None], targets)
 
 
-def state_of(case: Case, fit: calib.Fit) -> State:
+def state_of(layout: Layout, fit: calib.Fit) -> State:
     """The machine that calib found, by the names of its parameters and by its frames."""
-    frames = _frames(case.layout, fit)
+    frames = _frames(layout, fit)
     d, o = frames.deviations.copy(), frames.offsets.copy()
     values = {parameter.name: float(v) for parameter, v in zip(fit.parameters, fit.values, strict=True)}
-    for j, joint in enumerate(case.layout.arm.joints):
+    for j, joint in enumerate(layout.arm.joints):
         for c, component in enumerate(("tx", "ty", "tz", "rx", "ry", "rz")):
             d[0, j, c] = values.get(f"{joint.name}.{component}", 0.0)
-    for k, name in enumerate(case.layout.arm.ranges):
+    for k, name in enumerate(layout.arm.ranges):
         o[0, k] = values.get(f"{name}.offset", 0.0)
     return State(d, o, frames.base, frames.tools, frames.targets)
 
@@ -219,6 +222,3 @@ def miss(case: Case, state: State) -> float:
         size = float(np.sum(s * sign) / np.sum(a * a)) if case.aligned == "similar" else 1.0
         points, true = size * a @ (U * sign) @ Vt, b
     return float(np.sqrt(np.mean(np.sum((points - true) ** 2, axis=1))))
-
-
-__all__ = ["Distance", "Holding", "Verdict", "judge"]
