@@ -113,12 +113,17 @@ class Result:
 
 
 def coaxial(where: str) -> str:
-    """An arm with three joints on one axis: at its base, at its wrist, or all in one point of its base."""
+    """An arm with three joints on one axis: at its base, all in one point of it, at its wrist, or no others at all."""
     plain = [("0 0 0.3", "0 0 1"), ("0 0 0.2", "0 1 0"), ("0.4 0 0", "0 1 0"), ("0.35 0 0", "1 0 0")]
     three = [("0 0 0.1", "0 0 1"), ("0 0 0.15", "0 0 1"), ("0 0 0.1", "0 0 1")]
     point = [("0 0 0.3", "0 0 1"), ("0 0 0", "0 0 1"), ("0 0 0", "0 0 1")]
     on_x = [("0.1 0 0", "1 0 0"), ("0.08 0 0", "1 0 0"), ("0.1 0 0", "1 0 0")]
-    joints = {"wrist": [*plain[:3], *on_x], "base": [*three, *plain[1:]], "point": [*point, *plain[1:]]}[where]
+    joints = {
+        "wrist": [*plain[:3], *on_x],
+        "base": [*three, *plain[1:]],
+        "point": [*point, *plain[1:]],
+        "alone": three,
+    }[where]
     links = ["base", *(f"l{k}" for k in range(1, len(joints))), "tip"]
     limit = '<limit lower="-2.8" upper="2.8" effort="1" velocity="1"/>'
     text = [f'<link name="{link}"/>' for link in links]
@@ -359,7 +364,7 @@ def one_joint(seed: int) -> Session:
 def three_on_one_axis(seed: int) -> Session:
     """Three joints on one axis, with and without noise."""
     rng = np.random.default_rng([seed, 14])
-    which = str(rng.choice(["coaxial base", "coaxial wrist", "coaxial point"]))
+    which = str(rng.choice(["coaxial base", "coaxial wrist", "coaxial point", "coaxial alone"]))
     found, _ = robot_of(which)
     paths = [found.draw(rng, int(rng.integers(25, 81))), found.draw(rng, 200)]
     size = float(rng.choice([0.3e-3, 2e-3]))
