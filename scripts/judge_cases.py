@@ -42,7 +42,12 @@ PANDA = ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp")
 ARM_CMM = (str(ROOT / "robots" / "arm_cmm" / "arm_cmm.urdf"), "probe")
 IRB2400 = (str(ROOT / "robots" / "irb2400" / "irb2400.urdf"), "tool0")
 LOOP = calib.ClosedLoop("parallelogram", ("rod_end", "rear_lever_pin"), ("x", "z"), ("elbow", "rod"))
-OF_LOOP = ("joint_*", "elbow_cancel", "rod_length.tz", "rear_lever_length.tx")
+# Tilts between the shafts of crank and lower arm are not among them: of those that the arm itself does not show,
+# nothing but their squares shows, so that either sign is a minimum.
+OF_LOOP = (
+    *("joint_1", "joint_2.t?", "joint_2.ry", "joint_3.t?", "joint_4", "joint_5", "joint_6"),
+    *("elbow_cancel", "rod_length.tz", "rear_lever_length.tx"),
+)
 BOARD = np.array([(0.03 * i, 0.03 * j, 0.0) for i in range(5) for j in range(4)])
 LENS = {"fx": 1395.2, "fy": 1393.8, "cx": 648.3, "cy": 505.9, "k1": -0.1124, "k2": 0.1387, "p1": 3.1e-4, "p2": -4.7e-4}
 UNSEEN = 200
@@ -143,12 +148,14 @@ def machine(
 
 
 def free_placements(which: str, found: Arm) -> tuple[str, ...]:
-    """Names of all components of placements that "all" frees, or the selection of the job of robots/irb2400."""
+    """Names of all components of placements that "all" frees, or about the selection of the job of robots/irb2400."""
     own = {"revolute": "rz", "prismatic": "tz", "fixed": ""}
     every = [joint for joint in found.joints if joint.kind != "fixed"]
     if which == "irb2400":
         every = [joint for joint in every if joint.name.startswith("joint_") or joint.name == "elbow_cancel"]
     names = [f"{joint.name}.{c}" for joint in every for c in COMPONENTS if c != own[joint.kind]]
+    if which == "irb2400":
+        names = [name for name in names if not name.startswith(("joint_3.r", "joint_2.rx"))]
     return (*names, *(("rod_length.tz", "rear_lever_length.tx") if which == "irb2400" else ()))
 
 

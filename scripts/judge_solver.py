@@ -54,9 +54,9 @@ def summary(verdicts: Sequence[Verdict]) -> str:
     """A table of families in Markdown."""
     kinds = ("cost", "tool", "cost and tool", "other minimum", "refused wrongly", "failed")
     lines = [
-        f"| family | cases | right | refused rightly | {' | '.join(kinds)} | far | not converged | evaluations: "
+        f"| family | cases | right | refused rightly | {' | '.join(kinds)} | of these at a minimum | far | not converged | evaluations: "
         "median, 90 %, most | cost over independent: most | error over independent: median, most |",
-        "|---|" + "--:|" * (len(kinds) + 8),
+        "|---|" + "--:|" * (len(kinds) + 9),
     ]
     names = list(dict.fromkeys(v.family for v in verdicts))
     for name in [*names, *(["all"] if len(names) > 1 else [])]:
@@ -68,7 +68,7 @@ def summary(verdicts: Sequence[Verdict]) -> str:
         costs = np.array([(v.cost - v.independent_cost) / max(v.independent_cost, 1.0) for v in solved] or [np.nan])
         lines.append(
             f"| {name} | {len(own)} | {sum(v.outcome == 'right' for v in own)} | "
-            f"{sum(v.outcome == 'refused' for v in own)} | {counts} | {int(np.sum(ratios > FAR))} | "
+            f"{sum(v.outcome == 'refused' for v in own)} | {counts} | {sum(v.stuck for v in own)} | {int(np.sum(ratios > FAR))} | "
             f"{sum(not v.converged for v in solved)} | {np.median(evaluations):.0f}, "
             f"{np.quantile(evaluations, 0.9):.0f}, {evaluations.max()} | {costs.max():+.1e} | "
             f"{np.median(ratios):.3f}, {ratios.max():.3g} |"

@@ -67,6 +67,11 @@ class Verdict:
         """Whether nothing is wrong."""
         return self.outcome in ("right", "refused")
 
+    @property
+    def stuck(self) -> bool:
+        """Whether the answer is a minimum, and not the least one: an independent search does not leave it either."""
+        return self.outcome.startswith("cost") and self.polished <= HIGHER * (1.0 + self.cost)
+
 
 def judge(case: Case, holding: Holding = "stated") -> Verdict:
     """Let calib solve a session, and judge what it says."""
