@@ -53,26 +53,27 @@ def every(tasks: Sequence[tuple[int, str, Holding]], jobs: int) -> Iterator[tupl
 def summary(verdicts: Sequence[Verdict]) -> str:
     """A table of families in Markdown."""
     kinds = ("cost", "tool", "cost and tool", "other minimum", "refused wrongly", "failed")
-    lines = [
-        f"| family | cases | right | refused rightly | {' | '.join(kinds)} | of these at a minimum | far | not converged | evaluations: "
-        "median, 90 %, most | cost over independent: most | error over independent: median, most |",
-        "|---|" + "--:|" * (len(kinds) + 9),
-    ]
+    heads = (
+        *("family", "cases", "right", "refused rightly", *kinds, "of these at a minimum", "far", "not converged"),
+        *("evaluations: median, 90 %, most", "cost over independent: most", "error over independent: median, most"),
+    )
+    lines = [f"| {' | '.join(heads)} |", "|---|" + "--:|" * (len(heads) - 1)]
     names = list(dict.fromkeys(v.family for v in verdicts))
     for name in [*names, *(["all"] if len(names) > 1 else [])]:
         own = [v for v in verdicts if name in (v.family, "all")]
         solved = [v for v in own if v.evaluations is not None]
-        counts = " | ".join(str(sum(v.outcome == kind for v in own)) for kind in kinds)
         evaluations = np.array([v.evaluations for v in solved] or [0])
         ratios = np.array([v.error / v.independent_error for v in solved] or [np.nan])
         costs = np.array([(v.cost - v.independent_cost) / max(v.independent_cost, 1.0) for v in solved] or [np.nan])
-        lines.append(
-            f"| {name} | {len(own)} | {sum(v.outcome == 'right' for v in own)} | "
-            f"{sum(v.outcome == 'refused' for v in own)} | {counts} | {sum(v.stuck for v in own)} | {int(np.sum(ratios > FAR))} | "
-            f"{sum(not v.converged for v in solved)} | {np.median(evaluations):.0f}, "
-            f"{np.quantile(evaluations, 0.9):.0f}, {evaluations.max()} | {costs.max():+.1e} | "
-            f"{np.median(ratios):.3f}, {ratios.max():.3g} |"
+        cells = (
+            *(name, len(own), sum(v.outcome == "right" for v in own), sum(v.outcome == "refused" for v in own)),
+            *(sum(v.outcome == kind for v in own) for kind in kinds),
+            *(sum(v.stuck for v in own), int(np.sum(ratios > FAR)), sum(not v.converged for v in solved)),
+            f"{np.median(evaluations):.0f}, {np.quantile(evaluations, 0.9):.0f}, {evaluations.max()}",
+            f"{costs.max():+.1e}",
+            f"{np.median(ratios):.3f}, {ratios.max():.3g}",
         )
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
 
