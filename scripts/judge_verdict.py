@@ -103,7 +103,7 @@ def judge(case: Case, holding: Holding = "stated") -> Verdict:
     if case.aligned == "similar":
         # A smaller arm has smaller residuals, and nothing measured says how large it is: costs are of one size.
         apart = found.targets[0, 1, :3, 3] - found.targets[0, 0, :3, 3]
-        cost = replace(cost, distances=(Distance((0, 1), float(np.linalg.norm(apart)), 1e-7),))
+        cost = replace(cost, distances=(Distance((0, 1), float(np.linalg.norm(apart)), 1e-5),))
     x = case.layout.values(found)
     data, held_cost = cost.of(x)
     independent = minimise(cost, case.truth)

@@ -32,16 +32,16 @@ def test_the_cost_is_the_least_and_the_tool_as_near_as_can_be(family: str, seed:
 def test_derivatives_of_the_judge_are_those_of_its_costs(family: str) -> None:
     session = case(1, family)
     cost = stated(session, None, "stated")
-    h = 1e-6
-    for k, column in enumerate(cost.jacobian(session.truth).T):
+    h, J = 1e-6, cost.jacobian(session.truth)
+    for k, column in enumerate(J.T):
         step = np.zeros(len(session.truth))
         step[k] = h
         (up, _), (down, _) = (cost.whitened((session.truth + s)[None]) for s in (step, -step))
         numeric = (up[0] - down[0]) / (2.0 * h)
-        assert np.abs(column - numeric).max() <= 1e-5 * max(np.abs(numeric).max(), 1.0)
+        assert np.abs(column - numeric).max() <= 1e-7 * np.abs(J).max()
 
 
-@pytest.mark.parametrize("family", ["ur5_few", "irb2400", "sockets"])
+@pytest.mark.parametrize("family", ["ur5_few", "panda"])
 def test_the_judge_finds_one_minimum_from_truth_and_from_nearby(family: str) -> None:
     session = case(2, family)
     cost = stated(session, None, "stated")
