@@ -23,7 +23,7 @@ ZERO, LENGTH, ANGLE, TOOL = 0.1, 0.01, 0.01, 1.0
 # Where a solver chooses among equal fits in its own way, widths so much larger do not move what the data see.
 WEAK = 1e3
 # A cost is higher where it exceeds the other by this share of it, and of one measured number.
-HIGHER = 1e-6
+HIGHER, ALIKE = 1e-6, 1e-4
 # The tool at new poses is worse where its error is larger by this share, and by this many metres, which are nothing.
 WORSE, NOTHING = 0.05, 1e-8
 # Found noise that is taken for the truth's, by how much larger it may be.
@@ -109,7 +109,9 @@ def judge(case: Case, holding: Holding = "stated") -> Verdict:
     independent = minimise(cost, case.truth)
     total = data + held_cost
     error, other = (miss(case, state) for state in (found, case.layout.state(independent.x[None])))
-    higher = total > independent.total * (1.0 + HIGHER) + HIGHER
+    # What residuals alone see of size and turns is nothing that calib looks for: costs beside it are not quite alike.
+    share = ALIKE if case.aligned == "similar" else HIGHER
+    higher = total > independent.total * (1.0 + share) + share
     worse = error > other * (1.0 + WORSE) + NOTHING
     lower = total < independent.total * (1.0 - HIGHER) - HIGHER
     outcome = {

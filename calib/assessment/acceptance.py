@@ -155,7 +155,8 @@ def _realigned(uncertainty: Uncertainty, data: Measurements) -> Machine:
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
     tools = machine.frames.tools
     assert data.position is not None, "positions and poses have one"
-    base, _ = align(Rows(tips, data.position, turned, data.tool), Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools)
+    rows = Rows(tips, data.position, turned, data.tool)
+    base = align(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base
     return replace(machine, frames=Frames(base, tools))
 
 

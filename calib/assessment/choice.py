@@ -7,7 +7,7 @@ being fitted again. Each fold goes its own way without having seen the rows it i
 J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how many steps
 all rows then take.
 
-A parameter without a prior of its own is held by a weak one, as wide as what counts as unseen: ten ordinary deviations.
+A parameter without a prior of its own is held by its weak one, at the geometric fit.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -239,10 +239,10 @@ class _System:
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
-        hold = np.array([parameter.hold for parameter in parameters])
-        self._priors = np.where(hold > 0.0, hold, USABLE) ** 2
-        # A prior pulls towards zero; the weak hold is about the geometric fit.
-        self._pull = np.where(hold > 0.0, self._x / scales(parameters), 0.0)
+        self._priors = np.array([parameter.hold for parameter in parameters]) ** 2
+        # A stated prior pulls towards zero; a weak one holds at the geometric fit.
+        stated = np.array([parameter.prior is not None for parameter in parameters])
+        self._pull = np.where(stated, self._x / scales(parameters), 0.0)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
         """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""

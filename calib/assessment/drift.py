@@ -204,5 +204,5 @@ def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array, tool: str) -> A
     guess = old.machine.frames.tools[before : before + 1]
     rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))
     with one_thread():
-        base, tools = align(rows, Known(None, None, guess[:, :3, :3]), guess)
+        base, tools, _ = align(rows, Known(None, None, guess[:, :3, :3]), guess)
     return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))

@@ -13,11 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.identification.parameters import TOOL
 
 _MOST_STEPS = 100
 _STEP_TOLERANCE = 1e-11
 _NEGLIGIBLE = 1e-10
+# A tool has hardly a part in a unit direction.
+_HARDLY = 0.1
 # Metres that weigh like one radian: a typical lever between an error of orientation and one of position.
 _LEVER = 0.3
 
@@ -43,40 +46,68 @@ class Known(NamedTuple):
     rotations: Array | None
 
 
-def align(rows: Rows, known: Known, guess: Array) -> tuple[Array, Array]:
-    """Return the base pose (4, 4) and the tool poses (k, 4, 4) that explain the rows best.
+class Aligned(NamedTuple):
+    """The base pose (4, 4), the tool poses (k, 4, 4), and whether every direction of a tool point is shown (k,)."""
 
-    ``guess`` (k, 4, 4): tool poses from which what the rows do not determine takes its value.
+    base: Array
+    tools: Array
+    shown: BoolArray
+
+
+def align(rows: Rows, known: Known, guess: Array) -> Aligned:
+    """Return the base pose and the tool poses that explain the rows best.
+
+    ``guess`` (k, 4, 4): tool poses from which what the rows do not show takes its value. A direction of a tool point is
+    shown when a tool of ordinary length along it changes positions by more than what the rows leave unexplained: where
+    the tip hardly turns, the best fit would put the tool kilometres away.
     """
     points = guess[:, :3, 3] if known.points is None else known.points
     R, turned = rows.tips[:, :3, :3], ~np.isnan(rows.orientation[:, 0, 0])
     predicted = rows.tips[:, :3, 3] + (R @ points[rows.tool, :, None])[..., 0]
-    # A change of the tool points beside those of the guess; the mean row, which s alone explains, is taken out.
+    # Changes of the tool points beside those of the guess, as they move positions, best shown first.
     columns = [R * (rows.tool == k)[:, None, None] for k in range(len(guess))] if known.points is None else []
     L = np.concatenate(columns, axis=2) if columns else np.zeros((len(R), 3, 0))
-    if known.base is None:
-        centre, y = rows.position.mean(axis=0), rows.position - rows.position.mean(axis=0)
-        L_c, predicted_c = L - L.mean(axis=0), predicted - predicted.mean(axis=0)
-        A = _rotation(rows, turned, known.rotations, len(guess), y, L_c, predicted_c)
-        change = _solve(L_c.reshape(3 * len(R), -1), (y @ A.T - predicted_c).ravel())
-        t_base = centre - A.T @ (predicted + L @ change).mean(axis=0)
-        base = rigid.placement(A.T, t_base)
-    else:
-        base, A = known.base, known.base[:3, :3].T
-        change = _solve(L.reshape(3 * len(R), -1), ((rows.position - base[:3, 3]) @ A.T - predicted).ravel())
-    points = points + change.reshape(-1, 3) if columns else points
+    seen = L if known.base is not None else L - L.mean(axis=0)
+    _, values, Vt = np.linalg.svd(linear.triangle(seen.reshape(3 * len(R), -1)))
+    count = int(np.count_nonzero(values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)))
+    while True:
+        base, change = _base_and_change(rows, known, turned, len(guess), predicted, L @ Vt[:count].T)
+        left = np.linalg.norm((rows.position - base[:3, 3]) @ base[:3, :3] - predicted - L @ Vt[:count].T @ change)
+        spare = rows.position.size - count - (0 if known.base is not None else 6)
+        if not count or values[count - 1] * TOOL > left * np.sqrt(rows.position.size / max(spare, 1)):
+            break
+        count -= 1
+    points = points + (Vt[:count].T @ change).reshape(-1, 3) if columns else points
     rotations = known.rotations
     if rotations is None:
         rotations = guess[:, :3, :3].copy()
         for k in np.unique(rows.tool[turned]):
             own = turned & (rows.tool == k)
-            seen = np.swapaxes(R[own], -1, -2) @ A @ rows.orientation[own]
-            rotations[k] = rigid.nearest_rotation(seen.sum(axis=0))
-    return base, rigid.placement(rotations, points)
+            by_base = np.swapaxes(R[own], -1, -2) @ base[:3, :3].T @ rows.orientation[own]
+            rotations[k] = rigid.nearest_rotation(by_base.sum(axis=0))
+    shown = np.ones(len(guess), dtype=np.bool_)
+    if count < len(Vt):
+        shown = np.linalg.norm(Vt[count:].T.reshape(-1, 3, len(Vt) - count), axis=(1, 2)) < _HARDLY
+    return Aligned(base, rigid.placement(rotations, points), shown)
+
+
+def _base_and_change(
+    rows: Rows, known: Known, turned: BoolArray, n_tools: int, predicted: Array, L: Array
+) -> tuple[Array, Array]:
+    """Return the base (4, 4) and the amounts (c,) of changes L (N, 3, c) to the ``predicted`` positions (N, 3)."""
+    if known.base is not None:
+        found = (rows.position - known.base[:3, 3]) @ known.base[:3, :3] - predicted
+        return known.base, _solve(L.reshape(3 * len(L), -1), found.ravel())
+    # The mean row, which the base's translation alone explains, is taken out.
+    centre = rows.position.mean(axis=0)
+    y, L_c, predicted_c = rows.position - centre, L - L.mean(axis=0), predicted - predicted.mean(axis=0)
+    A = _rotation(rows, turned, known.rotations, n_tools, y, L_c, predicted_c)
+    change = _solve(L_c.reshape(3 * len(L), -1), (y @ A.T - predicted_c).ravel())
+    return rigid.placement(A.T, centre - A.T @ (predicted + L @ change).mean(axis=0)), change
 
 
 def _rotation(
-    rows: Rows, turned: Array, rotations: Array | None, n_tools: int, y: Array, L: Array, predicted: Array
+    rows: Rows, turned: BoolArray, rotations: Array | None, n_tools: int, y: Array, L: Array, predicted: Array
 ) -> Array:
     """Return A = R_base^T from centred positions y (N, 3) and from orientations."""
     # A y = (y^T kron I) vec(A), column by column; the same for every column of a measured rotation.

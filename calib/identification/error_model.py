@@ -15,7 +15,7 @@ from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import near
 from calib.identification.joint_terms import group_of, links, moments_of, ordinary, terms_of
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import Parameter, ParameterKind, Prior
+from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Prior, width
 from calib.identification.relations import Relation
 from calib.identification.targets import Target
 from calib.measurement.measurements import Measurements
@@ -115,14 +115,15 @@ class ErrorModel:
 
     def parameters(self, tools: Sequence[str] = ("tool",)) -> tuple[Parameter, ...]:
         """Return the free parameters for measurements made with the named tools, in the order of the state."""
-        layout = Layout(self.robot)
+        layout, reach = Layout(self.robot), self.robot.reach
         found: list[Parameter] = []
 
         def free(name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool) -> None:
             prior = (self.prior_length if length else self.prior_angle) if kind in ("offset", "placement") else None
             group = _GROUPS[kind, length] if prior == "learned" else None
             stated = None if prior == "learned" else prior
-            found.append(Parameter(name, "m" if length else "rad", kind, direction, stated, group=group))
+            unit: Literal["m", "rad"] = "m" if length else "rad"
+            found.append(Parameter(name, unit, kind, direction, stated, group=group, weak=width(kind, unit, reach)))
 
         for (joint, component), direction in zip(self.placements, self._directions(), strict=True):
             free(f"{joint}.{component}", "placement", *direction, length=component in ("tx", "ty", "tz", "a", "d"))
@@ -138,7 +139,8 @@ class ErrorModel:
                 group = group_of(term, dimensions.get(term.reading, "angle")) if prior == "learned" else None
                 stated = None if prior == "learned" else prior
                 direction = ((layout.terms + t, 1.0),)
-                found.append(Parameter(term.name, unit, "term", direction, stated, ordinary(unit), group))
+                size = ordinary(unit)
+                found.append(Parameter(term.name, unit, "term", direction, stated, size, group, weak=TERM_WIDTH * size))
         if self.base == "pose":
             for k, component in enumerate(POSE):
                 free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)

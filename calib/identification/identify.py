@@ -20,7 +20,7 @@ from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.posing import posed, with_common_names, with_new_targets
-from calib.identification.solver import Solution, solve
+from calib.identification.solver import Solution, solution_at, solve
 from calib.identification.start import is_fit
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
@@ -90,7 +90,7 @@ def _identify(
         problem = replace(problem, given_losses=tuple(losses))
     before_fit = residuals(model.robot, sets, nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
-    problem, found, learned = solve_learning(problem, x0, variances, at_start=before_fit if begin is None else None)
+    problem, found, learned = solve_learning(problem, x0, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     usable = min(found.directions.usable, identifiability.directions(found.start).rank)
@@ -213,7 +213,26 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
 
-    What the data can see, and how well, stays as identified.
+    Noise, covariance and what the data see are those of these values.
     """
+    frames = machine.frames
+    problem = Problem(
+        fit.model, fit.parameters, frames, fit.measurements, fit.machine.deviations, fit.model.relations, fit.losses
+    )
+    with one_thread():
+        x = values_at(fit.model.robot, fit.parameters, frames, machine.deviations)
+        found = solution_at(problem, x)
     after = residuals(fit.model.robot, fit.measurements, machine)
-    return replace(fit, values=read_only(values), machine=machine, residuals=tuple(read_only(r) for r in after))
+    return replace(
+        fit,
+        values=read_only(values),
+        covariance=read_only(found.covariance),
+        rank=found.directions.rank,
+        usable_rank=found.directions.usable,
+        singular_values=read_only(found.directions.singular_values),
+        blind=read_only_view(identifiability.blind_parameters(found.unseen)),
+        unseen=read_only(found.unseen),
+        noise=_noise(problem, found, after),
+        machine=machine,
+        residuals=tuple(read_only(r) for r in after),
+    )

@@ -13,7 +13,6 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification import weights
-from calib.identification.identifiability import USABLE
 from calib.identification.parameters import Parameter, ParameterUnit, scales
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Problem
@@ -53,21 +52,17 @@ def solve_learning(
     problem: Problem,
     x0: Array,
     variances: Sequence[float | None] | None,
-    *,
-    at_start: Sequence[Array] | None = None,
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
-
-    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
 
     Raises what :func:`calib.identification.solver.solve` raises.
     """
     names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
     if not names:
-        return problem, solve(problem, x0, variances, at_start=at_start), ()
+        return problem, solve(problem, x0, variances), ()
     widths = np.ones(len(names))
     problem = _with_widths(problem, names, widths)
-    found = solve(problem, x0, variances, at_start=at_start)
+    found = solve(problem, x0, variances)
     rows = _rows(problem, found, variances, names)
     seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
     few = np.asarray(seen < _FEWEST)
@@ -96,14 +91,15 @@ def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Probl
 
 
 def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]) -> Rows:
-    """Return the equations at a solution, shifted to where priors have their means; others are held weakly there."""
+    """Return the equations at a solution, shifted to where stated priors have their means; weak ones hold there."""
     sigmas = weights.sigmas_of(problem, found.variances, problem.residuals(found.x))
     evaluation = problem.evaluate(sigmas, found.x)
     parameters = problem.parameters
     p = len(parameters)
     hold = np.array([parameter.hold for parameter in parameters])
+    stated = np.array([parameter.prior is not None for parameter in parameters])
     shift = np.eye(p + 1)
-    shift[:p, p] = np.where(hold > 0.0, -found.x / scales(parameters), 0.0)
+    shift[:p, p] = np.where(stated, -found.x / scales(parameters), 0.0)
 
     def gram(triangle: Array) -> Array:
         seen = triangle.copy()
@@ -114,7 +110,7 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
 
     known = gram(evaluation.relations)
     learned = np.array([parameter.group is not None for parameter in parameters])
-    known[range(p), range(p)] += np.where(learned, 0.0, np.where(hold > 0.0, hold, USABLE) ** 2)
+    known[range(p), range(p)] += np.where(learned, 0.0, hold**2)
     least, counts = [], []
     for component in problem.components:
         instrument = problem.measurements[component.measurements].sigma[:, component.columns]

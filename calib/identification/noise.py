@@ -9,8 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import chdtri
 
 from calib.foundations.arrays import Array
+
+# Residuals are clearly more than the instrument's noise when that leaves as many so rarely.
+RARELY = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +53,11 @@ def noise_of(
     )
 
 
-def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: float) -> float:
+def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: float, *, clearly: bool = False) -> float:
     """Return the v >= 0 with ``sum r^2 / (instrument^2 + v) = degrees_of_freedom``, 0 when the instrument suffices.
 
     ``residuals`` (n,) and ``instrument`` (n,) in the same unit; this is the REML equation for given weights.
+    ``clearly``: the instrument suffices, too, where its noise leaves such residuals more than once in a thousand times.
     """
     squares, variances = residuals**2, instrument**2
     if degrees_of_freedom <= 0.0:
@@ -62,11 +67,12 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
         return mean
     with np.errstate(divide="ignore", invalid="ignore"):
         at_zero = np.nansum(squares / variances)
-    if at_zero <= degrees_of_freedom:
+    if at_zero <= (chdtri(degrees_of_freedom, RARELY) if clearly else degrees_of_freedom):
         return 0.0
     # At v = mean the sum is at most the degrees of freedom (but for rounding): the root lies below. The unknown is
     # v / mean, as brentq stops at an absolute step.
     squares, variances = squares / mean, variances / mean
+    low = 0.0 if np.isfinite(at_zero) else 1e-12
     return mean * float(
-        brentq(lambda u: float(np.sum(squares / (variances + u))) - degrees_of_freedom, 1e-12, 1.0 + 1e-9)
+        brentq(lambda u: float(np.sum(squares / (variances + u))) - degrees_of_freedom, low, 1.0 + 1e-9)
     )

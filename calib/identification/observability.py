@@ -1,16 +1,17 @@
 """What measurements would reveal, before anything is solved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
-from calib.identification.machine import values_at
-from calib.identification.parameters import Parameter
+from calib.identification.machine import Layout, values_at
+from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
 from calib.identification.posing import posed
 from calib.identification.system import Evaluation, Problem, evaluate
 from calib.measurement.checks import Finding
@@ -100,7 +101,29 @@ def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Fin
                 '([targets.NAME]), would tell; with base = "fixed" nothing is said.',
             )
         )
-    return tuple(found)
+    return (*found, *_unturned(problem))
+
+
+def _unturned(problem: Problem) -> Iterator[Finding]:
+    """Yield what poses do not show of tool points, since the tip link hardly turns."""
+    sets, tools = problem.measurements, problem.measurements[0].tools
+    layout = Layout.of(problem.model.robot, problem.reference)
+    held = {(q.direction[0][0] - layout.tools) // 6 for q in problem.parameters if q.weak == UNSHOWN_TOOL_WIDTH}
+    for k in sorted(held):
+        rotations = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
+        if not len(rotations):
+            continue
+        turned = np.linalg.norm(rigid.log3(np.swapaxes(rotations[:1], -1, -2) @ rotations), axis=1).max()
+        whose = "" if len(tools) == 1 else f" {tools[k]!r}"
+        yield Finding(
+            "warning",
+            "tool-unseen",
+            f"With the tool{whose} the tip link turns by {np.degrees(turned):.3g} deg at most, or about one direction: "
+            "where the tool point is cannot be told from where the base is, nor what is to blame for either, and the "
+            "point is held near its start. Positions at such orientations are predicted well in spite of that, others "
+            "are not. Poses that turn the tip link by tens of degrees about two directions tell it, or a tool that is "
+            'known (tool = "fixed").',
+        )
 
 
 def _at_start(problem: Problem) -> Evaluation:

@@ -1,5 +1,6 @@
 """Named parameters: what may deviate, in which unit, and how far one expects it to."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +17,17 @@ Prior = float | Literal["learned"]
 
 # What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
+# Standard deviations of the weak priors of parameters that were given none, in m and rad: of joint offsets and of link
+# placements; of a tool point it is the arm's reach, or what is stated here where the poses do not show the point. Base,
+# targets and the tool's orientation have such wide ones that what could be in the robot as well as in a frame of the
+# set-up is in the frame. Terms: so many ordinary deviations.
+OFFSET_WIDTH = 0.1
+PLACEMENT_WIDTH = 0.01
+UNSHOWN_TOOL_WIDTH = 0.03
+FRAME_WIDTH = 10.0
+TERM_WIDTH = 10.0
+# An ordinary distance of a tool point from its link, in m.
+TOOL = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +37,10 @@ class Parameter:
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
     ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
     ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``ordinary`` the size
-    of a deviation that surprises nobody. Where the width of the prior is learned, ``group`` names those that share it,
-    and the prior is None until then.
+    of an ordinary deviation. Where the width of the prior is learned, ``group`` names those that share it, and the
+    prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
+    none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
+    determine the parameter.
     """
 
     name: str
@@ -36,6 +50,7 @@ class Parameter:
     prior: float | None = None
     ordinary: float = DEFAULT_SIGMA
     group: str | None = None
+    weak: float = math.inf
 
     @property
     def of_robot(self) -> bool:
@@ -49,8 +64,17 @@ class Parameter:
 
     @property
     def hold(self) -> float:
-        """How strongly the prior holds: ordinary deviations in one of its standard deviations, inverted; 0: none."""
-        return 0.0 if self.prior is None else self.scale / self.prior
+        """How strongly the prior, stated or weak, holds: 1 over its standard deviation in units of the scale."""
+        return self.scale / (self.weak if self.prior is None else self.prior)
+
+
+def width(kind: ParameterKind, unit: ParameterUnit, reach: float = 0.0) -> float:
+    """Return the standard deviation of the weak prior of a length or an angle; ``reach`` of the arm, in m."""
+    if kind == "offset":
+        return OFFSET_WIDTH
+    if kind == "placement":
+        return PLACEMENT_WIDTH
+    return max(reach, TOOL) if kind == "tool" and unit == "m" else FRAME_WIDTH
 
 
 def scales(parameters: Sequence[Parameter]) -> Array:

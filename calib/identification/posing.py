@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.foundations.arrays import IntArray
+from calib.foundations.arrays import BoolArray, IntArray
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Layout, Machine, values_at
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
 from calib.identification.placing import with_targets
 from calib.identification.solver import solve
-from calib.identification.start import start_frames, turned, turned_by
+from calib.identification.start import start, turned, turned_by
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import Measurements
@@ -38,9 +38,10 @@ def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
         target.height_is_known for target in model.targets.values()
     ):
         model = replace(model, base="fixed")
-    reference = start_frames(model, sets)
+    reference, unshown = start(model, sets)
     layout = Layout.of(model.robot, reference)
     of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
+    of_model = _with_unshown_tools(of_model, unshown, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
     names = [parameter.name for parameter in parameters]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -114,10 +115,10 @@ def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: M
         if targets_end <= parameter.direction[0][0] < layout.lengths or parameter.direction[0][0] >= lengths_end
     )
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
-    start = values_at(model.robot, new, placed, machine.deviations)
+    x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
     others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
-    return problem.machine(solve(problem, start).x if others and new else start)
+    return problem.machine(solve(problem, x0).x if others and new else x0)
 
 
 def _refuse_unturned_tools(model: ErrorModel, sets: Sequence[Measurements]) -> None:
@@ -144,6 +145,19 @@ def _without_turns_of_points(
         return parameter.kind == "tool" and component > 2 and not turning[tool]
 
     return tuple(parameter for parameter in parameters if not of_point(parameter))
+
+
+def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, layout: Layout) -> tuple[Parameter, ...]:
+    """Return the parameters with points of tools held where they start, if poses do not show all their directions.
+
+    Wide priors would let errors of the model move such a tool far along curved valleys, to no one's use.
+    """
+
+    def held(parameter: Parameter) -> bool:
+        tool, component = divmod(parameter.direction[0][0] - layout.tools, 6)
+        return parameter.kind == "tool" and component < 3 and bool(unshown[tool])
+
+    return tuple(replace(q, weak=UNSHOWN_TOOL_WIDTH) if held(q) else q for q in parameters)
 
 
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:

@@ -160,7 +160,7 @@ def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tool
     )
     fixed = model.tool == "fixed"
     known = Known(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
-    base, found = align(rows, known, tools)
+    base, found, _ = align(rows, known, tools)
     # An image that is read wrongly is by far off the others.
     T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
     kept = ordinary(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & ordinary(
@@ -169,7 +169,8 @@ def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tool
     if kept.all():
         return base, found
     some = Rows(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
-    return align(some, known, tools)
+    again = align(some, known, tools)
+    return again.base, again.tools
 
 
 def _carried(own: Sequence[Sight], name: str, tools: Array, sought: set[int]) -> Array:

@@ -1,8 +1,12 @@
-"""The least-squares solution of a problem: Levenberg-Marquardt by SciPy, then Gauss-Newton to the last digit.
+"""The least-squares solution of a problem: the minimum first, then what can be said of it.
 
-Blind directions are closed by inner constraints (:func:`calib.identification.identifiability.gauge`), taken anew at
-every step of the second phase, so that the chosen machine does not depend on where the search began. Model variances
-are estimated on the way and the rows are weighted anew.
+What is minimised is the cost of the data at the instrument's noise, and of priors: stated ones, and weak ones, which
+hold all other parameters at their start (:mod:`calib.identification.parameters`). No direction is closed by a
+threshold: where the data speak, a weak prior is negligible, and where they are silent, it decides alone.
+
+Levenberg-Marquardt by SciPy brings the search near the minimum. Gauss-Newton steps do the rest; each is judged, and
+damped where it fails. There the noise is estimated, too: where nobody stated it, and where what is stated clearly does
+not explain the residuals. Rank, null space and covariance are those of the solution, with the noise that it shows.
 """
 
 from collections.abc import Sequence
@@ -11,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.foundations import linear
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification import identifiability, weights
 from calib.identification.identifiability import Directions
@@ -20,29 +23,35 @@ from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
 
-_MOST_STEPS = 40
+_MOST_STEPS, _MANY_STEPS = 60, 20
 # Weights of rows that lie off settle more slowly than the parameters.
 _MOST_ROBUST_STEPS = 160
-# The rank is decided at the second step, where the noise is known; to decide it at every step would make them jump.
-_STEP_OF_DECISION = 1
-# The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it, so 1e-6
-# ordinary deviations (1e-9 m) leave less than 1e-12 m.
-_NEGLIGIBLE_STEP = 1e-6
+# A step is negligible in ordinary deviations, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, which
+# then is that of a thousandth of a standard deviation.
+_NEGLIGIBLE_STEP, _HARDLY_A_GAIN, _NEGLIGIBLE_GAIN = 1e-6, 1e-3, 1e-6
 # Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
 _ROUNDING = 1e-10
-# Noise foretold at the start, as a share of the residuals there: less would leave blind directions without a hold.
-_LEAST_FORETOLD = 1e-3
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
-_ROUGH = 1e-4
+_ROUGH, _MOST_ROUGH_STEPS = 1e-3, 10
+# Singular values below this share of the largest are rounding.
+_SINGULAR = 1e-14
+# Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
+_SAME_COST, _CLEARLY_LESS, _HARDLY_MORE, _SHORTER = 1e-9, 0.5, 1.1, 0.5
+_LEAST_DAMPING, _MOST_FAILURES = 1.0, 1
+# Points that tell how full steps shrink, and what counts as quickly.
+_REMEMBERED, _QUICK = 5, 0.1
+# By how much stronger priors hold in a correction, and where their widths are more than can be searched.
+_HELD = 10.0
+_NARROWER = (1.0, 10.0, 100.0)
 
 
 class Solution(NamedTuple):
     """A least-squares solution.
 
     ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data see at x, priors left out.
-    ``unseen`` (p, k), scaled: what neither data nor priors see well enough. ``start`` (q, p): the data's triangle at
-    the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component. ``step``:
-    the last one, in ordinary deviations.
+    ``unseen`` (p, k), scaled: what neither data nor stated priors see well enough. ``start`` (q, p): the data's
+    triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
+    ``step``: the last one, in ordinary deviations.
     """
 
     x: Array
@@ -57,117 +66,70 @@ class Solution(NamedTuple):
     converged: bool
 
 
-def solve(
-    problem: LeastSquares,
-    x0: Array,
-    variances: Sequence[float | None] | None = None,
-    *,
-    at_start: Sequence[Array] | None = None,
-) -> Solution:
+def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
 
-    ``at_start``: the residuals (N, d) of every set at x0, where they are known already.
-
-    Raises IdentificationError when there are no more rows and priors than the rank.
+    Raises IdentificationError when there are no more rows and stated priors than the rank.
     """
     s = scales(problem.parameters)
-    z0 = x0 / s
-    # Nearest to nominal: the robot to zero, frames to where they start.
-    nominal = np.where([parameter.of_robot for parameter in problem.parameters], 0.0, z0)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    v = _keep(fixed, weights.mean_squares(problem, x0, at_start))
-    evaluator = _Evaluator(problem, s)
-    sigmas = first_sigmas = weights.sigmas_of(problem, v)
-    first = evaluator(z0, sigmas)
-    G = _first_gauge(problem, first, _prior_rows(problem, z0), estimated=None in fixed)
-    z = _levenberg_marquardt(problem, evaluator, sigmas, z0, nominal, G)
-
-    step, settled, rank = np.inf, False, None
-    for k in range(_MOST_ROBUST_STEPS if problem.robust else _MOST_STEPS):
-        evaluation = evaluator(z, sigmas)
-        state = _State.of(problem, evaluation, z, sigmas, v, fixed, rank)
-        rank = state.rank if k >= _STEP_OF_DECISION else None
-        delta = state.spread @ -np.concatenate([state.data[:, -1], state.priors[:, -1], state.gauge @ (z - nominal)])
-        z, step = z + delta, float(np.max(np.abs(delta)))
-        v, sigmas, settled = state.variances, state.sigmas, state.settled
-        if step < _NEGLIGIBLE_STEP and settled:
+    prior = _Prior.of(problem, x0 / s)
+    search = _Search(problem, _Evaluator(problem, s), prior, fixed)
+    begin = search.beginning()
+    first = search.evaluator(x0 / s, begin.sigmas)
+    _refuse_too_few(problem, first, search.prior)
+    z = _levenberg_marquardt(search, begin.sigmas, x0 / s)
+    for factor in _NARROWER:
+        search = search._replace(prior=prior.weighed(factor))
+        end, converged = search.gauss_newton(z, begin)
+        if converged:
             break
+        z, begin = end.z, end.weighted_by
+    # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
+    z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
-    A = state.spread[:, : len(state.data) + len(state.priors)]
-    factors, _ = weights.factors_of(problem, first_sigmas, sigmas)
-    return Solution(
-        z * s,
-        (A @ A.T) * s[:, None] * s,
-        identifiability.directions(state.data[:, :-1]),
-        state.unseen,
-        first.reweighted(factors).rows[:, :-1],
-        state.variances,
-        state.redundancies,
-        evaluator.count,
-        step,
-        step < _NEGLIGIBLE_STEP and settled,
-    )
+    return _solution(search, z, end.evaluation, end.weighted_by, first)._replace(step=end.length, converged=converged)
 
 
-class _State(NamedTuple):
-    """The system at one point: whitened ``[J r]`` of data and priors, inner constraints, and the noise that fits them.
+class _Prior(NamedTuple):
+    """Priors: 1 / standard deviation (p,) and centre (p,), scaled, and which (p,) were stated."""
 
-    ``rank``: number of directions that data and priors see; inner constraints close the rest, ``unseen`` (p, k).
-    ``spread`` (p, q + k) is the inverse that maps residuals of data, priors and constraints to parameters. ``settled``:
-    the rows of this evaluation were weighted by the sigmas that its residuals show.
-    """
-
-    data: Array
-    priors: Array
-    gauge: Array
-    rank: int
-    unseen: Array
-    spread: Array
-    variances: tuple[float, ...]
-    sigmas: tuple[Array, ...]
-    redundancies: tuple[float, ...]
-    settled: bool
+    hold: Array
+    centre: Array
+    stated: BoolArray
 
     @classmethod
-    def of(
-        cls,
-        problem: LeastSquares,
-        evaluation: Evaluation,
-        z: Array,
-        weighted_by: tuple[Array, ...],
-        v: tuple[float, ...],
-        fixed: Sequence[float | None],
-        rank: int | None,
-    ) -> "_State":
-        """Find the model variances that agree with the residuals at z, without a new evaluation.
+    def of(cls, problem: LeastSquares, z0: Array) -> "_Prior":
+        # The robot is held at nominal, frames where they start.
+        robot = [parameter.of_robot for parameter in problem.parameters]
+        stated = [parameter.prior is not None for parameter in problem.parameters]
+        hold = np.array([parameter.hold for parameter in problem.parameters])
+        return cls(hold, np.where(robot, 0.0, z0), np.array(stated, dtype=bool))
 
-        Weights that are new by one factor for a whole component scale its triangle; if they change from row to row, the
-        triangle keeps the mean factor and is not settled until the next evaluation.
-        """
-        priors = _prior_rows(problem, z)
-        sigmas, settled = weighted_by, True
-        factors = np.ones(len(problem.components))
-        for _ in range(_MOST_STEPS):
-            weighted = evaluation.reweighted(factors)
-            data = weighted.rows
-            rows = np.concatenate([data, priors])[:, :-1]
-            directions = identifiability.directions(rows)
-            seen = directions.usable if rank is None else rank
-            gauge = _gauge(problem, directions, seen)
-            # Full rank by construction: what neither data nor priors see, the inner constraints do.
-            spread = np.linalg.pinv(np.concatenate([rows, gauge]), rcond=1e-14)
-            redundancies = weights.redundancies_of(problem, weighted.triangles, spread)
-            if None not in fixed and not problem.robust:
-                break
-            v = _keep(fixed, weights.model_variances(problem, evaluation.residuals, redundancies, v))
-            sigmas = weights.sigmas_of(problem, v, evaluation.residuals)
-            new, settled = weights.factors_of(problem, weighted_by, sigmas)
-            change, factors = float(np.max(np.abs(np.log(new / factors)))), new
-            if change < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
-                break
-        return cls(data, priors, gauge, seen, directions.hidden(seen), spread, v, sigmas, redundancies, settled)
+    @property
+    def has_weak(self) -> bool:
+        """Whether there are weak ones."""
+        return bool(np.any(~self.stated & (self.hold > 0.0)))
+
+    def weighed(self, factor: float) -> "_Prior":
+        """Return the priors with the weights of weak ones times a factor."""
+        return self._replace(hold=np.where(self.stated, 1.0, factor) * self.hold)
+
+    def rows(self, z: Array) -> Array:
+        """Return ``[J r]`` (k, p + 1) of all priors at z (p,)."""
+        rows = np.column_stack([np.diag(self.hold), self.hold * (z - self.centre)])
+        return rows[self.hold > 0.0]
+
+    def cost(self, z: Array) -> float:
+        """Return the sum of squares of the priors at z (p,)."""
+        return float(np.sum((self.hold * (z - self.centre)) ** 2))
+
+    @property
+    def stated_rows(self) -> Array:
+        """Derivatives (k, p) of the stated ones."""
+        return np.asarray(np.diag(self.hold)[self.stated])
 
 
 class _Evaluator:
@@ -188,12 +150,224 @@ class _Evaluator:
         return self._last
 
 
-def _levenberg_marquardt(
-    problem: LeastSquares, evaluator: _Evaluator, sigmas: Sequence[Array], z0: Array, nominal: Array, G: Array
-) -> Array:
+class _Noise(NamedTuple):
+    """The noise that agrees with the residuals of an evaluation, found without a new one.
+
+    ``variances``: of the model part of every component, with the ``sigmas`` (N, d) of every set. ``factors``: by which
+    these are new; ``settled``: apart from such factors, the rows of the evaluation were weighted by them already.
+    ``scatter``: rms of the whitened residuals where that is clearly less than 1. ``prior``: as it weighs beside such
+    data. ``spread`` (p, q): the inverse of all rows, data and priors.
+    """
+
+    variances: tuple[float, ...]
+    sigmas: tuple[Array, ...]
+    factors: Array
+    settled: bool
+    redundancies: tuple[float, ...]
+    scatter: float
+    prior: _Prior
+    spread: Array
+
+
+class _Point(NamedTuple):
+    """A point of the search: z (p,), what was evaluated there by which noise, the noise there, the full step (p,)."""
+
+    z: Array
+    evaluation: Evaluation
+    weighted_by: _Noise
+    noise: _Noise
+    full: Array
+
+    @classmethod
+    def of(cls, z: Array, evaluation: Evaluation, weighted_by: _Noise, noise: _Noise) -> "_Point":
+        """Return the point with its full step."""
+        point = cls(z, evaluation, weighted_by, noise, z)
+        return point._replace(full=noise.spread @ -point._rows[:, -1])
+
+    @property
+    def length(self) -> float:
+        """Length of the full step, in ordinary deviations."""
+        return float(np.max(np.abs(self.full)))
+
+    def at_rest(self, *, slowly: bool) -> bool:
+        """Whether nothing is left to be done; ``slowly``: where the search has come slowly, nothing of significance."""
+        moved = self.length >= _NEGLIGIBLE_STEP or self.gain >= _HARDLY_A_GAIN
+        return self.noise.settled and (not moved or (slowly and self.gain < _NEGLIGIBLE_GAIN))
+
+    @property
+    def gain(self) -> float:
+        """By how much the full step should lower the cost."""
+        return float(np.sum((self._rows[:, :-1] @ self.full) ** 2))
+
+    def step(self, damping: float) -> Array:
+        """Return the step (p,) of Levenberg and Marquardt, in units of what priors hold."""
+        if damping == 0.0:
+            return self.full
+        rows = self._rows
+        units = np.where(self.noise.prior.hold > 0.0, self.noise.prior.hold, np.linalg.norm(rows[:, :-1], axis=0))
+        J = np.concatenate([rows[:, :-1], np.diag(np.sqrt(damping) * units)])
+        return np.asarray(np.linalg.lstsq(J, -np.pad(rows[:, -1], (0, len(self.z))), rcond=_SINGULAR)[0])
+
+    @property
+    def correction(self) -> Array:
+        """The step (p,) that the data ask for, what they hardly see staying where it is."""
+        data, prior = self.evaluation.reweighted(self.noise.factors).rows, self.noise.prior.rows(self.z)
+        J = np.concatenate([data[:, :-1], _HELD * prior[:, :-1]])
+        return np.asarray(np.linalg.lstsq(J, -np.pad(data[:, -1], (0, len(prior))), rcond=_SINGULAR)[0])
+
+    def cost(self, noise: _Noise) -> float:
+        """Return the sum of squares of data and priors, by some noise."""
+        squares = [np.sum((r / s) ** 2) for r, s in zip(self.evaluation.residuals, noise.sigmas, strict=True)]
+        return float(sum(squares) + np.sum(self.evaluation.relations[:, -1] ** 2)) + noise.prior.cost(self.z)
+
+    @property
+    def _rows(self) -> Array:
+        return np.concatenate([self.evaluation.reweighted(self.noise.factors).rows, self.noise.prior.rows(self.z)])
+
+
+class _Search(NamedTuple):
+    """The search for the minimum of a problem; ``fixed``: model variances that are given, of every component."""
+
+    problem: LeastSquares
+    evaluator: _Evaluator
+    prior: _Prior
+    fixed: Sequence[float | None]
+
+    def beginning(self) -> _Noise:
+        """Return the noise to begin with, which no residual has to do with."""
+        v = _keep(self.fixed, weights.search_variances(self.problem))
+        sigmas = weights.sigmas_of(self.problem, v, search=True)
+        none = np.ones(len(v))
+        return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior, np.zeros((len(self.prior.hold), 0)))
+
+    def noise(self, evaluation: Evaluation, weighted_by: _Noise, *, sought: bool = True) -> _Noise:
+        """Return the noise that agrees with an evaluation.
+
+        Weights that are new by one factor for a whole component scale its triangle; if they change from row to row, the
+        triangle keeps the mean factor and is not settled until the next evaluation. While a solution is ``sought``,
+        nothing is added to a stated noise that may well explain the residuals.
+        """
+        problem, noise = self.problem, weighted_by._replace(factors=np.ones(len(self.fixed)), settled=True)
+        for _ in range(_MOST_STEPS):
+            noise = self._inverted(evaluation, noise)
+            v, r = noise.variances, evaluation.residuals
+            if None in self.fixed or problem.robust:
+                new = weights.model_variances(problem, r, noise.redundancies, v, search=sought)
+                v = _keep(self.fixed, new)
+            sigmas = weights.sigmas_of(problem, v, r, search=sought)
+            factors, settled = weights.factors_of(problem, weighted_by.sigmas, sigmas)
+            scatter = weights.scatter(problem, r, sigmas, noise.redundancies)
+            change = np.append(factors / noise.factors, scatter / noise.scatter)
+            noise = noise._replace(variances=v, sigmas=sigmas, factors=factors, settled=settled, scatter=scatter)
+            if np.max(np.abs(np.log(change))) < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
+                break
+        return noise
+
+    def _inverted(self, evaluation: Evaluation, noise: _Noise) -> _Noise:
+        """Return the noise with what the rows of an evaluation, weighted by it, make of it."""
+        weighted, prior = evaluation.reweighted(noise.factors), self.prior.weighed(noise.scatter)
+        rows = np.concatenate([weighted.rows[:, :-1], prior.rows(prior.centre)[:, :-1]])
+        spread = np.linalg.pinv(rows, rcond=_SINGULAR)
+        redundancies = weights.redundancies_of(self.problem, weighted.triangles, spread)
+        return noise._replace(prior=prior, spread=spread, redundancies=redundancies)
+
+    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
+        """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
+
+        Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
+        the data: it is judged after corrections that lead back to the valley's floor, and damped where it fails then.
+        """
+
+        def accepted(z: Array, evaluation: Evaluation, weighted_by: _Noise) -> _Point:
+            return _Point.of(z, evaluation, weighted_by, self.noise(evaluation, weighted_by))
+
+        def slowly(path: Sequence[_Point], failures: int, steps: int = 0) -> bool:
+            return self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path))
+
+        good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
+        path, damping, failures = [good], 0.0, 0
+        for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
+            if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
+                break
+            noise = good.noise
+            if tried is not good:
+                z = tried.z + tried.correction
+            else:
+                z = good.z + (good.step(damping) if damping else _accelerated(path))
+            evaluation = self.evaluator(z, noise.sigmas)
+            as_before = self._inverted(evaluation, noise._replace(factors=np.ones(len(self.fixed))))
+            trial = _Point.of(z, evaluation, noise, as_before)
+            cost, before = trial.cost(noise), good.cost(noise)
+            # Where a motion of the whole set-up is left out of the Jacobian, steps do not follow the cost alone.
+            shorter = trial.length < _SHORTER * good.length and cost < _HARDLY_MORE * before
+            if cost <= (1.0 + _SAME_COST) * before or shorter or trial.at_rest(slowly=False):
+                good = tried = accepted(z, evaluation, noise)
+                # Steps tell something of each other only while rows are weighted alike.
+                alike = np.max(np.abs(np.log(good.noise.factors))) < weights.NEGLIGIBLE_CHANGE_OF_SIGMA
+                path = [*path[-_REMEMBERED:], good] if alike and not self.problem.robust else [good]
+                damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
+            elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):
+                tried = trial
+            else:
+                tried, failures, damping = good, failures + 1, max(10.0 * damping, _LEAST_DAMPING)
+                path = [good]
+        # Where nothing lowers the cost, and little is foretold to, the search has come as far as rounding lets it.
+        stuck = failures > _MOST_FAILURES and good.noise.settled and good.gain < _HARDLY_A_GAIN
+        return good, stuck or good.at_rest(slowly=slowly(path, failures, steps))
+
+
+def _slow(path: Sequence[_Point]) -> bool:
+    return len(path) > 2 and path[-1].length > _QUICK * path[-2].length
+
+
+def _accelerated(path: Sequence[_Point]) -> Array:
+    """Return the next step (p,): the full one, or where full steps shrink slowly, what the last ones foretell.
+
+    Where residuals bend as much as priors hold, full steps converge slowly along a few directions (D. G. Anderson,
+    Iterative procedures for nonlinear integral equations, Journal of the ACM 12, 1965).
+    """
+    last = path[-1]
+    if not _slow(path):
+        return last.full
+    # Lengths are those of the priors, in which all parameters compare.
+    units = np.where(last.noise.prior.hold > 0.0, last.noise.prior.hold, 1.0)
+    Z, F = (np.diff(np.column_stack([getattr(at, name) for at in path])) for name in ("z", "full"))
+    gamma = np.linalg.lstsq(units[:, None] * F, units * last.full, rcond=1e-6)[0]
+    return np.asarray(last.full - (Z + F) @ gamma)
+
+
+def solution_at(problem: LeastSquares, x: Array) -> Solution:
+    """Return what the data tell at x (p,), which was found in another way, with the noise that it leaves."""
+    s = scales(problem.parameters)
+    search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x / s), (None,) * len(problem.components))
+    noise = search.beginning()
+    evaluation = search.evaluator(x / s, noise.sigmas)
+    return _solution(search, x / s, evaluation, noise, evaluation)
+
+
+def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _Noise, first: Evaluation) -> Solution:
+    """Return the solution z (p,) with what an evaluation near it tells; ``first``: the evaluation at the start."""
+    s = scales(search.problem.parameters)
+    noise = search.noise(evaluation, weighted_by, sought=False)
+    told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows[:, :-1], search.prior)
+    factors, _ = weights.factors_of(search.problem, search.beginning().sigmas, noise.sigmas)
+    return Solution(
+        z * s,
+        told.covariance * s[:, None] * s,
+        told.directions,
+        told.unseen,
+        first.reweighted(factors).rows[:, :-1],
+        noise.variances,
+        noise.redundancies,
+        search.evaluator.count,
+        0.0,
+        True,
+    )
+
+
+def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) -> Array:
     def rows(z: Array) -> Array:
-        gauge = np.column_stack([G, G @ (z - nominal)])
-        return np.concatenate([evaluator(z, sigmas).rows, _prior_rows(problem, z), gauge])
+        return np.concatenate([search.evaluator(z, sigmas).rows, search.prior.rows(z)])
 
     def residual(z: Array) -> Array:
         return rows(z)[:, -1]
@@ -212,46 +386,41 @@ def _levenberg_marquardt(
         ftol=_ROUGH,
         xtol=_ROUGH,
         gtol=_ROUGH,
-        max_nfev=_MOST_STEPS,
+        max_nfev=_MOST_ROUGH_STEPS,
     )
     return np.asarray(result.x)
 
 
-def _first_gauge(problem: LeastSquares, evaluation: Evaluation, priors: Array, *, estimated: bool) -> Array:
-    """Return the inner constraints at the start, where residuals are large and the noise is still unknown.
+class _Told(NamedTuple):
+    """What the data tell at the solution, scaled: directions, those that stay unseen (p, k), and covariance (p, p)."""
 
-    What would remain of the residuals after a linear fit foretells the noise, on which the usable rank depends.
-    Raises IdentificationError when there are no more rows and priors than the rank.
-    """
-    data = linear.triangle(evaluation.rows)
-    count = sum(measured.sigma.size for measured in problem.measurements) + len(evaluation.relations)
-    rank = identifiability.directions(np.concatenate([data, priors])[:, :-1]).rank
+    directions: Directions
+    unseen: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, problem: LeastSquares, data: Array, prior: _Prior) -> "_Told":
+        """Tell it of the Jacobian of the data at the solution, or its triangle (q, p)."""
+        rows = np.concatenate([data, prior.stated_rows])
+        directions = identifiability.directions(rows)
+        unseen = directions.hidden(directions.usable)
+        # Inner constraints close what is not seen: full rank by construction.
+        gauge = identifiability.gauge(unseen, problem.parameters)
+        seen = directions.singular_values[: directions.usable]
+        weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
+        spread = np.linalg.pinv(np.concatenate([rows, weight * gauge]), rcond=_SINGULAR)[:, : len(rows)]
+        return cls(identifiability.directions(data), unseen, spread @ spread.T)
+
+
+def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:
+    count = sum(measured.sigma.size for measured in problem.measurements) + len(first.relations)
+    priors = prior.stated_rows
+    rank = identifiability.directions(np.concatenate([first.rows[:, :-1], priors])).rank
     if count + len(priors) <= rank:
         raise IdentificationError(
             f"{count} measured numbers and {len(priors)} priors determine {rank} unknowns and leave none to judge the "
             "fit; measure more poses, free fewer parameters, or give priors."
         )
-    p = data.shape[1] - 1
-    foretold = 1.0
-    if estimated and len(data) > p:
-        foretold = max(float(abs(data[p, p]) / np.sqrt(max(count - min(rank, p), 1))), _LEAST_FORETOLD)
-    rows = np.concatenate([data / foretold, priors])
-    directions = identifiability.directions(rows[:, :-1])
-    return _gauge(problem, directions, directions.usable) * foretold
-
-
-def _gauge(problem: LeastSquares, directions: Directions, rank: int) -> Array:
-    """Return the inner constraints of what lies beyond ``rank``, weighted like an ordinary direction."""
-    seen = directions.singular_values[:rank]
-    weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-    return weight * identifiability.gauge(directions.hidden(rank), problem.parameters)
-
-
-def _prior_rows(problem: LeastSquares, z: Array) -> Array:
-    """Return ``[J r]`` of the priors, x / sigma: a scaled parameter times its hold is a whitened residual."""
-    hold = np.array([parameter.hold for parameter in problem.parameters])
-    with_prior = hold > 0.0
-    return np.column_stack([np.diag(hold)[with_prior], (hold * z)[with_prior]])
 
 
 def _keep(fixed: Sequence[float | None], estimated: Sequence[float]) -> tuple[float, ...]:

@@ -6,6 +6,7 @@ targets from where the nominal robot puts the tool (:mod:`calib.identification.p
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,14 @@ from calib.measurement.measurements import Measurements
 _ENOUGH, _FEW = 10_000, 100
 
 
-def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
+class Start(NamedTuple):
+    """Frames to start from, and the tools (k,) of which some direction does not show in the nominal robot's poses."""
+
+    frames: Frames
+    unshown: BoolArray
+
+
+def start(model: ErrorModel, sets: Sequence[Measurements]) -> Start:
     """Return base, tools and targets that explain sets with common names best with the nominal robot.
 
     What is fixed or known stays as given.
@@ -31,6 +39,7 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
     sets = [_thinned(data) for data in sets]
     tips = [model.robot.tips(data.readings) for data in sets]
     base, tools, placed = given.base, given.tools, np.zeros(len(given.tools), dtype=np.bool_)
+    unshown = np.zeros_like(placed)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
     if seen:
         rows = Rows(
@@ -44,14 +53,20 @@ def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
             given.tools[:, :3, 3] if model.tool == "fixed" else None,
             None if model.tool == "pose" else given.tools[:, :3, :3],
         )
-        base, tools = align(rows, known, given.tools)
+        base, tools, shown = align(rows, known, given.tools)
         placed[rows.tool] = True
+        unshown = placed & ~shown
     if any(data.camera is not None for data in sets):
         base, tools, by_cameras = sightings.place_tools(model, sets, tips, base, tools, turned(sets, ("pose",)))
         placed |= by_cameras
     if model.tool != "fixed" and not placed.all():
         tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
-    return with_targets(model, sets, tips, Frames(base, tools))
+    return Start(with_targets(model, sets, tips, Frames(base, tools)), unshown)
+
+
+def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
+    """Return the frames of :func:`start`."""
+    return start(model, sets).frames
 
 
 def is_fit(sets: Sequence[Measurements]) -> bool:

@@ -12,7 +12,7 @@ from typing import Literal
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.machine import POSE, Layout
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import Parameter, width
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
 
@@ -92,7 +92,9 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
         for component, entry in _UNKNOWN[found[name]][: 1 if of_target is not None else None]:
             unit: Literal["m", "rad"] = "rad" if entry > 2 else "m"
             direction = ((layout.targets + 6 * t + entry, 1.0),)
-            parameters.append(Parameter(f"target.{name}.{component}", unit, "target", direction))
+            parameters.append(
+                Parameter(f"target.{name}.{component}", unit, "target", direction, weak=width("target", unit))
+            )
     for data in sets:
         if data.kind == "indicator":
             _refuse_no_direction(data, known)
@@ -100,7 +102,8 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
         of_spheres = any(data.kind == "sphere" and data.offset == k for data in sets)
         # A distance is l - o; a ball's is the probe's radius plus its own, which is thus -o.
         component, share = ("radius", -1.0) if of_spheres else ("offset", 1.0)
-        parameters.append(Parameter(f"length.{name}.{component}", "m", "target", ((layout.lengths + k, share),)))
+        direction = ((layout.lengths + k, share),)
+        parameters.append(Parameter(f"length.{name}.{component}", "m", "target", direction, weak=width("target", "m")))
     return tuple(parameters)
 
 

@@ -3,24 +3,33 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import chdtr
 
 from calib.foundations.arrays import Array
 from calib.identification import losses
 from calib.identification.least_squares import LeastSquares
-from calib.identification.noise import model_variance
+from calib.identification.noise import RARELY, model_variance
+from calib.identification.system import Component
 
 NEGLIGIBLE_CHANGE_OF_SIGMA = 1e-3
+# Noise of a search, in px and in m or rad, where nobody states the instrument's and nothing is known of it yet.
+_PIXEL_NOISE, _NOISE = 0.1, 1e-4
 # A perfect fit of noise-free data has no scatter at all; any positive number then weighs the rows alike.
 _LEAST_SIGMA = 1e-15
+# Beside weak priors it must be more than rounding: this share of the noise above.
+_ROUNDING = 1e-5
 
 
-def sigmas_of(problem: LeastSquares, variances: Sequence[float], r: Sequence[Array] | None = None) -> tuple[Array, ...]:
+def sigmas_of(
+    problem: LeastSquares, variances: Sequence[float], r: Sequence[Array] | None = None, *, search: bool = False
+) -> tuple[Array, ...]:
     """Return the standard deviations (N, d) of every set: instrument and model part together, in SI units.
 
     ``variances``: of the model part, one for each component of the problem, squared. With residuals ``r`` (N, d) of
-    every set, rows that lie off are given larger ones, as their set's loss says.
+    every set, rows that lie off are given larger ones, as their set's loss says. ``search``: beside weak priors, while
+    the solution is sought.
     """
-    plain = _plain_sigmas(problem, variances)
+    plain = _plain_sigmas(problem, variances, search=search)
     if r is None:
         return plain
     return tuple(
@@ -34,33 +43,49 @@ def _row_distances(sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, 
     return tuple(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)) for residual, sigma in zip(r, sigmas, strict=True))
 
 
-def _plain_sigmas(problem: LeastSquares, variances: Sequence[float]) -> tuple[Array, ...]:
-    added = [np.zeros_like(data.sigma) for data in problem.measurements]
-    for component, v in zip(problem.components, variances, strict=True):
-        added[component.measurements][:, component.columns] = v
+def _plain_sigmas(problem: LeastSquares, variances: Sequence[float], *, search: bool) -> tuple[Array, ...]:
+    sigmas = [np.zeros_like(data.sigma) for data in problem.measurements]
+    for c, v in zip(problem.components, variances, strict=True):
+        instrument = problem.measurements[c.measurements].sigma[:, c.columns]
+        sigmas[c.measurements][:, c.columns] = np.maximum(
+            np.sqrt(instrument**2 + v), _rounding(c) if search else _LEAST_SIGMA
+        )
+    return tuple(sigmas)
+
+
+def _noise(component: Component) -> float:
+    return _PIXEL_NOISE if component.quantity == "pixels" else _NOISE
+
+
+def _rounding(component: Component) -> float:
+    return _ROUNDING * _noise(component)
+
+
+def search_variances(problem: LeastSquares) -> tuple[float, ...]:
+    """Return the model variances of a search: none where the instrument's noise is stated, else an ordinary one."""
     return tuple(
-        np.maximum(np.sqrt(data.sigma**2 + a), _LEAST_SIGMA)
-        for data, a in zip(problem.measurements, added, strict=True)
+        0.0 if np.all(problem.measurements[c.measurements].sigma[:, c.columns] > 0.0) else _noise(c) ** 2
+        for c in problem.components
     )
 
 
-def mean_squares(problem: LeastSquares, x: Array, known: Sequence[Array] | None = None) -> tuple[float, ...]:
-    """Return the mean squared residual of every component at x (p,); ``known``: the residuals there."""
-    r = problem.residuals(x) if known is None else known
-    return tuple(float(np.mean(r[c.measurements][:, c.columns] ** 2)) for c in problem.components)
-
-
 def model_variances(
-    problem: LeastSquares, r: Sequence[Array], redundancies: Sequence[float], variances: Sequence[float]
+    problem: LeastSquares,
+    r: Sequence[Array],
+    redundancies: Sequence[float],
+    variances: Sequence[float],
+    *,
+    search: bool = False,
 ) -> tuple[float, ...]:
     """Return the model variance of every component from the residuals (N, d) of every set and degrees of freedom.
 
-    ``variances``: the last ones, by which losses tell which rows lie off.
+    ``variances``: the last ones, by which losses tell which rows lie off. ``search``: only where the instrument's noise
+    clearly does not explain the residuals.
     """
     counted = [
         residual * np.sqrt(losses.scatter_weight(loss, t) / losses.shrinkage(loss, residual.shape[1]))[:, None]
         for loss, residual, t in zip(
-            problem.losses, r, _row_distances(_plain_sigmas(problem, variances), r), strict=True
+            problem.losses, r, _row_distances(_plain_sigmas(problem, variances, search=search), r), strict=True
         )
     ]
     return tuple(
@@ -68,6 +93,7 @@ def model_variances(
             counted[c.measurements][:, c.columns].ravel(),
             problem.measurements[c.measurements].sigma[:, c.columns].ravel(),
             redundancy,
+            clearly=search,
         )
         for c, redundancy in zip(problem.components, redundancies, strict=True)
     )
@@ -84,6 +110,15 @@ def redundancies_of(problem: LeastSquares, triangles: Sequence[Array], spread: A
         start += len(triangle)
         found.append(problem.measurements[component.measurements].sigma[:, component.columns].size - used)
     return tuple(found)
+
+
+def scatter(problem: LeastSquares, r: Sequence[Array], sigmas: Sequence[Array], redundancies: Sequence[float]) -> float:
+    """Return the rms of whitened residuals, for their degrees of freedom, where it is clearly less than 1; else 1."""
+    squares, freedom = 0.0, sum(redundancies)
+    for c in problem.components:
+        sigma = sigmas[c.measurements][:, c.columns]
+        squares += float(np.sum((np.maximum(np.abs(r[c.measurements][:, c.columns]), _rounding(c)) / sigma) ** 2))
+    return float(np.sqrt(squares / freedom)) if freedom > 0.0 and chdtr(freedom, squares) < RARELY else 1.0
 
 
 def factors_of(problem: LeastSquares, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:

@@ -94,9 +94,9 @@ def test_dh_parameters_stand_where_the_model_has_them() -> None:
     placements = compared(measured(2, 60, placed=True), terms=False)
     assert names(found) == [FRAMES, OFFSETS, DH]
     assert found.recommended.name == DH
-    # The same machines in other words.
+    # The same machines in other words, but for weak priors.
     for one, other in zip(found.models, placements.models, strict=True):
-        assert one.held_out.rms == pytest.approx(other.held_out.rms, rel=1e-6)
+        assert one.held_out.rms == pytest.approx(other.held_out.rms, rel=1e-5)
 
 
 def test_models_that_are_the_same_in_other_words_are_one_and_the_shorter_wins() -> None:

@@ -115,24 +115,26 @@ def test_directions_that_only_errors_reveal_are_told_in_ordinary_numbers(seed: i
 def test_nearest_is_the_equal_fit_with_the_smallest_robot(robot: calib.Robot) -> None:
     fit, *_ = fitted(robot)
     of_robot = np.array([p.of_robot for p in fit.parameters])
-    z = (fit.values / scales(fit.parameters)) * of_robot
+    widths = np.array([p.weak for p in fit.parameters])
+    pull = fit.values * scales(fit.parameters) / widths**2 * of_robot
     blind = null_space(scaled_jacobian(fit), rcond=1e-9)
     assert blind.shape[1] == 18
-    # No step along a blind direction makes the robot's part smaller.
-    assert np.abs(blind.T @ z).max() < 1e-6 * np.linalg.norm(z)
+    # No step along a blind direction makes the robot's part smaller, in its weak priors; frames have much wider ones.
+    assert np.abs(blind.T @ pull).max() < 1e-2 * np.linalg.norm(pull)
 
 
 def test_all_policies_predict_the_same_and_nearest_deviates_least(robot: calib.Robot) -> None:
     (nearest, _, unseen), (minimal, *_) = fitted(robot), fitted(robot, blind="minimal")
-    np.testing.assert_allclose(predicted(minimal, unseen), predicted(nearest, unseen), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(minimal.residuals[0], nearest.residuals[0], rtol=0, atol=1e-9)
+    # But for weak priors, of which a fit of fewer parameters has fewer.
+    np.testing.assert_allclose(predicted(minimal, unseen), predicted(nearest, unseen), rtol=0, atol=0.05 * SIGMA)
+    np.testing.assert_allclose(minimal.residuals[0], nearest.residuals[0], rtol=0, atol=0.05 * SIGMA)
 
     def size(fit: calib.Fit) -> float:
         return float(
-            np.linalg.norm([v / p.scale for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot])
+            np.linalg.norm([v / p.weak for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot])
         )
 
-    assert size(nearest) < 0.9 * size(minimal)
+    assert size(nearest) < 0.99 * size(minimal)
     assert len(minimal.parameters) == minimal.rank == 27
     assert len(minimal.held) == 18
     assert {p.name for p in minimal.held} | {p.name for p in minimal.parameters} == {p.name for p in nearest.parameters}

@@ -8,7 +8,7 @@ from calib.identification.losses import Loss, scatter_weight, shrinkage, weight
 # rho(z) of z = (t / c)^2, as in scipy.optimize.least_squares, and c.
 RHO = {
     "huber": (lambda z: np.where(z <= 1.0, z, 2.0 * np.sqrt(z) - 1.0), 1.345),
-    "soft_l1": (lambda z: 2.0 * (np.sqrt(1.0 + z) - 1.0), 1.0),
+    "soft_l1": (lambda z: 2.0 * (np.sqrt(1.0 + z) - 1.0), 1.287),
     "cauchy": (np.log1p, 2.385),
 }
 
@@ -22,12 +22,22 @@ def test_a_weight_is_the_slope_of_the_loss(loss: Loss) -> None:
     assert weight(loss, np.zeros(1)) == 1.0
 
 
+@pytest.mark.parametrize("loss", RHO)
+def test_efficiency_at_the_normal_is_95_percent(loss: Loss) -> None:
+    """That of a location: (E psi')^2 / E psi^2, psi(t) = w(t) t, by the trapezoidal rule."""
+    t = np.linspace(-12.0, 12.0, 240_001)
+    density = np.exp(-(t**2) / 2.0) / np.sqrt(2.0 * np.pi)
+    psi = weight(loss, np.abs(t)) * t
+    slope = np.gradient(psi, t)
+    assert np.trapezoid(slope * density, t) ** 2 / np.trapezoid(psi**2 * density, t) == pytest.approx(0.95, abs=5e-4)
+
+
 def test_squares_weigh_all_alike() -> None:
     assert np.array_equal(weight("linear", np.array([0.0, 1.0, 1e6])), np.ones(3))
     assert shrinkage("linear", 3) == 1.0
 
 
-@pytest.mark.parametrize(("loss", "bound"), [("huber", 1.345**2), ("soft_l1", 1.0), ("cauchy", 2.385**2)])
+@pytest.mark.parametrize(("loss", "bound"), [("huber", 1.345**2), ("soft_l1", 1.287**2), ("cauchy", 2.385**2)])
 def test_no_row_adds_more_to_the_scatter_than_a_bound(loss: Loss, bound: float) -> None:
     t = np.array([1e3, 1e6])
     assert np.allclose(scatter_weight(loss, t) * t**2, bound, rtol=1e-5)

@@ -335,7 +335,7 @@ def test_two_mistakes_are_not_taken_for_one() -> None:
         Finding(
             "warning",
             "unexplained",
-            "arrays: the nominal robot misses the measurements by 421 mm rms, and no typical mistake explains it (the "
+            "arrays: the nominal robot misses the measurements by 420 mm rms, and no typical mistake explains it (the "
             "nearest, that 'panda_joint5' is read from another zero and needs 180 deg, leaves 154 mm): is this the "
             "URDF of the robot that was measured, is a zero off by more than 10 deg, do readings and measurements of a "
             "row belong together, or are there two mistakes?",
