@@ -7,6 +7,8 @@ import pytest
 
 import calib
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.identification.identify import with_values
+from calib.identification.machine import machine
 from calib.identification.total_differential import Trace, total_differential
 from tests.identification import machines
 
@@ -178,3 +180,15 @@ def test_refuses_poses_priors_nothing_free_and_another_robot() -> None:
         total_differential(lab.model(offsets="none"), lab.data, stop=1e-9)
     with pytest.raises(MeasurementError, match="are not those of the robot"):
         total_differential(lab.model(), replace(lab.data, reading_names=tuple("abcdef")), stop=1e-9)
+
+
+def test_a_fit_with_its_values_states_their_own_noise() -> None:
+    """Estimates that are a milliradian off leave more than the points' noise, and that is what is said."""
+    lab = Lab(20, noise=1e-5)
+    fit = calib.identify(lab.model(), lab.data)
+    values = fit.values + 1e-3
+    own = with_values(fit, values, machine(lab.robot, fit.parameters, fit.machine.frames, values))
+    (noise,), left = own.noise, own.residuals[0]
+    assert noise.total == pytest.approx(np.sqrt(np.sum(left**2) / (left.size - 6)), rel=0.05)
+    assert noise.total > 10.0 * fit.noise[0].total
+    assert np.all(own.sigmas > 10.0 * fit.sigmas)

@@ -1,0 +1,64 @@
+"""A flange that hardly turns: the tool stays near its start, predictions hold, and a sentence says what is not seen."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.foundations import rigid
+from calib.identification.observability import unseen
+from tests.identification import machines
+from tests.identification.machines import Array
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+
+
+def at_one_orientation(robot: calib.Robot, begin: Array, n: int, rng: np.random.Generator, wobble: float) -> Array:
+    """Readings (n, 6) that take the tip to places around where it is at ``begin``, turned by ``wobble`` rad at most."""
+    found, (start,) = [], robot.tips(begin[None])
+    while len(found) < n:
+        goal = start.copy()
+        goal[:3, 3] += rng.uniform(-0.12, 0.12, 3)
+        goal[:3, :3] = goal[:3, :3] @ rigid.exp3(rng.uniform(-1.0, 1.0, 3) * wobble)
+        q = begin.copy()
+        for _ in range(30):
+            (T,) = robot.tips(q[None])
+            twist = np.concatenate([T[:3, :3].T @ (goal[:3, 3] - T[:3, 3]), rigid.log3(T[:3, :3].T @ goal[:3, :3])])
+            if np.abs(twist).max() < 1e-10:
+                found.append(q)
+                break
+            h = 1e-6
+            J = np.column_stack([column(robot, T, q + h * step) for step in np.eye(6)]) / h
+            q = q + np.linalg.lstsq(J, twist, rcond=None)[0]
+    return np.array(found)
+
+
+def column(robot: calib.Robot, T: Array, q: Array) -> Array:
+    (moved,) = robot.tips(q[None])
+    return np.concatenate([T[:3, :3].T @ (moved[:3, 3] - T[:3, 3]), rigid.log3(T[:3, :3].T @ moved[:3, :3])])
+
+
+@pytest.mark.parametrize("wobble", [0.0, 1e-3])
+def test_the_tool_stays_near_and_places_are_predicted(wobble: float) -> None:
+    rng = np.random.default_rng(7)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
+    readings = at_one_orientation(robot, np.array([0.3, -1.2, 1.6, -0.9, -1.2, 0.4]), 80, rng, wobble)
+    data = true.measure(robot, readings[:60], rng=rng, sigma=5e-5)
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
+    assert fit.converged
+    assert fit.evaluations <= 45
+    assert np.linalg.norm(fit.machine.frames.tools[0, :3, 3]) < 0.3
+    miss = machines.predicted(fit, readings[60:])[:, :3, 3] - true.see(readings[60:])[:, :3, 3]
+    assert np.sqrt(np.mean(np.sum(miss**2, axis=1))) < 1.5e-4
+    found = unseen(fit.model, [data])
+    if wobble == 0.0:
+        assert [finding.code for finding in found] == ["tool-unseen"]
+        assert "held near its start" in found[0].sentence
+
+
+def test_a_tip_that_turns_is_not_remarked() -> None:
+    rng = np.random.default_rng(8)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 30), rng=rng, sigma=5e-5)
+    assert unseen(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()
