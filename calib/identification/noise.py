@@ -67,7 +67,8 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
         return mean
     with np.errstate(divide="ignore", invalid="ignore"):
         at_zero = np.nansum(squares / variances)
-    if at_zero <= (chdtri(degrees_of_freedom, RARELY) if clearly else degrees_of_freedom):
+    # Far below one degree of freedom nearly all of chi-square is at zero, and its quantile less than its mean.
+    if at_zero <= (chdtri(max(degrees_of_freedom, 1.0), RARELY) if clearly else degrees_of_freedom):
         return 0.0
     # At v = mean the sum is at most the degrees of freedom (but for rounding): the root lies below. The unknown is
     # v / mean, as brentq stops at an absolute step.

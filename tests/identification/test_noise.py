@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import calib
 from calib.identification.noise import model_variance, noise_of
@@ -35,6 +36,17 @@ def test_the_model_variance_of_small_cases(
     residuals: list[float], instrument: list[float], freedom: float, variance: float
 ) -> None:
     assert model_variance(np.array(residuals), np.array(instrument), freedom) == pytest.approx(variance, abs=1e-10)
+
+
+@pytest.mark.parametrize("freedom", [7e-7, 0.01, 0.5, 3.0, 400.0])
+def test_what_the_instrument_may_well_leave_adds_nothing_to_it(freedom: float) -> None:
+    instrument, rare = np.ones(500), chdtri(max(freedom, 1.0), 1e-3)
+    for squares, more in ((0.999 * freedom, False), (1.001 * freedom, False), (0.99 * rare, False), (1.01 * rare, True)):
+        residuals = np.sqrt(squares / 500.0) * instrument
+        assert (model_variance(residuals, instrument, freedom, clearly=True) > 0.0) == more, (squares, freedom)
+    # What is added then is all that the residuals ask for.
+    found = model_variance(np.ones(500), instrument, freedom, clearly=True)
+    assert found == pytest.approx(500.0 / freedom - 1.0)
 
 
 def test_chi_square_is_known_where_the_instrument_is() -> None:
