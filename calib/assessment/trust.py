@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from calib.assessment.metrics import Metrics
 from calib.identification.fit import Fit
+from calib.measurement.checks import Finding
 
 
 def doubts(fit: Fit, before: Mapping[str, Metrics], after: Mapping[str, Metrics], *, held_out: bool) -> tuple[str, ...]:
@@ -20,3 +21,19 @@ def doubts(fit: Fit, before: Mapping[str, Metrics], after: Mapping[str, Metrics]
         if robot_is_free and now.rms >= before[quantity].rms:
             found.append(f"On {data} the {quantity} error is no smaller than before calibration.")
     return tuple(found)
+
+
+def remarks(fit: Fit) -> tuple[Finding, ...]:
+    """Return what a user should know of the search for a solution that may be trusted."""
+    if not fit.converged or fit.narrowed == 1.0:
+        return ()
+    return (
+        Finding(
+            "warning",
+            "priors-narrowed",
+            "The solver did not settle with the usual widths that hold parameters without a prior, so they were made "
+            f"{fit.narrowed:g} times narrower: what these data hardly tell stays that much nearer to the nominal robot "
+            "and to the start of base and tool. Predictions near the measured poses hardly change by that; more poses, "
+            "at other orientations of the tool, or known values given as priors make it unnecessary.",
+        ),
+    )

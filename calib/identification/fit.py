@@ -33,7 +33,8 @@ class Fit:
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
-    ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian.
+    ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
+    much the widths that hold parameters without a prior were narrower than usual; 1 where the search did not need it.
     """
 
     model: ErrorModel
@@ -59,6 +60,7 @@ class Fit:
     step: float
     converged: bool
     learned: tuple[LearnedPrior, ...] = ()
+    narrowed: float = 1.0
 
     @property
     def robot(self) -> Robot:

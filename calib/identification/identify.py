@@ -130,6 +130,7 @@ def _identify(
         step=found.step,
         converged=found.converged,
         learned=learned,
+        narrowed=found.narrowed,
     )
 
 

@@ -13,8 +13,9 @@ from scipy.special import chdtri
 
 from calib.foundations.arrays import Array
 
-# Residuals are clearly more than the instrument's noise when that leaves as many so rarely.
-RARELY = 1e-3
+# Residuals are clearly more than the instrument's noise when that leaves as many so rarely: not once in as many fits
+# as anybody makes.
+RARELY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
     """Return the v >= 0 with ``sum r^2 / (instrument^2 + v) = degrees_of_freedom``, 0 when the instrument suffices.
 
     ``residuals`` (n,) and ``instrument`` (n,) in the same unit; this is the REML equation for given weights.
-    ``clearly``: the instrument suffices, too, where its noise leaves such residuals more than once in a thousand times.
+    ``clearly``: the instrument suffices, too, where its noise leaves such residuals more than once in a million times.
     """
     squares, variances = residuals**2, instrument**2
     if degrees_of_freedom <= 0.0:

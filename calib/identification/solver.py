@@ -26,20 +26,20 @@ from calib.identification.system import Evaluation
 _MOST_STEPS, _MANY_STEPS = 60, 20
 # Weights of rows that lie off settle more slowly than the parameters.
 _MOST_ROBUST_STEPS = 160
-# A step is negligible in ordinary deviations, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, which
-# then is that of a thousandth of a standard deviation.
-_NEGLIGIBLE_STEP, _HARDLY_A_GAIN, _NEGLIGIBLE_GAIN = 1e-6, 1e-3, 1e-6
+# A step is negligible in ordinary deviations, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, as a
+# share of the cost: where a thousand rows fit, a hundredth of a standard deviation.
+_NEGLIGIBLE_STEP, _HARDLY_A_GAIN, _NEGLIGIBLE_GAIN = 1e-6, 1e-3, 1e-7
 # Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
 _ROUNDING = 1e-10
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
-_ROUGH, _MOST_ROUGH_STEPS = 1e-3, 10
+_ROUGH, _MOST_ROUGH_STEPS = 1e-3, 3
 # Singular values below this share of the largest are rounding.
 _SINGULAR = 1e-14
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
-_SAME_COST, _CLEARLY_LESS, _HARDLY_MORE, _SHORTER = 1e-9, 0.5, 1.1, 0.5
+_SAME_COST, _CLEARLY_LESS, _HARDLY_MORE, _SHORTER = 1e-9, 0.5, 1.1, 0.7
 _LEAST_DAMPING, _MOST_FAILURES = 1.0, 1
-# Points that tell how full steps shrink, and what counts as quickly.
-_REMEMBERED, _QUICK = 5, 0.1
+# Points that tell how full steps shrink, what counts as quickly, and by how little their weights may differ.
+_REMEMBERED, _QUICK, _ALIKE = 5, 0.1, 0.01
 # By how much stronger priors hold in a correction, and where their widths are more than can be searched.
 _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
@@ -51,7 +51,7 @@ class Solution(NamedTuple):
     ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data see at x, priors left out.
     ``unseen`` (p, k), scaled: what neither data nor stated priors see well enough. ``start`` (q, p): the data's
     triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
-    ``step``: the last one, in ordinary deviations.
+    ``step``: the last one, in ordinary deviations. ``narrowed``: by how much weak priors were narrower than is usual.
     """
 
     x: Array
@@ -64,6 +64,7 @@ class Solution(NamedTuple):
     evaluations: int
     step: float
     converged: bool
+    narrowed: float = 1.0
 
 
 def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
@@ -81,16 +82,19 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
     first = search.evaluator(x0 / s, begin.sigmas)
     _refuse_too_few(problem, first, search.prior)
     z = _levenberg_marquardt(search, begin.sigmas, x0 / s)
-    for factor in _NARROWER:
-        search = search._replace(prior=prior.weighed(factor))
+    for narrowed in _NARROWER:
+        search = search._replace(prior=prior.weighed(narrowed))
         end, converged = search.gauss_newton(z, begin)
         if converged:
             break
         z, begin = end.z, end.weighted_by
+    # What is seen at the start may be less than at the solution.
+    _refuse_too_few(problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
     z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
-    return _solution(search, z, end.evaluation, end.weighted_by, first)._replace(step=end.length, converged=converged)
+    found = _solution(search, z, end.evaluation, end.weighted_by, first)
+    return found._replace(step=end.length, converged=converged, narrowed=narrowed)
 
 
 class _Prior(NamedTuple):
@@ -192,7 +196,8 @@ class _Point(NamedTuple):
     def at_rest(self, *, slowly: bool) -> bool:
         """Whether nothing is left to be done; ``slowly``: where the search has come slowly, nothing of significance."""
         moved = self.length >= _NEGLIGIBLE_STEP or self.gain >= _HARDLY_A_GAIN
-        return self.noise.settled and (not moved or (slowly and self.gain < _NEGLIGIBLE_GAIN))
+        hardly = slowly and self.gain < _NEGLIGIBLE_GAIN * (1.0 + self.cost(self.noise))
+        return self.noise.settled and (hardly or not moved)
 
     @property
     def gain(self) -> float:
@@ -281,7 +286,7 @@ class _Search(NamedTuple):
         def accepted(z: Array, evaluation: Evaluation, weighted_by: _Noise) -> _Point:
             return _Point.of(z, evaluation, weighted_by, self.noise(evaluation, weighted_by))
 
-        def slowly(path: Sequence[_Point], failures: int, steps: int = 0) -> bool:
+        def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
             return self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path))
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
@@ -291,7 +296,7 @@ class _Search(NamedTuple):
                 break
             noise = good.noise
             if tried is not good:
-                z = tried.z + tried.correction
+                z = tried.z + (tried.full if tried.length < _SHORTER * good.length else tried.correction)
             else:
                 z = good.z + (good.step(damping) if damping else _accelerated(path))
             evaluation = self.evaluator(z, noise.sigmas)
@@ -303,7 +308,7 @@ class _Search(NamedTuple):
             if cost <= (1.0 + _SAME_COST) * before or shorter or trial.at_rest(slowly=False):
                 good = tried = accepted(z, evaluation, noise)
                 # Steps tell something of each other only while rows are weighted alike.
-                alike = np.max(np.abs(np.log(good.noise.factors))) < weights.NEGLIGIBLE_CHANGE_OF_SIGMA
+                alike = np.max(np.abs(np.log(good.noise.factors))) < _ALIKE
                 path = [*path[-_REMEMBERED:], good] if alike and not self.problem.robust else [good]
                 damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
             elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):

@@ -1,10 +1,10 @@
 """What stands in a field of a job. Each kind says itself what is wrong: pydantic's own words are for programmers."""
 
 import json
+import math
 from collections.abc import Callable
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BeforeValidator
 
 from calib.foundations.errors import JobError
@@ -80,14 +80,14 @@ def list_of(count: int, what: str) -> Callable[[object], object]:
 
 
 def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    norm = float(np.linalg.norm(value))
+    norm = math.hypot(*value)  # unlike NumPy's norm it does not overflow
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise ValueError(f"{shown(value)} has the norm {norm:.6g}, and must have 1; the order is w, x, y, z.")
     return value
 
 
 def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not np.linalg.norm(value) >= _SHORTEST_NORMAL:
+    if not _SHORTEST_NORMAL <= math.hypot(*value) < math.inf:
         raise ValueError(f"{shown(value)} has no direction.")
     return value
 

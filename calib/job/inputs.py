@@ -1,5 +1,6 @@
 """What a job names, read and checked before anything is solved."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -400,7 +401,7 @@ def _target(section: TargetSection) -> Target:
         turn = np.eye(3) if section.quaternion is None else rigid.rotation_of_quaternion(np.array(section.quaternion))
         return Target(rigid.placement(turn, point))
     normal = np.array(section.normal)
-    T = axis_frame(normal / np.linalg.norm(normal))
+    T = axis_frame(normal / math.hypot(*normal))
     height = _si(section.height, "length")
     return Target(T @ rigid.translation(np.array([0.0, 0.0, height or 0.0])), height is not None)
 

@@ -242,7 +242,12 @@ def result(outcome: Outcome) -> dict[str, Any]:
             name: PoseEntry.of(target).model_dump()
             for name, target in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True)
         },
-        "solver": {"converged": fit.converged, "evaluations": fit.evaluations, "last_step": fit.step},
+        "solver": {
+            "converged": fit.converged,
+            "evaluations": fit.evaluations,
+            "last_step": fit.step,
+            "narrowed": fit.narrowed,
+        },
         "levels": [
             {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}
             for level in outcome.levels

@@ -11,7 +11,7 @@ import numpy as np
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
-from calib.assessment.trust import doubts
+from calib.assessment.trust import doubts, remarks
 from calib.compensation.gaussian import GaussianResiduals
 from calib.compensation.grid import SectorGrid
 from calib.compensation.urdf import lost_in_urdf
@@ -83,8 +83,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
             inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
         known, values, remark = residual_model(inputs, fit, progress)
-        if remark is not None:
-            inputs = replace(inputs, findings=(*inputs.findings, remark))
+        told = remarks(fit) if remark is None else (*remarks(fit), remark)
+        inputs = replace(inputs, findings=(*inputs.findings, *told))
     except (IdentificationError, JobError) as e:
         raise type(e)(f"{inputs.path}: {e}") from e
     trace = None

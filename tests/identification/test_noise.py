@@ -5,7 +5,7 @@ import pytest
 from scipy.special import chdtri
 
 import calib
-from calib.identification.noise import model_variance, noise_of
+from calib.identification.noise import RARELY, model_variance, noise_of
 from tests.identification import machines
 from tests.identification.machines import Machine
 
@@ -40,13 +40,14 @@ def test_the_model_variance_of_small_cases(
 
 @pytest.mark.parametrize("freedom", [7e-7, 0.01, 0.5, 3.0, 400.0])
 def test_what_the_instrument_may_well_leave_adds_nothing_to_it(freedom: float) -> None:
-    instrument, rare = np.ones(500), chdtri(max(freedom, 1.0), 1e-3)
-    for squares, more in ((0.999 * freedom, False), (1.001 * freedom, False), (0.99 * rare, False), (1.01 * rare, True)):
+    instrument, rare = np.ones(500), chdtri(max(freedom, 1.0), RARELY)
+    for squares in (0.999 * freedom, 1.001 * freedom, 0.99 * rare, 1.01 * rare):
         residuals = np.sqrt(squares / 500.0) * instrument
-        assert (model_variance(residuals, instrument, freedom, clearly=True) > 0.0) == more, (squares, freedom)
+        found = model_variance(residuals, instrument, freedom, clearly=True)
+        assert (found > 0.0) == (squares > rare), (squares, freedom)
     # What is added then is all that the residuals ask for.
-    found = model_variance(np.ones(500), instrument, freedom, clearly=True)
-    assert found == pytest.approx(500.0 / freedom - 1.0)
+    found = model_variance(2.0 * np.ones(500), instrument, freedom, clearly=True)
+    assert found == pytest.approx(2000.0 / freedom - 1.0)
 
 
 def test_chi_square_is_known_where_the_instrument_is() -> None:
