@@ -21,6 +21,8 @@ USABLE = 0.1
 # A parameter is blind when a unit blind direction moves it by more than this. Shares of truly seen parameters stay
 # below 0.02 (second-order effects of deviations up to 10 mm), those of blind ones above 0.1.
 _BLIND_SHARE = 0.02
+# A column is small below so many times the last singular value that counts, times the share that is asked of it.
+_SMALL = 10.0
 # Smaller shares of a blind direction are not told.
 _TOLD_SHARE = 1e-2
 _MOST_NAMED = 4
@@ -95,8 +97,12 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
 
     Chosen greedily in the given order of preference: a parameter is taken when its column (of ``triangle`` (q, p)) lies
     clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow rounding, the choice
-    depends on the order alone. Columns that are nearly in that span are considered only when rank is still missing.
+    depends on the order alone. Columns that are nearly in that span, or small beside the last direction that counts as
+    seen, are considered only when rank is still missing.
     """
+    if rank == 0:
+        return ()
+    least = directions(triangle).singular_values[rank - 1]
     basis = np.zeros((triangle.shape[0], 0))
     taken: list[int] = []
     for share in (3e-2, 1e-3, 1e-5, 1e-7, RANK_TOLERANCE):
@@ -109,7 +115,7 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
             for _ in range(2):  # twice is enough for orthogonality to rounding
                 column = column - basis @ (basis.T @ column)
             remainder = np.linalg.norm(column)
-            if remainder > share * np.linalg.norm(triangle[:, k]):
+            if remainder > share * max(np.linalg.norm(triangle[:, k]), _SMALL * least):
                 basis = np.column_stack([basis, column / remainder])
                 taken.append(k)
     return tuple(sorted(taken))

@@ -192,6 +192,8 @@ def test_a_minimal_set_takes_base_tool_and_offsets_before_placements(robot: cali
         ([[1, 1, 0], [0, 1e-4, 1]], 2, (0, 1, 2), (0, 2)),  # nearly the same is not taken while others are left
         ([[1, 1, 0], [0, 1e-4, 1]], 1, (2, 1, 0), (2,)),
         ([[0, 1]], 1, (0, 1), (1,)),
+        ([[1e-13, 1]], 1, (0, 1), (1,)),  # rounding is not taken either
+        ([[1, 0, 0], [0, 1e-3, 1]], 2, (1, 0, 2), (0, 2)),  # nor what is hardly seen, in its place
         ([[0, 0]], 0, (0, 1), ()),
     ],
 )
