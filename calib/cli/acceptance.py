@@ -17,7 +17,7 @@ from calib.cli.options import NOT_TRUSTED, Json, Quiet, ResultFolder, app
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.ranges import RANGES, parse_within
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
@@ -161,8 +161,8 @@ def uncertainty(
 
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """
-    if out is not None and out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    if out is not None:
+        refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=1) as say:
         doubts = _doubts(load_model(results), results)
         found = uncertainty_map(

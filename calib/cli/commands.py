@@ -37,8 +37,8 @@ from calib.compensation import targets as targets_of
 from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
-from calib.foundations.errors import JobError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.errors import JobError
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.identification.error_model import with_terms
 from calib.identification.observability import observability
 from calib.job.calibrate import STEPS_OF_LOADING
@@ -140,8 +140,7 @@ def compensate(
     qy, qz) and positions are reached in the robot's base frame, or the instrument's. Rows that cannot be reached are
     left empty, with the reason.
     """
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the targets")
         model = load_model(results)
@@ -289,8 +288,8 @@ def cell(
     use. It may as well be another arm, a turntable or a track.
     """
     for file in (out, scene):
-        if file is not None and file.exists():
-            raise OutputError(f"{file}: is there already; choose another name.")
+        if file is not None:
+            refuse_taken(file)
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
@@ -319,8 +318,7 @@ def dh_view(
     kinds = {source.suffix.lower(), out.suffix.lower()}
     if kinds != {".csv", ".urdf"}:
         raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     if out.suffix.lower() == ".urdf":
         write_atomically(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
     else:

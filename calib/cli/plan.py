@@ -16,8 +16,8 @@ from calib.cli.options import Json, Quiet, app
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
-from calib.foundations.errors import JobError, MeasurementError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import Dimension
 from calib.identification.error_model import ErrorModel, error_model
@@ -77,8 +77,7 @@ def plan(
     From random candidates within the joints' limits or a table of them; seen by the tracker where --tracker and
     --facing say where it is and where the reflector looks; without self-collision where the URDF has collision shapes.
     """
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=4) as say:
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
