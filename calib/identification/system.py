@@ -199,7 +199,7 @@ def _block_by_block(
             own = evaluate(data.readings[rows], data.conditions.subset(rows))
             end = None if other is None else evaluate(other.readings[rows], other.conditions.subset(rows))
         except PoseError as e:
-            raise PoseError(start + e.row, e.reason) from e
+            raise PoseError(start + e.row, e.reason, [start + row for row in e.rows]) from e
         yield rows, own, end
 
 
