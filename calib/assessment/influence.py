@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.chance import exceeded
 from calib.identification import losses, weights
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
@@ -153,7 +153,7 @@ class Residue:
         left = np.asarray(self.freedom[chosen].sum() - d, dtype=np.float64)
         # With d equal to 0 there is nothing to test.
         tested = (np.asarray(d) > 0) & (left > 0.0)
-        return np.where(tested, stats.f.sf(q / np.maximum(d, 1), np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
+        return np.where(tested, exceeded(q, np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
 
     def influences(self, steps: Array) -> tuple[IntArray, Array, Array]:
         """Return the influence of rows without which the parameters are off by ``steps`` (n, p), scaled.
