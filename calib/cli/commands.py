@@ -230,7 +230,12 @@ def sensitivity(
         if errors is not None and inputs.job.error_model.terms == "auto":
             model = with_terms(model, load_model(errors).robot.terms)  # those that were chosen
         found = sensitivity_of(model, readings)
-        study = None if errors is None else group_study(model, readings, robot_errors(errors))
+        study = None
+        if errors is not None:
+            try:
+                study = group_study(model, readings, robot_errors(errors))
+            except JobError as e:
+                raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
         write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
     if as_json:
