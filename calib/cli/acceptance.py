@@ -30,10 +30,12 @@ from calib.presentation.acceptance_tables import (
 )
 from calib.presentation.console import progress, sentence, show, warning, write
 
-_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False)
-_CYCLES = typer.Argument(metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False)
-_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False)
-_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False)
+_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False, readable=False)
+_CYCLES = typer.Argument(
+    metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False, readable=False
+)
+_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False, readable=False)
+_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False, readable=False)
 
 
 @app.command(name="verify")
@@ -147,7 +149,8 @@ def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quie
 def uncertainty(
     results: ResultFolder,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).")
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
     samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, help="Random poses.")] = 2000,
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",

@@ -166,7 +166,7 @@ def compensate(
 
 @app.command()
 def demo(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", show_default=True)] = Path(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", readable=False)] = Path(
         "calib-demo"
     ),
 ) -> None:
@@ -269,13 +269,19 @@ def performance(
 
 @app.command()
 def cell(
-    arm: Annotated[Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False)],
-    positioner: Annotated[
-        Path, typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False)
+    arm: Annotated[
+        Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False, readable=False)
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.")],
+    positioner: Annotated[
+        Path,
+        typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False, readable=False),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
+    ],
     scene: Annotated[
-        Path | None, typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False)
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
     ] = None,
     placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
     prefix: Annotated[
@@ -283,7 +289,9 @@ def cell(
     ] = None,
     mesh_root: Annotated[
         list[Path] | None,
-        typer.Option("--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False),
+        typer.Option(
+            "--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False, readable=False
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

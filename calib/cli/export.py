@@ -36,7 +36,7 @@ _MACHINES: Mapping[Target, str] = {"ros": "the nominal URDF with this file alone
 def export_command(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, joint offsets, a DH table, YAML for ROS.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

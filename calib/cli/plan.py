@@ -37,11 +37,13 @@ from calib.robot.transmission import lacking
 Source = Annotated[
     str, typer.Argument(metavar="ARM", help="A URDF (.urdf, or example:...) or a job (.toml).", show_default=False)
 ]
-PoseFile = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, to be written.")]
+PoseFile = Annotated[
+    Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, to be written.", readable=False)
+]
 
 
 def _option(name: str, metavar: str, help_: str) -> typer.models.OptionInfo:
-    option: typer.models.OptionInfo = typer.Option(name, metavar=metavar, help=help_)
+    option: typer.models.OptionInfo = typer.Option(name, metavar=metavar, help=help_, readable=False)
     return option
 
 

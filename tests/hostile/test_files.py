@@ -185,3 +185,42 @@ def test_an_arm_that_may_not_be_looked_for_is_refused_in_a_sentence(folder: Path
     run("calibrate", JOB, "-o", "out", "-q")
     code, _, said = run("cell", f"{LONG}.urdf", "out", "-o", "cell.urdf")
     assert (code, said) == (1, f"Error: {LONG}.urdf: cannot be read (File name too long).\n")
+
+
+# Every command, with what is there in the place of all its files and folders.
+COMMANDS = (
+    ("calibrate", JOB, "-o", "there"),
+    ("check", JOB),
+    ("compensate", "there", TABLE, "-o", "there"),
+    ("demo", "there"),
+    ("view", "there"),
+    ("sensitivity", JOB, "--errors", "there", "--plot", "there"),
+    ("performance", "there", TABLE, "--probe", TABLE),
+    ("cell", "there", "there", "-o", "there", "--scene", "there", "--mesh-root", "there"),
+    ("dh", URDF, "-o", TABLE),
+    ("fleet", JOB, "-o", TABLE),
+    ("models", JOB),
+    ("plan", URDF, "-o", "there", "--measured", TABLE, "--working", TABLE, "--mesh-root", "there"),
+    ("verify", "there", TABLE),
+    ("compare", "there", "there"),
+    ("iso9283", TABLE),
+    ("uncertainty", "there", "-o", "there"),
+    ("export", "there", "--to", "offsets", "-o", "there"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: c[0])
+def test_what_may_not_be_read_is_bad_input_and_no_wrong_usage(
+    folder: Path, command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "there").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode, **_: False)
+    code, _, said = run(*command)
+    assert code in ((0, 1, 3) if command[0] in ("check", "models") else (1,)), said
+
+
+def test_these_are_all_commands() -> None:
+    listed = run("--help").out.partition("Commands:")[2]
+    assert [line.split()[0] for line in listed.splitlines() if line.strip() and line[2] != " "] == [
+        c[0] for c in COMMANDS
+    ]
