@@ -195,6 +195,8 @@ def random_candidates(
     Batches of ``count`` are drawn until there are enough, at most ``most_tries`` of them. Raises JobError with what
     was in the way when these do not suffice, or by the first of them clearly will not; RobotError as :func:`possible`.
     """
+    if count < 1:
+        raise JobError(f"{count} random poses are asked for; it takes one at least.")
     limits = joint_limits(robot)
     rng = np.random.default_rng(seed)
     parts: list[Array] = []

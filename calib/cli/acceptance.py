@@ -13,7 +13,7 @@ from calib.assessment.candidates import Observed
 from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures, read_cycles
 from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
-from calib.cli.options import NOT_TRUSTED, Json, Quiet, ResultFolder, app
+from calib.cli.options import MOST_POSES, NOT_TRUSTED, Json, Quiet, ResultFolder, app
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
@@ -152,7 +152,7 @@ def uncertainty(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, help="Random poses.")] = 2000,
+    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
     whole: Annotated[
         bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
