@@ -14,6 +14,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Load and run the command line; Ctrl-C meanwhile ends it with one line, as later on."""
+    _open_streams()
     # Where Ctrl-C is ignored, as by a shell for what it runs in the background, it stays so.
     interruptible = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if interruptible:
@@ -28,6 +29,21 @@ def main() -> None:
     if interruptible:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     run()
+
+
+def _open_streams() -> None:
+    """Open what whoever started the command has closed (``>&-``): what is said there is dropped.
+
+    Else the next file that is opened, a result, would take its number, and be what is written to.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+        if getattr(sys, name) is None:
+            mode = "r" if number == 0 else "w"
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as we run
 
 
 def _on_windows() -> bool:

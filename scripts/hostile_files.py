@@ -34,6 +34,7 @@ SECONDS = 10.0
 MEGABYTES = 1024.0
 _PATIENCE = 15  # s of processor time after which a process is ended
 _FILES = ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv")
+_PLAN = ("plan", "calibration.toml", "-o", "plan.csv", "-n", "20")
 _CALIBRATE = ("calibrate", "calibration.toml", "-o", "out")
 _COMMAND = "import sys; sys.argv[0] = 'calib'; from calib.cli import main; main()"
 # A folder of results for the commands that read one; made once.
@@ -102,6 +103,16 @@ def _tail(k: int) -> str:
 
 def _collisions(k: int) -> str:
     return f'<collision><origin xyz="{k} 0 0"/><geometry><sphere radius=".1"/></geometry></collision>'
+
+
+def _crossing(folder: Path, size: int) -> None:
+    """Write thin long shapes on all links: their balls overlap, and they hardly touch."""
+    path = folder / "arm_cmm.urdf"
+    text = path.read_text(encoding="utf-8")
+    shape = '<collision><origin xyz="0 0 {:.4f}"/><geometry><box size="1e-4 1e-4 1"/></geometry></collision>'
+    links = text.count("</link>")
+    many = repeated(lambda k: shape.format(k * 1e-3), (size - len(text)) // links)
+    path.write_text(text.replace("</link>", many + "</link>"), encoding="utf-8")
 
 
 def _chain(n: int) -> str:
@@ -510,6 +521,7 @@ HOSTILE: dict[str, Hostile] = {
         _urdf(_collisions, "</link>").write,
         ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
     ),
+    "collision shapes all over": Hostile(_crossing, _PLAN),
     "dae doubling": _mesh("m.dae", _doubling),
     "dae doubling in the scene": _mesh("m.dae", _doubling_inline),
     "dae instances": _mesh("m.dae", _dae_instances),

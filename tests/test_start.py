@@ -88,3 +88,21 @@ def test_warnings_of_libraries_are_not_for_users() -> None:
     assert start(WARNING, options=()) == (0, "done\n", "")
     assert "a warning" in start(WARNING)[2]
     assert "divide by zero" in start(WARNING, options=("-W", "default"))[2]
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_with_streams_closed(tmp_path: Path, closed: str) -> None:
+    job, out = copy_case(tmp_path), tmp_path / "out"
+    command = f'exec "$0" -W error -c "{MAIN}" calibrate "$1" -o "$2" {closed}'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable, str(job), str(out)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ("Results are in" in done.stdout) == (">" not in closed.replace("2>", ""))
+    assert b"Results are in" not in b"".join(path.read_bytes() for path in out.iterdir())
+
+
+def test_an_error_with_streams_closed() -> None:
+    command = f'exec "$0" -W error -c "{MAIN}" check nothing.toml 2>&-'
+    done = subprocess.run(["sh", "-c", command, sys.executable], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "")

@@ -12,14 +12,14 @@ itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where the b
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors, refuse_lacking
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread
+from calib.foundations.chance import exceeded
+from calib.foundations.errors import MeasurementError, PoseError
+from calib.foundations.linear import one_thread, triangle
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.machine import Frames, Machine
 from calib.identification.system import residuals
@@ -27,6 +27,8 @@ from calib.measurement.measurements import Measurements
 
 # A machine that has not changed is failed once in so many tests.
 SIGNIFICANCE = 0.01
+# Places that differ from one, or from a line, by less than a millionth of the reach.
+_NEARLY_IN_LINE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,21 +101,27 @@ def verify(
     the instrument's noise, that of the calibration stands in.
 
     Raises MeasurementError when a tool was not identified, when a joint term needs a condition that the rows do not
-    have, when orientations are judged by a calibration that saw none, or when the base is to be found anew from fewer
-    than three positions.
+    have, when orientations are judged by a calibration that saw none, when a loop does not close, or when the base is
+    to be found anew from fewer than three positions or from such as do not show it.
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
     data = _known_tools(uncertainty, data)
     refuse_lacking(uncertainty.robot, data.conditions, data.where)
     sigma = _sigma(uncertainty, data)
+    _refuse_open_loops(uncertainty, data)
     as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, base=False)
-    refitted, moved = None, None
-    if data.sigma.size > 6 and len(data) >= 3:
+    refitted, moved, shown = None, None, True
+    if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(uncertainty, data)):
         machine = _realigned(uncertainty, data)
         refitted = _judged(uncertainty, machine, data, sigma, base=True)
         change = rigid.inverse(uncertainty.machine.frames.base) @ machine.frames.base
         moved = float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
+    elif refit and not shown:
+        raise MeasurementError(
+            f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
+            "places."
+        )
     elif refit:
         raise MeasurementError(f"{data.where}: {len(data)} rows are too few to find the base anew; it takes three.")
     return Verification(as_calibrated, refitted, moved, limit, refit)
@@ -129,6 +137,13 @@ def _known_tools(uncertainty: Uncertainty, data: Measurements) -> Measurements:
             raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
     number = np.array([uncertainty.tools.index(tool) for tool in data.tools], dtype=np.intp)
     return replace(data, tools=uncertainty.tools, tool=number[data.tool])
+
+
+def _refuse_open_loops(uncertainty: Uncertainty, data: Measurements) -> None:
+    try:
+        data.tips(uncertainty.robot, uncertainty.machine.deviations)
+    except PoseError as e:
+        raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
@@ -167,20 +182,30 @@ def _judged(uncertainty: Uncertainty, machine: Machine, data: Measurements, sigm
         r[:, :3] -= uncertainty.residual_model.shifts(machine.frames.base, bare, data.readings)
     with one_thread():
         F = common_errors(replace(uncertainty, machine=machine), data) / sigma[:, :, None]
-        w, F = (r / sigma).ravel(), F.reshape(r.size, -1)
-        inner = np.eye(F.shape[1]) + F.T @ F
+        U, s, _ = np.linalg.svd(F.reshape(r.size, -1), full_matrices=False)
 
-        def weighed(x: Array) -> Array:
-            return np.asarray(x - F @ np.linalg.solve(inner, F.T @ x))
+        def whitened(x: Array) -> Array:
+            # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
+            return np.asarray(x - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ x))
 
-        T, n = float(w @ weighed(w)), w.size
+        w, n = whitened((r / sigma).ravel()), r.size
         if base:
-            B = (_base_motion(uncertainty, machine, data) / sigma[:, :, None]).reshape(w.size, 6)
-            seen = B.T @ weighed(w)
-            T, n = T - float(seen @ np.linalg.solve(B.T @ weighed(B), seen)), n - 6
-    nu = uncertainty.degrees_of_freedom
-    probability = stats.chi2.sf(T, n) if np.isinf(nu) else stats.f.sf(T / n, n, nu)
-    return Judgement(dict(metrics([(data.kind, r)])), read_only(r), ChiSquare(T, n, float(probability)))
+            B = whitened((_base_motion(uncertainty, machine, data) / sigma[:, :, None]).reshape(n, 6))
+            w, n = w - B @ np.linalg.lstsq(B, w)[0], n - 6
+        T = float(w @ w)
+    return Judgement(
+        dict(metrics([(data.kind, r)])),
+        read_only(r),
+        ChiSquare(T, n, float(exceeded(T, n, uncertainty.degrees_of_freedom))),
+    )
+
+
+def _shows_base(uncertainty: Uncertainty, data: Measurements) -> bool:
+    """Return whether the rows see every motion of the base: positions at one place, or in line, do not."""
+    B = _base_motion(uncertainty, uncertainty.machine, data).reshape(-1, 6)
+    B = B / np.repeat([1.0, uncertainty.robot.reach], 3)
+    values = np.linalg.svd(triangle(B), compute_uv=False)
+    return bool(values[-1] > _NEARLY_IN_LINE * values[0])
 
 
 def _base_motion(uncertainty: Uncertainty, machine: Machine, data: Measurements) -> Array:

@@ -15,7 +15,7 @@ from calib.identification.machine import Frames, values_at
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import unmeasured
-from calib.robot.collision import SelfCollision
+from calib.robot.collision import Effort, SelfCollision
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Robot, TipModel
 from calib.robot.sampling import closing, joint_limits
@@ -25,6 +25,9 @@ Observed = Literal["position", "pose"]
 # What kinematic models leave out comes from eccentric encoders and gears and from gravity, mostly once a turn. On a
 # real UR10 (docs/pose_choice.md) second harmonics beside the first made the choice no better.
 _ORDERS = (1,)
+# After so many tries, with so many times fewer found than would do, chance no longer brings enough.
+_ENOUGH_TRIES = 2000
+_BY_CHANCE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,9 +145,17 @@ class Candidates:
 
 
 def possible(
-    robot: Robot, frames: Frames, readings: Array, sight: Sight | None = None, collision: SelfCollision | None = None
+    robot: Robot,
+    frames: Frames,
+    readings: Array,
+    sight: Sight | None = None,
+    collision: SelfCollision | None = None,
+    effort: Effort | None = None,
 ) -> Candidates:
-    """Return those of the readings (N, nr) that are within the joints' limits, seen, and free of self-collision."""
+    """Return those of the readings (N, nr) that are within the joints' limits, seen, and free of self-collision.
+
+    Raises RobotError when collisions take more than ``effort``, one of as many poses when None.
+    """
     limits = joint_limits(robot)
     unlimited = np.array([reading.lower is None or reading.upper is None for reading in robot.readings])
     inside = np.all(unlimited | ((readings >= limits[:, 0] - 1e-9) & (readings <= limits[:, 1] + 1e-9)), axis=1)
@@ -162,7 +173,7 @@ def possible(
         }
         kept = kept[facing & within]
     if collision is not None and len(kept):
-        touching = collision.colliding(kept)
+        touching = collision.colliding(kept, effort)
         rejected["touching itself"] = int(np.count_nonzero(touching))
         kept = kept[~touching]
     return Candidates(read_only(kept), len(readings), {reason: n for reason, n in rejected.items() if n})
@@ -182,15 +193,21 @@ def random_candidates(
     """Return ``count`` random poses, uniform over the joints' limits, that can be measured.
 
     Batches of ``count`` are drawn until there are enough, at most ``most_tries`` of them. Raises JobError with what
-    was in the way when these do not suffice.
+    was in the way when these do not suffice, or by the first of them clearly will not; RobotError as :func:`possible`.
     """
+    if count < 1:
+        raise JobError(f"{count} random poses are asked for; it takes one at least.")
     limits = joint_limits(robot)
     rng = np.random.default_rng(seed)
     parts: list[Array] = []
     tried, rejected = 0, dict[str, int]()
+    effort = Effort(robot, count)
     while (found := sum(map(len, parts))) < count and tried < most_tries * count:
+        if tried >= _ENOUGH_TRIES and found * most_tries * _BY_CHANCE < tried:
+            break
         progress(found, count)
-        some = possible(robot, frames, rng.uniform(limits[:, 0], limits[:, 1], (count, len(limits))), sight, collision)
+        drawn = rng.uniform(limits[:, 0], limits[:, 1], (count, len(limits)))
+        some = possible(robot, frames, drawn, sight, collision, effort)
         parts.append(some.readings)
         tried += some.tried
         for reason, n in some.rejected.items():

@@ -28,7 +28,7 @@ from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
 from calib.identification.posing import posed
-from calib.identification.system import blocks, evaluate
+from calib.identification.system import Rates, evaluate
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
@@ -247,9 +247,9 @@ class _System:
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
         """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""
         problem = self._problem
-        at, units = problem.machine(self._x), scales(problem.parameters)
+        rates = Rates(problem, problem.machine(self._x), scales(problem.parameters))
         for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
-            for block in blocks(problem, data, at, units):
+            for block in rates.blocks(data):
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
 

@@ -8,10 +8,10 @@ combinations that both have seen.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.identification.alignment import Known, Rows, align
@@ -113,8 +113,7 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
     if np.array_equal(free_old, free_new):
         statistic, freedom = _together(old, new, difference, C, free_old)
         if freedom:
-            tail = stats.chi2.sf(statistic, freedom) if np.isinf(nu) else stats.f.sf(statistic / freedom, freedom, nu)
-            probability = float(tail)
+            probability = float(exceeded(statistic, freedom, nu))
     tool = next(name for name in old.tools if name in new.tools)
     errors = _at_tip(old, new, readings, tool)
     stated = _stated(old, readings, tool) + _stated(new, readings, tool)

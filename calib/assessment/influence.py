@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.chance import exceeded
 from calib.identification import losses, weights
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
-from calib.identification.system import Problem, blocks
+from calib.identification.system import Problem, Rates
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 
@@ -99,9 +99,10 @@ class Residue:
         ]
         units = scales(fit.parameters)
         predicted, numbers = np.zeros((len(units), len(units))), 0
+        rates = Rates(problem, fit.machine, units)
         for data in fit.measurements:
             in_m = [k for quantity in QUANTITIES[data.kind] if quantity.unit == "m" for k in _range(quantity.columns)]
-            for block in blocks(problem, data, fit.machine, units):
+            for block in rates.blocks(data):
                 J = block.J[:, in_m].reshape(-1, len(units))
                 predicted += J.T @ J
                 numbers += len(J)
@@ -123,9 +124,9 @@ class Residue:
 
     def blocks(self) -> Iterator[Rows]:
         """Yield all rows, block by block."""
-        units = scales(self.fit.parameters)
+        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters))
         for i, data in enumerate(self.fit.measurements):
-            for block in blocks(self.problem, data, self.fit.machine, units):
+            for block in rates.blocks(data):
                 sigma = self.sigma[i][block.rows]
                 yield Rows(
                     i, block.rows, block.observed.residual / sigma, block.J / sigma[:, :, None], self.w[i][block.rows]
@@ -153,7 +154,7 @@ class Residue:
         left = np.asarray(self.freedom[chosen].sum() - d, dtype=np.float64)
         # With d equal to 0 there is nothing to test.
         tested = (np.asarray(d) > 0) & (left > 0.0)
-        return np.where(tested, stats.f.sf(q / np.maximum(d, 1), np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
+        return np.where(tested, exceeded(q, np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
 
     def influences(self, steps: Array) -> tuple[IntArray, Array, Array]:
         """Return the influence of rows without which the parameters are off by ``steps`` (n, p), scaled.

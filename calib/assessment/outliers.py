@@ -1,5 +1,6 @@
 """Which rows, targets and groups do not go with the rest, and what becomes of a calibration without them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -57,7 +58,7 @@ class Outliers:
         """Jumps that are no accident, and not the work of one row of the target."""
         worst: dict[str | None, float] = {}
         for row in self.rows:
-            worst[row.target] = min(worst.get(row.target, 1.0), float(np.nan_to_num(row.p, nan=1.0)))
+            worst[row.target] = min(worst.get(row.target, 1.0), _or_one(row.p))
         return tuple(jump for jump in self.jumps if jump.is_told(LEVEL) and jump.p < worst[jump.target])
 
     @property
@@ -147,4 +148,9 @@ def _least_likely(residue: Residue, judged: Sequence[_Judged]) -> tuple[Outlying
                     Influence(parameters[block.parameter[n]].name, float(block.change[n]), float(block.prediction[n])),
                 )
             )
-    return tuple(sorted(found, key=lambda row: (np.nan_to_num(row.p, nan=1.0), row.file, row.line)))
+    return tuple(sorted(found, key=lambda row: (_or_one(row.p), row.file, row.line)))
+
+
+def _or_one(p: float) -> float:
+    """Return a probability, 1 where nothing was tested."""
+    return 1.0 if math.isnan(p) else p

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from calib.foundations.arrays import Array, BoolArray, read_only
+from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel
@@ -136,9 +136,7 @@ class ToolUncertainty:
 
 def squared_bound(probability: float, dimensions: int, degrees_of_freedom: float) -> float:
     """Return the squared Mahalanobis radius of a region: k F(k, nu) with estimated noise, chi-square(k) without."""
-    if np.isinf(degrees_of_freedom):
-        return float(stats.chi2.ppf(probability, dimensions))
-    return dimensions * float(stats.f.ppf(probability, dimensions, degrees_of_freedom))
+    return bound(probability, dimensions, degrees_of_freedom)
 
 
 def uncertainty_of(fit: Fit) -> Uncertainty:

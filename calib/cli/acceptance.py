@@ -13,11 +13,11 @@ from calib.assessment.candidates import Observed
 from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures, read_cycles
 from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
-from calib.cli.options import NOT_TRUSTED, Json, Quiet, ResultFolder, app
+from calib.cli.options import MOST_POSES, NOT_TRUSTED, Json, Quiet, ResultFolder, app
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.ranges import RANGES, parse_within
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
@@ -30,10 +30,12 @@ from calib.presentation.acceptance_tables import (
 )
 from calib.presentation.console import progress, sentence, show, warning, write
 
-_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False)
-_CYCLES = typer.Argument(metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False)
-_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False)
-_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False)
+_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False, readable=False)
+_CYCLES = typer.Argument(
+    metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False, readable=False
+)
+_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False, readable=False)
+_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False, readable=False)
 
 
 @app.command(name="verify")
@@ -147,9 +149,10 @@ def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quie
 def uncertainty(
     results: ResultFolder,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).")
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, help="Random poses.")] = 2000,
+    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
     whole: Annotated[
         bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
@@ -161,8 +164,8 @@ def uncertainty(
 
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """
-    if out is not None and out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    if out is not None:
+        refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=1) as say:
         doubts = _doubts(load_model(results), results)
         found = uncertainty_map(

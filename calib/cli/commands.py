@@ -37,8 +37,8 @@ from calib.compensation import targets as targets_of
 from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
-from calib.foundations.errors import JobError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.errors import JobError
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.identification.error_model import with_terms
 from calib.identification.observability import observability
 from calib.job.calibrate import STEPS_OF_LOADING
@@ -140,8 +140,7 @@ def compensate(
     qy, qz) and positions are reached in the robot's base frame, or the instrument's. Rows that cannot be reached are
     left empty, with the reason.
     """
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the targets")
         model = load_model(results)
@@ -167,7 +166,7 @@ def compensate(
 
 @app.command()
 def demo(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", show_default=True)] = Path(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", readable=False)] = Path(
         "calib-demo"
     ),
 ) -> None:
@@ -231,7 +230,12 @@ def sensitivity(
         if errors is not None and inputs.job.error_model.terms == "auto":
             model = with_terms(model, load_model(errors).robot.terms)  # those that were chosen
         found = sensitivity_of(model, readings)
-        study = None if errors is None else group_study(model, readings, robot_errors(errors))
+        study = None
+        if errors is not None:
+            try:
+                study = group_study(model, readings, robot_errors(errors))
+            except JobError as e:
+                raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
         write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
     if as_json:
@@ -265,13 +269,19 @@ def performance(
 
 @app.command()
 def cell(
-    arm: Annotated[Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False)],
-    positioner: Annotated[
-        Path, typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False)
+    arm: Annotated[
+        Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False, readable=False)
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.")],
+    positioner: Annotated[
+        Path,
+        typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False, readable=False),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
+    ],
     scene: Annotated[
-        Path | None, typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False)
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
     ] = None,
     placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
     prefix: Annotated[
@@ -279,7 +289,9 @@ def cell(
     ] = None,
     mesh_root: Annotated[
         list[Path] | None,
-        typer.Option("--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False),
+        typer.Option(
+            "--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False, readable=False
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -289,8 +301,8 @@ def cell(
     use. It may as well be another arm, a turntable or a track.
     """
     for file in (out, scene):
-        if file is not None and file.exists():
-            raise OutputError(f"{file}: is there already; choose another name.")
+        if file is not None:
+            refuse_taken(file)
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
@@ -319,8 +331,7 @@ def dh_view(
     kinds = {source.suffix.lower(), out.suffix.lower()}
     if kinds != {".csv", ".urdf"}:
         raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     if out.suffix.lower() == ".urdf":
         write_atomically(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
     else:

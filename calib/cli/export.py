@@ -13,7 +13,7 @@ from calib.cli.options import Json, Quiet, ResultFolder, app
 from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.folders import reading_folder
 from calib.job.results import DH_FILE
 from calib.presentation.console import sentence, show, warning, write
@@ -36,7 +36,7 @@ _MACHINES: Mapping[Target, str] = {"ros": "the nominal URDF with this file alone
 def export_command(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, joint offsets, a DH table, YAML for ROS.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -45,8 +45,7 @@ def export_command(
     The file is read back and compared before it is written. What it has no place for is named, with what that costs at
     the tip: no such file holds all that model.json does.
     """
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     with reading_folder(results):
         model = load_model(results)
         corrected = results / DH_FILE

@@ -12,14 +12,19 @@ from calib.presentation.console import progress, sentence, show, show_error, war
 from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
 from calib.presentation.tables import sheet_table
 
-JobFiles = Annotated[list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False)]
+JobFiles = Annotated[
+    list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False, readable=False)
+]
 
 
 @app.command()
 def fleet(
     jobs: JobFiles,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder of all results: one in it for every job.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Folder of all results: one in it for every job.", readable=False
+        ),
     ] = Path("fleet"),
     workers: Annotated[
         int | None, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.  [default: one for every core]")

@@ -1,6 +1,7 @@
 """``calib plan``: which poses to measure."""
 
 import json
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,14 +13,15 @@ from calib.assessment.candidates import Setup, Sight, possible, random_candidate
 from calib.assessment.design import Criterion
 from calib.assessment.planning import Plan
 from calib.assessment.planning import plan as plan_of
-from calib.cli.options import Json, Quiet, app
+from calib.cli.options import MOST_POSES, Json, Quiet, app
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
-from calib.foundations.errors import JobError, MeasurementError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import Dimension
+from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.machine import Frames
 from calib.job.inputs import load_arm
@@ -37,11 +39,15 @@ from calib.robot.transmission import lacking
 Source = Annotated[
     str, typer.Argument(metavar="ARM", help="A URDF (.urdf, or example:...) or a job (.toml).", show_default=False)
 ]
-PoseFile = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, to be written.")]
+_NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
+
+PoseFile = Annotated[
+    Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, to be written.", readable=False)
+]
 
 
 def _option(name: str, metavar: str, help_: str) -> typer.models.OptionInfo:
-    option: typer.models.OptionInfo = typer.Option(name, metavar=metavar, help=help_)
+    option: typer.models.OptionInfo = typer.Option(name, metavar=metavar, help=help_, readable=False)
     return option
 
 
@@ -68,7 +74,7 @@ def plan(
     target: Annotated[str | None, _option("--target", "LENGTH", "Say how many poses keep the error below.")] = None,
     mesh_root: Annotated[list[Path] | None, _option("--mesh-root", "FOLDER", "A folder to read meshes from.")] = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
-    seed: Annotated[int, _option("--seed", "N", "Of the random candidates.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random candidates.")] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -77,8 +83,7 @@ def plan(
     From random candidates within the joints' limits or a table of them; seen by the tracker where --tracker and
     --facing say where it is and where the reflector looks; without self-collision where the URDF has collision shapes.
     """
-    if out.exists():
-        raise OutputError(f"{out}: is there already; choose another name.")
+    refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=4) as say:
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
@@ -96,8 +101,8 @@ def plan(
             )
             notes += [] if collision is None else list(collision.notes)
         say("sampling candidates")
-        if candidates.isdigit():
-            found = random_candidates(robot, frames, int(candidates), sight, collision, seed=seed)
+        if _NUMBER.fullmatch(candidates):
+            found = random_candidates(robot, frames, _count(candidates), sight, collision, seed=seed)
         else:
             found = possible(robot, frames, _table(Path(candidates), robot), sight, collision)
         say(f"choosing {count} of {len(found.readings)} poses")
@@ -177,6 +182,13 @@ def _untold(model: ErrorModel) -> list[str]:
         f"{', '.join(untold)}: depend on sides of approach, temperatures or torques and not on the poses alone; the "
         "plan is for the other parameters."
     ]
+
+
+def _count(text: str) -> int:
+    # A number of thousands of digits is none for Python.
+    if not 1 <= float(text) <= MOST_POSES:
+        raise JobError(f"candidates: {shown(text)} is not a number from 1 to {MOST_POSES}, nor a file.")
+    return int(text)
 
 
 def _base(tracker: str | None) -> Array:

@@ -1,5 +1,6 @@
 """The calibrated cell: an arm and what it touched, in one URDF, at the calibrated place."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -45,7 +46,7 @@ def calibrated_cell(
     model = load_model(positioner)
     second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
     placement, root = model.base, np.eye(4)
-    if arm.suffix.lower() == ".urdf" and not (arm / MODEL_FILE).exists():
+    if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
         if placed_in == "instrument":
             raise JobError(f"{arm}: a URDF does not say where it stands before the instrument; give its results.")
         first = read_urdf(arm)

@@ -198,7 +198,7 @@ def _tools(model: CalibratedModel, tool: str | Sequence[str], n: int) -> Array:
         raise JobError(f"{len(names)} tools are named for {n} targets; there must be one, or as many.")
     for name in {tool} if isinstance(tool, str) else dict.fromkeys(names):
         if name not in model.tools:
-            raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(model.tools)}.")
+            raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(map(repr, model.tools))}.")
     return np.array([model.tools[name] for name in names]).reshape(-1, 4, 4)
 
 
@@ -262,19 +262,15 @@ class _Calls(Protocol):
 def _rowwise(calls: _Calls, readings: Array, shape: tuple[int, ...]) -> tuple[Array, list[str]]:
     """Return values (N, *shape), and why a row has none: a row whose loop does not close spoils its block alone."""
     values, why = np.full((len(readings), *shape), np.nan), [""] * len(readings)
-    blocks = [(0, len(readings))]
-    while blocks:
-        low, high = blocks.pop()
-        if low == high:
-            continue
+    rows = np.arange(len(readings))
+    while len(rows):
         try:
-            values[low:high] = calls(readings[low:high])
+            values[rows] = calls(readings[rows])
+            break
         except PoseError as e:
-            if high - low == 1:
-                why[low] = e.reason
-            else:
-                middle = (low + high) // 2
-                blocks += [(low, middle), (middle, high)]
+            for row in rows[list(e.rows)]:
+                why[row] = e.reason
+            rows = np.delete(rows, e.rows)
     return values, why
 
 

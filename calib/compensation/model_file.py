@@ -1,6 +1,7 @@
 """``model.json``: the calibrated machine, whole, for programs that want more than a URDF can hold."""
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -322,7 +323,7 @@ def _loaded(folder: Path) -> CalibratedModel:
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
     doubts = folder / UNCERTAINTY_FILE
-    known = doubts.is_file() and bool(tools)
+    known = os.path.lexists(doubts) and bool(tools)
     frames = Frames(base, np.stack(list(tools.values()))) if known else None
     residuals = _residual_model(folder, model.residual_model, robot)
     uncertainty = None

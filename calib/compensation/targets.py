@@ -87,7 +87,7 @@ def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets
         if name not in model.tools:
             raise MeasurementError(
                 f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
-                f"{', '.join(model.tools)}."
+                f"{', '.join(map(repr, model.tools))}."
             )
     told = conditions(table, model.robot.readings)
     if unsaid := lacking(model.robot.terms, list(joints), told):

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from calib.assessment.uncertainty import NoiseLevel, Uncertainty, placed_machine
 from calib.foundations.arrays import Array, read_only
@@ -20,6 +20,15 @@ UNCERTAINTY_FILE = "uncertainty.json"
 _Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 
 
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError("the least is above the greatest")
+    return ends
+
+
+_Range = Annotated[tuple[_Number, _Number], AfterValidator(_ordered)]
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -27,9 +36,9 @@ class _Strict(BaseModel):
 class NoiseEntry(_Strict):
     """A noise level; ``degrees_of_freedom`` is null where nothing was estimated."""
 
-    model: _Number
-    total: _Number
-    degrees_of_freedom: _Number | None
+    model: Annotated[_Number, Field(ge=0.0)]
+    total: Annotated[_Number, Field(ge=0.0)]
+    degrees_of_freedom: Annotated[_Number, Field(gt=0.0)] | None
 
     @classmethod
     def of(cls, level: NoiseLevel | None) -> "NoiseEntry | None":
@@ -54,7 +63,7 @@ class UncertaintyFile(_Strict):
     """
 
     schema_: Literal[1] = Field(alias="schema")
-    identified: dict[str, tuple[_Number, _Number]]
+    identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
     factor: tuple[tuple[_Number, ...], ...]

@@ -4,6 +4,8 @@ Every message is one clear sentence: what is wrong, where (file and line, joint,
 The command line prints it and exits with 1; anything else that escapes is a bug and shows its traceback.
 """
 
+from collections.abc import Sequence
+
 
 class CalibError(Exception):
     """Base of every error that a user's input can cause."""
@@ -14,11 +16,15 @@ class RobotError(CalibError, ValueError):
 
 
 class PoseError(RobotError):
-    """The arm cannot take a pose. ``row``: which of the readings, from 0; ``reason``: why, without the row."""
+    """The arm cannot take a pose. ``row``: which of the readings, from 0; ``reason``: why, without the row.
 
-    def __init__(self, row: int, reason: str) -> None:
+    ``rows``: all for which the same was found at once, this one among them; there may be others still.
+    """
+
+    def __init__(self, row: int, reason: str, rows: Sequence[int] = ()) -> None:
         super().__init__(f"row {row}: {reason}.")
         self.row = row
+        self.rows = tuple(rows) or (row,)
         self.reason = reason
 
 

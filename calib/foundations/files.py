@@ -118,6 +118,13 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def refuse_taken(path: Path) -> None:
+    """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new."""
+    # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
+    if os.path.lexists(path):
+        raise OutputError(f"{path}: is there already; choose another name.")
+
+
 def stamp(path: Path) -> tuple[int, int, int] | None:
     """Return what changes when a file does: its number, size and time; None where there is none."""
     try:

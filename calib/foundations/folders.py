@@ -86,6 +86,42 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
                 folder.rmdir()
 
 
+def real_folder(path: Path) -> Path:
+    """Return the folder that is meant by a path, free of links and ``..``, whether it is there or not.
+
+    Raises OutputError where no way leads there: links in a circle, or ``..`` behind what is no folder, which only a
+    program that reads the path as a text would take for the folder above.
+    """
+    try:
+        parts = path.parts
+        for before in (Path(*parts[:k]) for k, part in enumerate(parts) if part == ".." and k):
+            if not before.is_dir():
+                raise OutputError(f"{path}: leads through {before}, which is no folder.")
+        return path.resolve()
+    except OutputError:
+        raise
+    except (OSError, RuntimeError, ValueError) as e:
+        reason = "a symbolic link leads in a circle" if isinstance(e, RuntimeError) else _why(e)
+        raise OutputError(f"{path}: cannot hold the results ({reason}).") from e
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells."""
+    try:
+        parent = next(folder for folder in path.absolute().parents if folder.exists())
+        if not parent.is_dir():
+            raise OutputError(f"{path}: cannot be made, as {parent} is a file.")
+        if path.exists() and not path.is_dir():
+            raise OutputError(f"{path}: is a file, and the results need a folder.")
+        for folder in (parent, path):
+            if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
+                raise OutputError(f"{path}: cannot be written, as {folder} is read-only.")
+    except OutputError:
+        raise
+    except OSError as e:
+        raise OutputError(f"{path}: cannot hold the results ({_why(e)}).") from e
+
+
 @contextlib.contextmanager
 def reading_folder(path: Path) -> Iterator[None]:
     """Keep a folder as it is while the block reads it: another run waits before it replaces it.

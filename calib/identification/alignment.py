@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.ranges import SMALLEST_CELL
 from calib.identification.parameters import TOOL
 
 _MOST_STEPS = 100
@@ -151,6 +152,8 @@ def cube_rotations() -> Array:
 
 def _best_rotation(X: Array, c: Array) -> Array:
     """Return the rotation A that minimises ``|X vec(A) - c|``, by Levenberg-Marquardt from many starts at once."""
+    # Numbers that no table may have, since nothing can be divided by them, say as little as zeros.
+    X = np.where(np.abs(X) < SMALLEST_CELL, 0.0, X)
     relaxed = _solve(X, c).reshape(3, 3).T
     A = np.concatenate([rigid.nearest_rotation(relaxed)[None], cube_rotations()])
     basis = rigid.skew(np.eye(3))

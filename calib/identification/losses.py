@@ -10,9 +10,10 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from scipy import integrate, stats
+from scipy import integrate
 
 from calib.foundations.arrays import Array
+from calib.foundations.chance import density
 
 Loss = Literal["linear", "huber", "soft_l1", "cauchy"]
 _TUNING = {"huber": 1.345, "soft_l1": 1.287, "cauchy": 2.385}
@@ -45,6 +46,6 @@ def shrinkage(loss: Loss, d: int) -> float:
         return 1.0
 
     def integrand(square: float) -> float:
-        return float(scatter_weight(loss, np.array(np.sqrt(square / d))) * square / d * stats.chi2.pdf(square, d))
+        return float(scatter_weight(loss, np.array(np.sqrt(square / d))) * square / d * density(square, d))
 
     return float(integrate.quad(integrand, 0.0, np.inf)[0])

@@ -141,18 +141,20 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     at = problem.machine(x)
     moving = problem.motions
     whole = None if moving is None else Unseen(problem.parameters, moving, problem.model.robot.reach)
+    components = list(enumerate(problem.components))
+    rates = Rates(problem, at, scales(problem.parameters))
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         parts: list[Array] = []
-        for block in blocks(problem, data, at, scales(problem.parameters)):
+        own = [(c, component.columns) for c, component in components if component.measurements == i]
+        for block in rates.blocks(data):
             residual = block.observed.residual
             parts.append(residual)
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
             if whole is not None:
                 whole.add(block.J, block.moved, sigma[block.rows])
-            for c, component in enumerate(problem.components):
-                if component.measurements == i:
-                    rows = whitened[:, component.columns].reshape(-1, columns)
-                    triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
+            for c, of_quantity in own:
+                rows = whitened[:, of_quantity].reshape(-1, columns)
+                triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
         found.append(np.concatenate(parts))
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     layout = Layout.of(problem.model.robot, at.frames)
@@ -167,10 +169,10 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     """Return the unwhitened Jacobians (N, d, p) of the residuals, in m and rad per SI unit of each parameter."""
-    at, found = problem.machine(x), []
+    rates, found = Rates(problem, problem.machine(x), np.ones(len(problem.parameters))), []
     for data in problem.measurements:
         J = np.empty((*data.sigma.shape, len(problem.parameters)))
-        for block in blocks(problem, data, at, np.ones(len(problem.parameters))):
+        for block in rates.blocks(data):
             J[block.rows] = block.J
         found.append(J)
     return tuple(found)
@@ -199,7 +201,7 @@ def _block_by_block(
             own = evaluate(data.readings[rows], data.conditions.subset(rows))
             end = None if other is None else evaluate(other.readings[rows], other.conditions.subset(rows))
         except PoseError as e:
-            raise PoseError(start + e.row, e.reason) from e
+            raise PoseError(start + e.row, e.reason, [start + row for row in e.rows]) from e
         yield rows, own, end
 
 
@@ -215,46 +217,60 @@ def _observe(data: Measurements, rows: slice, frames: Frames, tools: Array, othe
 
 def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> Iterator[Block]:
     """Yield the rows of one set, block by block; derivatives are taken for ``units`` (p,) of every parameter."""
-    robot, frames = problem.model.robot, at.frames
-    layout = Layout.of(robot, frames)
-    S = directions(problem.parameters, layout.size) * units
-    of_robot, of_tools = S[: layout.terms], S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
-    tip = TipModel(robot, at.deviations)
-    joints = tip.joints @ of_robot
-    joints[:6] += tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
-    # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
-    to_tool = rigid.adjoint(rigid.inverse(frames.tools))
-    by_tool = to_tool @ (tip.tail @ of_robot) + at.tool_twists @ of_tools
-    by_target = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
+    yield from Rates(problem, at, units).blocks(data)
 
-    def through_robot(twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
+
+class Rates:
+    """How tools and targets follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets."""
+
+    def __init__(self, problem: Problem, at: Machine, units: Array) -> None:
+        frames = at.frames
+        layout = Layout.of(problem.model.robot, frames)
+        S = directions(problem.parameters, layout.size) * units
+        self._robot, self._frames, self._tip = problem.model.robot, frames, TipModel(problem.model.robot, at.deviations)
+        self._of_robot, self._of_terms = S[: layout.terms], S[layout.terms : layout.base]
+        self._of_lengths = S[layout.lengths :]
+        of_tools = S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
+        self._joints = self._tip.joints @ self._of_robot
+        self._joints[:6] += self._tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
+        # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
+        self._to_tool = rigid.adjoint(rigid.inverse(frames.tools))
+        self._by_tool = self._to_tool @ (self._tip.tail @ self._of_robot) + at.tool_twists @ of_tools
+        of_targets = S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
+        self._by_target = at.target_twists @ of_targets
+
+    def blocks(self, data: Measurements) -> Iterator[Block]:
+        """Yield the rows of one set, block by block."""
+        frames = self._frames
+        for rows, motion, other in _block_by_block(self._tip.motion, data):
+            tool = self._tool(data.tool[rows])
+            placed = frames.base @ motion.placement @ frames.tools[tool]
+            observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
+            J = self._through_robot(observed.twist, motion, tool)
+            moved = [(observed.twist, placed)]
+            if data.other is not None and other is not None and observed.other is not None:
+                tool = self._tool(data.other.tool[rows])
+                moved.append((observed.other, frames.base @ other.placement @ frames.tools[tool]))
+                J += self._through_robot(observed.other, other, tool)
+            if observed.target is not None:
+                J += observed.target @ self._by_target[data.target[rows]]
+            if data.offset >= 0:
+                J -= self._of_lengths[data.offset]
+            yield Block(rows, observed, J, tuple(moved))
+
+    def _through_robot(self, twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
         # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = _times(twist, to_tool[tool])
-        J = _times(by_tip @ motion.regressor, joints)
-        J += _times(twist, by_tool[tool])
-        if robot.loops:
-            J += (by_tip @ motion.by_passive) @ (motion.rates @ of_robot)
-        if robot.terms:
-            J += _times(by_tip @ motion.by_terms, S[layout.terms : layout.base])
+        by_tip = _times(twist, self._to_tool[tool])
+        J = _times(by_tip @ motion.regressor, self._joints)
+        J += _times(twist, self._by_tool[tool])
+        if self._robot.loops:
+            J += (by_tip @ motion.by_passive) @ (motion.rates @ self._of_robot)
+        if self._robot.terms:
+            J += _times(by_tip @ motion.by_terms, self._of_terms)
         return J
 
-    def tool_of(numbers: IntArray) -> IntArray | int:
-        return numbers if len(frames.tools) > 1 else 0
-
-    for rows, motion, other in _block_by_block(tip.motion, data):
-        placed = frames.base @ motion.placement @ frames.tools[tool_of(data.tool[rows])]
-        observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
-        J = through_robot(observed.twist, motion, tool_of(data.tool[rows]))
-        moved = [(observed.twist, placed)]
-        if data.other is not None and other is not None and observed.other is not None:
-            ends = frames.base @ other.placement @ frames.tools[tool_of(data.other.tool[rows])]
-            moved.append((observed.other, ends))
-            J += through_robot(observed.other, other, tool_of(data.other.tool[rows]))
-        if observed.target is not None:
-            J += observed.target @ by_target[data.target[rows]]
-        if data.offset >= 0:
-            J -= S[layout.lengths + data.offset]
-        yield Block(rows, observed, J, tuple(moved))
+    def _tool(self, numbers: IntArray) -> IntArray | int:
+        return numbers if len(self._frames.tools) > 1 else 0
 
 
 def _times(rows: Array, matrix: Array) -> Array:

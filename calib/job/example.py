@@ -6,7 +6,8 @@ from pathlib import Path
 
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
-from calib.foundations.folders import write_folder
+from calib.foundations.files import refuse_taken
+from calib.foundations.folders import real_folder, refuse_unwritable, write_folder
 
 JOB = "calibration.toml"
 TARGETS = "targets.csv"
@@ -31,13 +32,14 @@ def example_folder() -> Path:
 def copy_example(folder: Path) -> tuple[Path, Path, Path]:
     """Make a folder with the example's files and with targets; return its job, its targets and where results belong.
 
-    Raises OutputError when there is anything of that name already.
+    Raises OutputError when there is anything of that name already, or no folder can be made there.
     """
-    if folder.exists() or folder.is_symlink():
-        raise OutputError(f"{folder}: is there already; choose another name.")
+    refuse_taken(folder)
+    meant = real_folder(folder)
+    refuse_unwritable(meant)
     source = example_folder()
     files: dict[str, bytes | str] = {name: (source / name).read_bytes() for name in _FILES}
-    write_folder(folder.resolve(), {**files, TARGETS: _targets((source / "test.csv").read_text(encoding="utf-8"))})
+    write_folder(meant, {**files, TARGETS: _targets((source / "test.csv").read_text(encoding="utf-8"))})
     return folder / JOB, folder / TARGETS, folder / RESULTS
 
 

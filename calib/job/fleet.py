@@ -16,7 +16,7 @@ from typing import Any
 
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
-from calib.foundations.folders import reading_folder
+from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.inputs import Progress
@@ -84,18 +84,9 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
 
 def _refuse_fleet(out: Path) -> None:
     """Refuse a folder that is none, is read-only, or in which the summary would take the place of somebody's file."""
-    try:
-        there = [name for name in SUMMARIES if (out / name).exists()]
-        if out.exists() and not out.is_dir():
-            raise OutputError(f"{out}: is a file, and a fleet needs a folder.")
-        above = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
-        writable = os.access(above, os.W_OK | os.X_OK)
-    except OSError as e:
-        if isinstance(e, OutputError):
-            raise
-        raise OutputError(f"{out}: cannot hold the results ({e.strerror}).") from e
-    if not writable:
-        raise OutputError(f"{out}: cannot be written, as {above} is read-only.")
+    real_folder(out)
+    refuse_unwritable(out)
+    there = [name for name in SUMMARIES if os.path.lexists(out / name)]
     if there and not _is_summary(out / SUMMARY_JSON):
         raise OutputError(f"{out / there[0]}: is no summary of a fleet, and would be replaced by one; choose a folder.")
 

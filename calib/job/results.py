@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -30,7 +29,7 @@ from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
-from calib.foundations.folders import reading_folder, write_folder
+from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable, write_folder
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
@@ -74,22 +73,21 @@ def refuse_folder(out: Path, inputs: Inputs) -> Path:
 
     Returns the folder that is meant where ``out`` is a link to one.
     """
+    out = real_folder(out)
     try:
-        out = out.resolve()
         for file in inputs.files:
             if out in (file.resolve(), *file.resolve().parents):
                 raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
         if out in (Path.cwd(), *Path.cwd().parents):
             raise OutputError(f"{out}: is the current folder or holds it, and is replaced as a whole; choose another.")
-        if out.exists() and not out.is_dir():
-            raise OutputError(f"{out}: is a file, and the results need a folder.")
+        refuse_unwritable(out)
         _refuse_foreign(out)
-        _refuse_unwritable(out)
-    except (OSError, RuntimeError) as e:
+        if out.is_mount():
+            raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
+    except OSError as e:
         if isinstance(e, OutputError):
             raise
-        reason = e.strerror if isinstance(e, OSError) else "a symbolic link leads in a circle"
-        raise OutputError(f"{out}: cannot hold the results ({reason}).") from e
+        raise OutputError(f"{out}: cannot hold the results ({e.strerror}).") from e
     return out
 
 
@@ -105,18 +103,6 @@ def _refuse_foreign(folder: Path) -> None:
         )
     if entries and not {RESULT_FILE, MODEL_FILE} <= set(entries):
         raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
-
-
-def _refuse_unwritable(out: Path) -> None:
-    """Refuse a folder that cannot be made or exchanged; what only the attempt shows is told by the attempt."""
-    parent = next(folder for folder in out.parents if folder.exists())
-    if not parent.is_dir():
-        raise OutputError(f"{out}: cannot be made, as {parent} is a file.")
-    for folder in (parent, out):
-        if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
-            raise OutputError(f"{out}: cannot be written, as {folder} is read-only.")
-    if out.is_mount():
-        raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
 
 
 def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:

@@ -1,6 +1,6 @@
 """Columns of a table by name: those that must be there, those that nobody knows, and numbers in SI units."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import cast
 
 import numpy as np
@@ -38,8 +38,11 @@ def require(table: Table, names: Iterable[str], what: str) -> None:
         raise MeasurementError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
 
 
-def refuse_unknown(table: Table, readings: Iterable[str]) -> None:
-    """Refuse a column that would be passed over in silence, and a joint with the name of another column."""
+def refuse_unknown(table: Table, readings: Iterable[str], unread: Collection[str] = ()) -> None:
+    """Refuse a column that would be passed over in silence, and a joint with the name of another column.
+
+    ``unread``: joints of the URDF that no column tells.
+    """
     joints = frozenset(readings)
     for name in sorted(joints & _KNOWN):
         raise MeasurementError(
@@ -48,6 +51,11 @@ def refuse_unknown(table: Table, readings: Iterable[str]) -> None:
     known = joints | _KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
+        if name not in known and name in unread:
+            raise MeasurementError(
+                f"{table.where}: column {name!r} is of a joint that is not read: it is fixed, follows others, or is "
+                "not between base and tip; leave the column out."
+            )
         if name not in known and name not in _EULER:
             near = nearest(name, sorted(known - table.columns.keys()))
             raise MeasurementError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")

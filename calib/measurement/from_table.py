@@ -1,6 +1,6 @@
 """From a table to measurements: a table's columns as readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,8 +40,9 @@ def measurements_from_table(
     instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
+    unread: Collection[str] = (),
 ) -> Measurements:
-    """Return what a table says of a robot with these ``readings``.
+    """Return what a table says of a robot with these ``readings``; ``unread``: its joints that have none.
 
     The noise comes from one place: ``sigma`` in m, ``instrument``, or the table's columns ``sigma`` or ``sigma_x,
     sigma_y, sigma_z``; that of poses likewise from ``sigma_angle`` in rad or the columns ``sigma_angle`` or
@@ -55,7 +56,7 @@ def measurements_from_table(
     """
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     require(table, dimensions, "of a joint")
-    refuse_unknown(table, dimensions)
+    refuse_unknown(table, dimensions, unread)
     _refuse_useless(table, kind, sigma=sigma, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
     seen = "position" if kind in ("position", "pose") else None
     position = None

@@ -50,4 +50,5 @@ def read_measurements(
         instrument=instrument,
         offset=offset,
         in_order=in_order,
+        unread=[joint.name for joint in robot.urdf.joints],
     )

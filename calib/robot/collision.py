@@ -17,7 +17,7 @@ import coal
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.robot.robot import Robot
@@ -28,6 +28,18 @@ _LARGEST_MESH = 200_000_000
 _FORMATS = {".dae", ".stl", ".obj", ".ply"}
 # Poses that are tried to find bodies that always touch; by chance alone none would in all of them.
 _SAMPLES = 200
+# Of a robot; those that we know have up to 150.
+MOST_SHAPES = 1000
+# Tests of two shapes, of about ten microseconds each, that balls about them do not rule out; of ordinary arms, a few in
+# a pose.
+_LEAST_TESTS = 300_000
+_TESTS_OF_A_POSE = 100
+# What a test of a mesh counts; of one that winds into another without touching it, it should be more.
+_OF_MESHES = 4.0
+# Two balls, in numbers of three coordinates, as a part of such a test.
+_OF_BALLS = 1.0 / 1000.0
+_BLOCK = 200  # poses at a time
+_REQUEST = coal.CollisionRequest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +54,17 @@ class _Element:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    """A shape at ``placement`` (4, 4) in ``link``, within a ball of ``radius`` about ``centre`` (3,) in that link."""
+    """A shape at ``placement`` (4, 4) in ``link``, within a ball of ``radius`` about ``centre`` (3,) in that link.
+
+    ``effort``: what a test of it counts.
+    """
 
     link: str
     placement: Array
     geometry: object
     centre: Array
     radius: float
+    effort: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,37 +81,94 @@ class SelfCollision:
     pairs: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
 
-    def colliding(self, readings: Array) -> BoolArray:
-        """Return at which of the readings (N, nr) in rad and m the robot, as its URDF has it, touches itself."""
-        placed = _link_placements(self.robot, readings)
+    def colliding(self, readings: Array, effort: "Effort | None" = None) -> BoolArray:
+        """Return at which of the readings (N, nr) in rad and m the robot, as its URDF has it, touches itself.
+
+        Raises RobotError when that takes more than ``effort``, one of as many poses when None.
+        """
+        effort = effort or Effort(self.robot, len(readings))
         found = np.zeros(len(readings), dtype=bool)
-        for pair in self.pairs:
-            rows = np.flatnonzero(~found)
-            found[rows] = self._touch(pair, {name: T[rows] for name, T in placed.items()}, len(rows))
+        for start in range(0, len(readings), _BLOCK):
+            poses = _Poses(self.robot, self.shapes, readings[start : start + _BLOCK], effort)
+            rows = np.arange(len(poses))
+            for pair in self.pairs:
+                rows = rows[~poses.touching(*self._of(pair), rows)]
+            found[start : start + len(poses)] = True
+            found[start + rows] = False
         return found
 
     def without_lasting(self, readings: Array) -> "SelfCollision":
         """Return the same without pairs of bodies that touch at all of the readings (N, nr), said in the notes."""
-        placed = _link_placements(self.robot, readings)
-        lasting = [pair for pair in self.pairs if bool(np.all(self._touch(pair, placed, len(readings))))]
+        poses = _Poses(self.robot, self.shapes, readings, Effort(self.robot, len(readings)))
+        rows = np.arange(len(readings))
+        lasting = [pair for pair in self.pairs if bool(np.all(poses.touching(*self._of(pair), rows)))]
         named = {self.bodies[shape.link]: shape.link for shape in reversed(self.shapes)}
         said = (f"{named[a]} and {named[b]} touch in every sampled pose, and are not judged." for a, b in lasting)
         kept = tuple(pair for pair in self.pairs if pair not in lasting)
         return replace(self, pairs=kept, notes=(*self.notes, *said))
 
-    def _touch(self, pair: tuple[int, int], placed: Mapping[str, Array], n: int) -> BoolArray:
-        """Return in which of n poses two bodies touch; balls about the shapes rule most of them out."""
-        found = np.zeros(n, dtype=bool)
-        a_shapes, b_shapes = ([s for s in self.shapes if self.bodies[s.link] == body] for body in pair)
-        request = coal.CollisionRequest()
-        for a, b in itertools.product(a_shapes, b_shapes):
-            Ta, Tb = placed[a.link], placed[b.link]
-            apart = np.linalg.norm(_moved(Ta, a.centre) - _moved(Tb, b.centre), axis=1) - a.radius - b.radius
-            for k in np.flatnonzero((apart < 0.0) & ~found):
-                result = coal.CollisionResult()
-                where = (_transform(Ta[k] @ a.placement), _transform(Tb[k] @ b.placement))
-                found[k] = coal.collide(a.geometry, where[0], b.geometry, where[1], request, result) > 0
+    def _of(self, pair: tuple[int, int]) -> tuple[list[int], list[int]]:
+        """Return the numbers of the shapes of two bodies."""
+        a, b = ([k for k, s in enumerate(self.shapes) if self.bodies[s.link] == body] for body in pair)
+        return a, b
+
+
+class Effort:
+    """Counts tests of two shapes in one pose, and ends with a sentence what takes more than ordinary arms do."""
+
+    def __init__(self, robot: Robot, poses: int) -> None:
+        self._robot, self._most = robot, max(_LEAST_TESTS, _TESTS_OF_A_POSE * poses)
+        self._done = 0.0
+
+    def spend(self, tests: float) -> None:
+        """Count some tests more. Raises RobotError when they are too many."""
+        self._done += tests
+        if self._done > self._most:
+            raise RobotError(
+                f"{self._robot.urdf.where}: to find where its collision shapes touch takes more than {self._most} "
+                "tests of two of them; give simpler shapes, or do not judge collisions (--no-collisions)."
+            )
+
+
+class _Poses:
+    """Shapes in some poses, placed as they are asked for."""
+
+    def __init__(self, robot: Robot, shapes: Sequence[_Shape], readings: Array, effort: Effort) -> None:
+        placed = _link_placements(robot, readings)
+        self._shapes, self._n, self._effort = shapes, len(readings), effort
+        self._placed = [placed[shape.link] for shape in shapes]
+        centres = [_moved(T, shape.centre) for T, shape in zip(self._placed, shapes, strict=True)]
+        self._centres = np.array(centres).reshape(len(shapes), len(readings), 3)
+        self._radii = np.array([shape.radius for shape in shapes])
+        self._known: dict[tuple[int, int], object] = {}
+
+    def __len__(self) -> int:
+        return self._n
+
+    def touching(self, a_shapes: Sequence[int], b_shapes: Sequence[int], rows: IntArray) -> BoolArray:
+        """Return in which of some poses any of ``a_shapes`` touches any of ``b_shapes``; balls rule most out."""
+        found = np.zeros(len(rows), dtype=bool)
+        centres, radii = self._centres[np.ix_(np.array(b_shapes, dtype=np.intp), rows)], self._radii[b_shapes]
+        for a in a_shapes:
+            away = centres - self._centres[a, rows]
+            self._effort.spend(away.size * _OF_BALLS)
+            near = np.einsum("bkx,bkx->bk", away, away) < ((radii + self._radii[a]) ** 2)[:, None]
+            for b, k in zip(*np.nonzero(near & ~found), strict=True):
+                found[k] = found[k] or self._touch(a, b_shapes[b], int(rows[k]))
         return found
+
+    def _touch(self, a: int, b: int, pose: int) -> bool:
+        self._effort.spend(max(self._shapes[a].effort, self._shapes[b].effort))
+        where = (self._at(a, pose), self._at(b, pose))
+        shapes = (self._shapes[a].geometry, self._shapes[b].geometry)
+        count: int = coal.collide(shapes[0], where[0], shapes[1], where[1], _REQUEST, coal.CollisionResult())
+        return count > 0
+
+    def _at(self, shape: int, pose: int) -> object:
+        key = (shape, pose)
+        if key not in self._known:
+            self._known[key] = _transform(self._placed[shape][pose] @ self._shapes[shape].placement)
+        return self._known[key]
 
 
 def self_collision(
@@ -104,12 +177,20 @@ def self_collision(
     """Return the collision shapes of a robot, or None when its URDF has none that can be read.
 
     ``mesh_roots``: folders that may be read for meshes. ``readings`` (N, nr): poses over which bodies that always touch
-    are found and left out; random ones within the limits when None.
+    are found and left out; random ones within the limits when None. Raises RobotError when there are more than 1000
+    shapes, or they touch so often that all this takes too long.
     """
     shapes, notes = [], []
-    for element in _elements(robot.urdf.source):
+    meshes: _Meshes = {}
+    elements = _elements(robot.urdf.source)
+    if len(elements) > MOST_SHAPES:
+        raise RobotError(
+            f"{robot.urdf.where}: has {len(elements)} collision shapes; allowed are {MOST_SHAPES}, unless collisions "
+            "are not judged (--no-collisions)."
+        )
+    for element in elements:
         try:
-            shapes.append(_shape(element, mesh_roots))
+            shapes.append(_shape(element, mesh_roots, meshes))
         except RobotError as e:
             notes.append(str(e))
     if not shapes:
@@ -153,7 +234,10 @@ def _elements(source: bytes) -> list[_Element]:
     return found
 
 
-def _shape(element: _Element, roots: Sequence[Path]) -> _Shape:
+_Meshes = dict[tuple[Path, tuple[float, ...]], object]
+
+
+def _shape(element: _Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
     at = f"The collision shape of link {element.link!r}"
     xyz, rpy = (_numbers(element.origin.get(name, "0 0 0"), 3, at) for name in ("xyz", "rpy"))
     placement = rigid.placement(rigid.rotation_of_rpy(rpy), xyz)
@@ -168,22 +252,35 @@ def _shape(element: _Element, roots: Sequence[Path]) -> _Shape:
         case "capsule":
             geometry = coal.Capsule(*_numbers(a.get("radius", ""), 1, at), *_numbers(a.get("length", ""), 1, at))
         case "mesh":
-            geometry = _mesh(a, roots, at)
+            geometry = _mesh(a, roots, meshes, at)
         case other:
             raise RobotError(f"{at} is a {other[:40]!r}, which is not known, and is not judged.")
     geometry.computeLocalAABB()
     centre = np.asarray(geometry.aabb_center, dtype=np.float64)
     return _Shape(
-        element.link, placement, geometry, placement[:3, :3] @ centre + placement[:3, 3], float(geometry.aabb_radius)
+        element.link,
+        placement,
+        geometry,
+        placement[:3, :3] @ centre + placement[:3, 3],
+        float(geometry.aabb_radius),
+        _OF_MESHES if element.shape == "mesh" else 1.0,
     )
 
 
-def _mesh(attributes: dict[str, str], roots: Sequence[Path], at: str) -> object:
+def _mesh(attributes: dict[str, str], roots: Sequence[Path], meshes: _Meshes, at: str) -> object:
+    """Return a mesh; one that comes often is read once."""
     name = attributes.get("filename", "")
     path = find_mesh(name, roots)
     if path is None or path.suffix.lower() not in _FORMATS:
         raise RobotError(f"{at} is the mesh {name[-80:]!r}, which is not found or not read, and is not judged.")
     scale = _numbers(attributes.get("scale", "1 1 1"), 3, at)
+    key = (path, tuple(scale.tolist()))
+    if key not in meshes:
+        meshes[key] = _read_mesh(path, scale, f"{at} is the mesh {name[-80:]!r}")
+    return meshes[key]
+
+
+def _read_mesh(path: Path, scale: Array, what: str) -> object:
     try:
         data = read_bytes(path, RobotError, _LARGEST_MESH)
         # The reader opens files by name, and of an OBJ the materials that it names: it gets a copy that stands alone.
@@ -192,7 +289,7 @@ def _mesh(attributes: dict[str, str], roots: Sequence[Path], at: str) -> object:
             alone.write_bytes(_without_materials(data) if alone.suffix == ".obj" else data)
             return coal.MeshLoader().load(str(alone), scale)
     except (RobotError, RuntimeError, ValueError, OSError) as e:
-        raise RobotError(f"{at} is the mesh {name[-80:]!r}, which cannot be read, and is not judged.") from e
+        raise RobotError(f"{what}, which cannot be read, and is not judged.") from e
 
 
 def _without_materials(data: bytes) -> bytes:

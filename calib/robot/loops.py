@@ -201,7 +201,8 @@ class Closure:
 
     def _refuse(self, rows: BoolArray, why: str) -> None:
         if np.any(rows):
-            raise PoseError(int(np.argmax(rows)), f"loop {', '.join(repr(loop.name) for loop in self._loops)} {why}")
+            reason = f"loop {', '.join(repr(loop.name) for loop in self._loops)} {why}"
+            raise PoseError(int(np.argmax(rows)), reason, np.flatnonzero(rows).tolist())
 
 
 def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:

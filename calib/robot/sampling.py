@@ -9,7 +9,9 @@ from calib.foundations.errors import PoseError, RobotError
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
 
-_MOST_BATCHES = 200
+# Hardly any pose: fewer than one in so many, when so many were tried.
+_RARELY = 200
+_ENOUGH = 1000
 
 
 def joint_limits(robot: Robot) -> Array:
@@ -31,15 +33,12 @@ def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None]
     found = np.ones(len(readings), dtype=bool)
     if robot.loops:
         for model in [TipModel(robot, deviations) for deviations in machines]:
-            blocks = [np.flatnonzero(found)]
-            while blocks:
-                if not len(rows := blocks.pop()):
-                    continue
+            while len(rows := np.flatnonzero(found)):
                 try:
                     model.joint_positions(readings[rows], ordinary(readings[rows]))
+                    break
                 except PoseError as e:
-                    found[rows[e.row]] = False
-                    blocks += np.array_split(np.delete(rows, e.row), 2)
+                    found[rows[list(e.rows)]] = False
     return found
 
 
@@ -59,9 +58,11 @@ def random_readings(
     bounds = joint_limits(robot) if limits is None else limits
     rng = np.random.default_rng(seed)
     found = np.zeros((0, len(bounds)))
-    for _ in range(_MOST_BATCHES):
+    tried = 0
+    while tried < _ENOUGH or len(found) * _RARELY >= tried:
         drawn = rng.uniform(bounds[:, 0], bounds[:, 1], (count, len(bounds)))
         found = np.concatenate([found, drawn[closing(robot, drawn, machines)]])
+        tried += count
         if len(found) >= count:
             return found[:count]
     raise RobotError(f"{robot.urdf.where}: its loops close in hardly any pose within the limits of its joints.")

@@ -38,7 +38,7 @@ MOST_LINKS = 2000
 _DEEPEST = 100
 _LONGEST_NAME = 200
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
-_LARGEST_NUMBER = 1e6
+LARGEST_NUMBER = 1e6
 # A shorter axis is a zero with rounding noise and has no direction.
 _SHORTEST_AXIS = 1e-6
 # cp1252 reaches expat through Python, the others are its own; all of them are ASCII in tags and numbers.
@@ -318,7 +318,7 @@ def _limits(element: Element, at: str) -> tuple[float | None, float | None]:
     lower, upper = (_number(element, name, at, 0.0, largest=math.inf) for name in ("lower", "upper"))
     if lower > upper:
         raise RobotError(f"{at}: <limit> lower={lower:g} is above upper={upper:g}.")
-    return None if lower < -_LARGEST_NUMBER else lower, None if upper > _LARGEST_NUMBER else upper
+    return None if lower < -LARGEST_NUMBER else lower, None if upper > LARGEST_NUMBER else upper
 
 
 def _mimic(element: Element, at: str) -> Mimic:
@@ -348,7 +348,7 @@ def _required(element: Element, attribute: str, at: str) -> str:
     return text
 
 
-def _number(element: Element, attribute: str, at: str, default: float, largest: float = _LARGEST_NUMBER) -> float:
+def _number(element: Element, attribute: str, at: str, default: float, largest: float = LARGEST_NUMBER) -> float:
     """Return the plain decimal number of an attribute, or ``default`` where it is omitted."""
     if attribute not in element.attributes:
         return default
@@ -356,7 +356,7 @@ def _number(element: Element, attribute: str, at: str, default: float, largest: 
 
 
 def _numbers(
-    element: Element, attribute: str, at: str, *, count: int, largest: float = _LARGEST_NUMBER
+    element: Element, attribute: str, at: str, *, count: int, largest: float = LARGEST_NUMBER
 ) -> tuple[float, ...]:
     """Return the ``count`` plain decimal numbers of an attribute that must be there."""
     at = f"{at}: <{element.tag}>"
@@ -370,7 +370,7 @@ def _numbers(
         raise RobotError(f"{at} {attribute}={shown(text)} is not {allowed}.")
     values = tuple(map(float, words))
     if max(map(abs, values)) > largest:
-        raise RobotError(f"{at} {attribute}={shown(text)} is beyond {largest:g}, in metres and radians.")
+        raise RobotError(f"{at} {attribute}={shown(text)} is beyond {largest:g}, in SI units.")
     return values
 
 
@@ -432,10 +432,10 @@ def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
         for joint in (by_name[step] for step in reversed(way) if step in followed and step not in known):
             mimic = cast(Mimic, joint.mimic)
             multiple, offset = mimic.multiplier * multiple, mimic.multiplier * offset + mimic.offset
-            if not max(abs(multiple), abs(offset)) <= _LARGEST_NUMBER:
+            if not max(abs(multiple), abs(offset)) <= LARGEST_NUMBER:
                 raise RobotError(
                     f"{where}:{joint.line}: joint {shown(joint.name)} follows others that follow others, more than "
-                    f"{_LARGEST_NUMBER:g} times, or from as far away."
+                    f"{LARGEST_NUMBER:g} times, or from as far away."
                 )
             known[joint.name] = multiple, offset
 

@@ -15,7 +15,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError, RobotError
 from calib.foundations.rigid import rpy_of
 from calib.foundations.words import shown
-from calib.robot.urdf import Element, Urdf, UrdfJoint, parse_urdf, read_document
+from calib.robot.urdf import LARGEST_NUMBER, Element, Urdf, UrdfJoint, parse_urdf, read_document
 
 # Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
 _ROUNDING = 1e-12
@@ -47,6 +47,11 @@ def splice_origins(source: bytes, origins: Mapping[str, Array], where: str = "UR
     edits: list[_Edit] = []
     joints = {e.attributes["name"]: e for e in read_document(source, where).children if e.tag == "joint"}
     for name, origin in origins.items():
+        if np.any(np.abs(origin[:3, 3]) > LARGEST_NUMBER):
+            raise OutputError(
+                f"{where}: joint {shown(name)} would have an <origin> with xyz='{numbers(origin[:3, 3])}', and no URDF "
+                f"that is read has one beyond {LARGEST_NUMBER:g} m."
+            )
         edits += _edits(source, joints[urdf.joint(name).name], urdf.joint(name).origin, origin)
     spliced = _applied(source, edits)
     _check(urdf, spliced, origins)

@@ -154,6 +154,27 @@ def test_what_cannot_be_verified_is_said() -> None:
 # ---- comparison
 
 
+@pytest.mark.parametrize("places", [1, 2])
+def test_rows_that_do_not_show_the_base_are_judged_where_it_was(places: int) -> None:
+    _, true, _ = machine()
+    u = uncertainty_of(calibrated(true, 1))
+    data = seen(true, 12, 7).subset([row % places for row in range(6)])
+    found = verify(u, data)
+    assert found.base_refitted is None
+    assert found.base_moved is None
+    assert 0.0 < found.as_calibrated.test.probability < 1.0
+    with pytest.raises(MeasurementError, match=r": all rows are at one place or in line, .* it takes three places\.$"):
+        verify(u, data, refit=True)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e12])
+def test_doubts_of_any_size_are_judged(size: float) -> None:
+    _, true, _ = machine()
+    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 7)
+    found = verify(replace(u, factor=np.full_like(u.factor, size)), data)
+    assert 0.0 <= found.as_calibrated.test.probability <= 1.0
+
+
 def test_two_calibrations_of_one_machine_are_the_same() -> None:
     _, true, _ = machine()
     found = [

@@ -1,6 +1,7 @@
 """Candidates that can be measured, plans with their forecasts, and ``calib plan``."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from calib.foundations import rigid
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
 from calib.robot.sampling import joint_limits
+from calib.robot.urdf import parse_urdf
 from tests.identification import machines
 from tests.identification.machines import anywhere, pose
 from tests.job.cases import CASE, copy_case, run
@@ -180,3 +182,23 @@ def test_wrong_wishes_are_one_sentence(
     assert (said.code, said.out) == (1, "")
     assert said.err.startswith(f"Error: {why}")
     assert not Path("poses.csv").exists()
+
+
+@pytest.mark.parametrize("count", ["0", "-3", "1000001", "9" * 5000])
+def test_candidates_that_are_no_number_of_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(ARM, encoding="utf-8")
+    code, out, said = run("plan", "arm.urdf", "-o", "poses.csv", f"--candidates={count}")
+    assert (code, out) == (1, "")
+    assert re.fullmatch(r"Error: candidates: '.*' is not a number from 1 to 1000000, nor a file\.\n", said)
+    assert run("plan", "arm.urdf", "-o", "poses.csv", "--candidates", "\u00b2")[::2] == (
+        1,
+        "Error: \u00b2: there is no such file.\n",
+    )
+    assert run("plan", "arm.urdf", "-o", "poses.csv", "--seed=-1").code == 2
+
+
+def test_no_random_candidates() -> None:
+    robot = calib.load_robot(parse_urdf(ARM.encode(), "arm.urdf"), "tip")
+    with pytest.raises(JobError, match=r"^0 random poses are asked for; it takes one at least\.$"):
+        random_candidates(robot, Frames(np.eye(4), np.eye(4)[None]), 0)

@@ -215,6 +215,14 @@ def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> 
     assert calib.load_model(folder).uncertainty is None
 
 
+def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> None:
+    folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
+    (folder / "uncertainty.json").unlink()
+    (folder / "uncertainty.json").mkdir()
+    with pytest.raises(OutputError, match=r"uncertainty.json: is not a regular file\.$"):
+        calib.load_model(folder)
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -222,8 +230,19 @@ def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> 
         (lambda c: c["factor"].pop(), "is not of the machine in model.json"),
         (lambda c: c["unseen"][0].append(1.0), "is not of the machine in model.json"),
         (lambda c: c["identified"].pop("elbow_joint"), "is not of the machine in model.json"),
+        (
+            lambda c: c["identified"].update(elbow_joint=[1.0, -1.0]),
+            "is not a file of this toolkit, or is damaged, at identified.elbow_joint",
+        ),
+        *(
+            (
+                lambda c, key=key, value=value: c["position"].update({key: value}),
+                f"is not a file of this toolkit, or is damaged, at position.{key}",
+            )
+            for key, value in (("model", -1.0), ("total", -1.0), ("degrees_of_freedom", 0.0))
+        ),
     ],
-    ids=["missing", "rows", "ragged", "joint"],
+    ids=["missing", "rows", "ragged", "joint", "ends", "model", "total", "freedom"],
 )
 def test_a_file_of_something_else_is_refused(tmp_path: Path, change: object, why: str) -> None:
     folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)

@@ -132,3 +132,95 @@ def test_a_urdf_that_changes_is_known_by_what_was_read(folder: Path, monkeypatch
 
     monkeypatch.setattr("calib.job.inputs.signatures", meanwhile)
     assert load(folder / JOB).hashes[URDF] == before
+
+
+# Names under which nothing can be. -----------------------------------------------------------------------------------
+
+LONG = "n" * 300
+# Where what is to be written may not be: nothing has that name, and no way leads there.
+NOWHERE = {
+    "behind no folder": ("missing/../x", "missing/../x: leads through missing, which is no folder."),
+    "behind a file": (f"{TABLE}/../x", f"{TABLE}/../x: leads through {TABLE}, which is no folder."),
+    "in a circle": ("circle/x", "circle/x: cannot hold the results (a symbolic link leads in a circle)."),
+    "in a file": (f"{TABLE}/x", f"{TABLE}/x: cannot be made, as {{}}/{TABLE} is a file."),
+    "endless": (f"{LONG}/x", f"{LONG}/x: cannot hold the results (File name too long)."),
+}
+
+
+@pytest.mark.parametrize("command", [("demo",), ("calibrate", JOB, "-o"), ("fleet", JOB, "-o")], ids=lambda c: c[0])
+@pytest.mark.parametrize("where", NOWHERE)
+def test_folders_that_no_way_leads_to_are_not_made(folder: Path, where: str, command: tuple[str, ...]) -> None:
+    (folder / "circle").symlink_to("circle")
+    out, why = NOWHERE[where]
+    before = sorted(folder.rglob("*"))
+    code, _, said = run(*command, out)
+    assert (code, said.replace(f"{folder}/{out}", out)) == (1, f"Error: {why.format(folder)}\n")
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("plan", URDF, "-n", "5", "--candidates", "20", "-o"),
+        ("dh", URDF, "-o"),
+        ("compensate", "out", TABLE, "-o"),
+        ("export", "out", "--to", "offsets", "-o"),
+        ("uncertainty", "out", "-o"),
+        ("cell", "out", "out", "-o"),
+    ],
+    ids=lambda c: c[0],
+)
+def test_files_that_cannot_be_looked_for_are_refused_in_a_sentence(
+    folder: Path, command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("calibrate", JOB, "-o", "out", "-q")
+    code, out, said = run(*command, LONG + ".csv")
+    assert (code, out, said.count("\n")) == (1, "", 1)
+    assert said.startswith("Error: ")
+    (folder / "nothing.csv").symlink_to("nowhere")
+    assert run(*command, "nothing.csv") == (1, "", "Error: nothing.csv: is there already; choose another name.\n")
+
+
+def test_an_arm_that_may_not_be_looked_for_is_refused_in_a_sentence(folder: Path) -> None:
+    run("calibrate", JOB, "-o", "out", "-q")
+    code, _, said = run("cell", f"{LONG}.urdf", "out", "-o", "cell.urdf")
+    assert (code, said) == (1, f"Error: {LONG}.urdf: cannot be read (File name too long).\n")
+
+
+# Every command, with what is there in the place of all its files and folders.
+COMMANDS = (
+    ("calibrate", JOB, "-o", "there"),
+    ("check", JOB),
+    ("compensate", "there", TABLE, "-o", "there"),
+    ("demo", "there"),
+    ("view", "there"),
+    ("sensitivity", JOB, "--errors", "there", "--plot", "there"),
+    ("performance", "there", TABLE, "--probe", TABLE),
+    ("cell", "there", "there", "-o", "there", "--scene", "there", "--mesh-root", "there"),
+    ("dh", URDF, "-o", TABLE),
+    ("fleet", JOB, "-o", TABLE),
+    ("models", JOB),
+    ("plan", URDF, "-o", "there", "--measured", TABLE, "--working", TABLE, "--mesh-root", "there"),
+    ("verify", "there", TABLE),
+    ("compare", "there", "there"),
+    ("iso9283", TABLE),
+    ("uncertainty", "there", "-o", "there"),
+    ("export", "there", "--to", "offsets", "-o", "there"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: c[0])
+def test_what_may_not_be_read_is_bad_input_and_no_wrong_usage(
+    folder: Path, command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "there").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode, **_: False)
+    code, _, said = run(*command)
+    assert code in ((0, 1, 3) if command[0] in ("check", "models") else (1,)), said
+
+
+def test_these_are_all_commands() -> None:
+    listed = run("--help").out.partition("Commands:")[2]
+    assert [line.split()[0] for line in listed.splitlines() if line.strip() and line[2] != " "] == [
+        c[0] for c in COMMANDS
+    ]

@@ -59,8 +59,8 @@ def test_nesting_without_end() -> None:
 @pytest.mark.parametrize(
     ("number", "why"),
     [
-        ("1e400", "is beyond 1e+06, in metres and radians."),
-        ("9" * 5000, "is beyond 1e+06, in metres and radians."),
+        ("1e400", "is beyond 1e+06, in SI units."),
+        ("9" * 5000, "is beyond 1e+06, in SI units."),
         ("0." + "3" * 1_000_000, None),
         ("nan", "is not 3 plain decimal numbers."),
         ("-inf", "is not 3 plain decimal numbers."),

@@ -94,3 +94,12 @@ def test_what_the_rows_do_not_determine_stays_as_guessed() -> None:
     assert tools[0, 2, 3] == pytest.approx(0.7, abs=1e-9)
     assert np.hypot(*tools[0, :2, 3]) == pytest.approx(np.hypot(*scene.tools[0, :2, 3]), abs=1e-9)
     np.testing.assert_allclose((base @ scene.tips @ tools)[:, :3, 3], scene.seen[:, :3, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-320, 1e-300, 1e-160, 1e-99])
+def test_positions_so_near_to_one_point_that_no_number_is_left_place_something(size: float) -> None:
+    scene = Scene(0)
+    rows = scene.rows(turned=False)
+    base, tools, _ = align(rows._replace(position=size * rows.position), NOTHING, scene.guess)
+    assert np.isfinite(base).all()
+    assert np.isfinite(tools).all()

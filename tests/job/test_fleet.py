@@ -164,7 +164,7 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
     (folder / "file").write_text("mine")
     for out, why in (
         ("mine", "mine/summary.csv: is no summary of a fleet, and would be replaced by one; choose a folder."),
-        ("file", "file: is a file, and a fleet needs a folder."),
+        ("file", "file: is a file, and the results need a folder."),
         ("x" * 300, f"{'x' * 300}: cannot hold the results (File name too long)."),
     ):
         assert run("fleet", "jobs/plain.toml", "-o", out) == (1, "", f"Error: {why}\n")

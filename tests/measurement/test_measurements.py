@@ -11,8 +11,11 @@ from calib.foundations.rigid import quaternion_of
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import LaserTracker
 from calib.measurement.measurements import Measurements
+from calib.measurement.read import read_measurements
 from calib.measurement.table import table_from_arrays
+from calib.robot.load import load_robot
 from calib.robot.robot import Reading
+from calib.robot.urdf import parse_urdf
 
 READINGS = (Reading("j1", "angle", -3.0, 3.0), Reading("slide", "length", 0.0, 2.0))
 POSITION = {
@@ -254,3 +257,25 @@ def test_a_joint_named_like_a_measured_column_is_refused() -> None:
     assert str(caught.value) == (
         "gantry: the joint 'x' has the name of a measured column; rename the joint in the URDF."
     )
+
+
+def test_a_column_of_a_joint_that_is_not_read_says_so() -> None:
+    joint = '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>{}<axis xyz="0 0 1"/></joint>'
+    urdf = (
+        "<robot>"
+        + "".join(f'<link name="{name}"/>' for name in ("base", "arm", "tip", "hand"))
+        + joint.format("j1", "continuous", "base", "arm", "")
+        + joint.format("follows", "continuous", "arm", "tip", '<mimic joint="j1"/>')
+        + joint.format("beside", "continuous", "arm", "hand", "")
+        + "</robot>"
+    )
+    robot = load_robot(parse_urdf(urdf.encode(), "arm.urdf"), "tip")
+    rows = {"j1 [deg]": [1, 2], "x [mm]": [1, 2], "y [mm]": [1, 2], "z [mm]": [1, 2]}
+    assert len(read_measurements(rows, robot)) == 2
+    for name in ("follows", "beside"):
+        with pytest.raises(MeasurementError) as caught:
+            read_measurements(rows | {f"{name} [deg]": [1, 2]}, robot)
+        assert str(caught.value) == (
+            f"arrays: column '{name}' is of a joint that is not read: it is fixed, follows others, or is not between "
+            "base and tip; leave the column out."
+        )

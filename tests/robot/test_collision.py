@@ -1,14 +1,19 @@
 """Self-collision against geometry that can be worked out: balls on the links of arms."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
-from calib.robot.collision import _without_materials, self_collision
+from calib.assessment.candidates import random_candidates
+from calib.foundations.errors import JobError, RobotError
+from calib.identification.machine import Frames
+from calib.robot.collision import MOST_SHAPES, _Poses, _without_materials, self_collision
 from calib.robot.urdf import parse_urdf
+from scripts import hostile_files
 from tests.identification import machines
 
 RADIUS = 0.12
@@ -173,3 +178,66 @@ def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
 
 def test_an_arm_without_shapes_has_none() -> None:
     assert self_collision(robot_of(ARM)) is None
+
+
+def many(shape: str, count: int) -> dict[str, str]:
+    """Return so many shapes on every link, a millimetre apart."""
+    return {
+        link: "".join(
+            f'<collision><origin xyz="0 0 {k * 1e-3}"/><geometry>{shape}</geometry></collision>' for k in range(count)
+        )
+        for link in BALLS
+    }
+
+
+def test_shapes_that_touch_too_often_to_be_judged_are_refused() -> None:
+    robot = robot_of(with_shapes(ARM, many('<box size="1e-4 1e-4 1"/>', 40)))
+    with pytest.raises(RobotError, match=r"inline.urdf: to find .* takes more than 300000 tests of two of them; "):
+        found = self_collision(robot)
+        assert found is not None
+        found.colliding(machines.arm(ARM, "tip").draw(np.random.default_rng(0), 1000))
+
+
+def test_shapes_end(tmp_path: Path) -> None:
+    robot = robot_of(with_shapes(ARM, many('<sphere radius="1"/>', MOST_SHAPES // 5 + 1)))
+    with pytest.raises(RobotError, match=r"inline.urdf: has 1005 collision shapes; allowed are 1000, unless "):
+        self_collision(robot)
+
+
+def test_hundreds_of_shapes_are_tested_where_they_are_near_each_other_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = robot_of(with_shapes(ARM, many('<sphere radius="4e-4"/>', 50)))
+    tested: list[int] = []
+    touch = _Poses._touch
+
+    def counting(poses: _Poses, a: int, b: int, pose: int) -> bool:
+        tested.append(pose)
+        return touch(poses, a, b, pose)
+
+    monkeypatch.setattr(_Poses, "_touch", counting)
+    found = self_collision(robot)
+    assert found is not None
+    assert len(tested) < 200
+
+
+def test_a_mesh_that_comes_often_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m.stl").write_bytes(hostile_files._stl(5_000))
+    read: list[Path] = []
+    monkeypatch.setattr("calib.robot.collision.read_bytes", lambda path, *rest: read.append(path) or path.read_bytes())
+    for scale, times in (("", 1), (' scale="2 2 2"', 2)):
+        mesh = many('<mesh filename="m.stl"/>', 3) | {"tip": many(f'<mesh filename="m.stl"{scale}/>', 1)["tip"]}
+        found = self_collision(robot_of(with_shapes(ARM, mesh)), (tmp_path,), np.zeros((1, 4)))
+        assert found is not None
+        assert len(found.shapes) == 13
+        assert len(read) == times
+        read.clear()
+
+
+def test_poses_that_no_arm_can_take_are_given_up_soon() -> None:
+    """Shapes that touch nearly always, and not always, which would leave them out."""
+    robot = robot_of(with_shapes(ARM, {"base": ball((0, 0, 0), 3.0), "tip": ball((0, 0, 0))}))
+    rows = np.zeros((2, 4))
+    found = self_collision(robot, readings=rows)
+    assert found is not None
+    judged = replace(found, pairs=((0, 4),))
+    with pytest.raises(JobError, match=r"only 0 of 2000 random poses can be measured, .*: 2000 touching itself"):
+        random_candidates(robot, Frames(np.eye(4), np.eye(4)[None]), 1000, collision=judged)

@@ -17,7 +17,7 @@ from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.sampling import closing
+from calib.robot.sampling import closing, random_readings
 from calib.robot.urdf import parse_urdf
 from tests.identification import machines
 
@@ -488,6 +488,32 @@ def test_where_all_machines_close_is_what_single_rows_say(name: str) -> None:
     assert closing(robot, readings, both).tolist() == expected
     assert 0 < sum(expected) < 60
     assert closing(robot, readings[:0], both).shape == (0,)
+
+
+class Counted:
+    """Counts the steps of Newton's method."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.steps = 0
+        solve = np.linalg.solve
+
+        def counting(*arguments: Array) -> Array:
+            self.steps += 1
+            return np.asarray(solve(*arguments))
+
+        monkeypatch.setattr("calib.robot.loops.np.linalg.solve", counting)
+
+
+def test_poses_in_which_no_loop_closes_are_not_tried_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 3 0.05"')
+    robot, counted = load(apart, "tip", CROSSHEAD), Counted(monkeypatch)
+    readings = np.random.default_rng(3).uniform(-3.0, 3.0, (2000, 1))
+    assert not closing(robot, readings).any()
+    assert counted.steps < 1000
+    counted.steps = 0
+    with pytest.raises(RobotError, match="its loops close in hardly any pose within the limits of its joints"):
+        random_readings(robot, 2000)
+    assert counted.steps < 1000
 
 
 # ---- out of the toolkit and back

@@ -264,11 +264,11 @@ K = '<link name="c"/><joint name="k" type="{}"><parent link="b"/><child link="c"
         ),
         (
             arm('<origin xyz="0 -1.1e6 0"/>'),
-            "arm.urdf:5: joint 'j': <origin> xyz='0 -1.1e6 0' is beyond 1e+06, in metres and radians.",
+            "arm.urdf:5: joint 'j': <origin> xyz='0 -1.1e6 0' is beyond 1e+06, in SI units.",
         ),
         (
             arm('<origin rpy="0 1e999 0"/>'),
-            "arm.urdf:5: joint 'j': <origin> rpy='0 1e999 0' is beyond 1e+06, in metres and radians.",
+            "arm.urdf:5: joint 'j': <origin> rpy='0 1e999 0' is beyond 1e+06, in SI units.",
         ),
         (arm('<axis xyz="0 0"/>'), "arm.urdf:5: joint 'j': <axis> xyz='0 0' is not 3 plain decimal numbers."),
         (arm('<axis xyz="0 0 0"/>'), "arm.urdf:5: joint 'j': <axis> xyz='0 0 0' has no direction."),

@@ -191,8 +191,8 @@ def test_a_document_that_is_no_urdf_is_refused() -> None:
         ),
         (
             placement(np.eye(3), np.array([0.0, 1e7, 0.0])),
-            "arm.urdf: with the new origins it does not read back (arm.urdf:6: joint 'j': <origin> "
-            "xyz='0.0 10000000.0 0.0' is beyond 1e+06, in metres and radians.); this is a bug.",
+            "arm.urdf: joint 'j' would have an <origin> with xyz='0.0 10000000.0 0.0', and no URDF that is read has "
+            "one beyond 1e+06 m.",
         ),
     ],
 )

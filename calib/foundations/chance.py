@@ -1,0 +1,34 @@
+"""How probable squares of normal numbers are: chi-squared, and F where the noise was itself estimated.
+
+By scipy.special: to load scipy.stats takes longer than most commands take for all else.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc, fdtrc, fdtri, gammaincinv, gammaln
+
+from calib.foundations.arrays import Array, IntArray
+
+
+def exceeded(square: npt.ArrayLike, numbers: IntArray | int, freedom: npt.ArrayLike = np.inf) -> Array:
+    """Return how probable it is that so many normal numbers, one or more, have a larger sum of squares.
+
+    Of noise 1, or of a noise that was estimated with ``freedom`` degrees of freedom, infinite where it is known.
+    """
+    square = np.maximum(square, 0.0)  # rounding
+    known = np.isinf(freedom)
+    by_estimate = fdtrc(numbers, np.where(known, 1.0, freedom), square / numbers)
+    return np.asarray(np.where(known, chdtrc(numbers, square), by_estimate))
+
+
+def bound(probability: float, numbers: int, freedom: float = np.inf) -> float:
+    """Return the sum of squares that so many normal numbers stay below with a probability; else as :func:`exceeded`."""
+    if np.isinf(freedom):
+        return 2.0 * float(gammaincinv(0.5 * numbers, probability))
+    return numbers * float(fdtri(numbers, freedom, probability))
+
+
+def density(square: float, numbers: int) -> float:
+    """Return the density of the sum of squares of so many normal numbers."""
+    half = 0.5 * numbers
+    return float(np.exp((half - 1.0) * np.log(square) - 0.5 * square - gammaln(half) - half * np.log(2.0)))
