@@ -106,6 +106,8 @@ def verify(
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
+    if not len(data):
+        raise MeasurementError(f"{data.where}: has no rows to verify by.")
     data = _known_tools(uncertainty, data)
     refuse_lacking(uncertainty.robot, data.conditions, data.where)
     sigma = _sigma(uncertainty, data)

@@ -348,11 +348,9 @@ def _tool_number(uncertainty: Uncertainty, tool: str) -> int:
 
 
 def _readings(uncertainty: Uncertainty, readings: npt.ArrayLike) -> Array:
-    found = np.asarray(readings, dtype=np.float64)
-    if found.ndim != 2 or found.shape[1] != len(uncertainty.robot.readings) or not np.isfinite(found).all():
-        raise MeasurementError(
-            f"readings of shape {found.shape}: needs finite numbers (N, {len(uncertainty.robot.readings)})."
-        )
+    found, width = np.asarray(readings, dtype=np.float64), len(uncertainty.robot.readings)
+    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
+        raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
     return found
 
 

@@ -140,10 +140,18 @@ def reading_folder(path: Path) -> Iterator[None]:
             return
         while True:
             with _locked(place, fcntl.LOCK_SH):
-                if place.taken() or not any(map(_stands_aside, _works(place))):
+                if _settled(place):
                     yield
                     return
             _recover(place)
+
+
+def _settled(place: _Place) -> bool:
+    """Return whether nothing is to be put right before a folder is read; what hides from this user, he cannot."""
+    try:
+        return place.taken() or not any(map(_stands_aside, _works(place)))
+    except OSError:
+        return True
 
 
 def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[str]) -> None:

@@ -28,9 +28,14 @@ def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     for it: a camera or a board on the floor is then found in the base. Of a tool that nothing shows but as a point,
     beside others that boards and cameras show, the orientation is no unknown.
 
-    Raises MeasurementError when the measurements are not of this robot, or a target is two things; JobError when a name
-    means two things, a known or related target is in no measurement, or a tool needs its orientation free.
+    Raises MeasurementError when there are none, when they are not of this robot, or a target is two things; JobError
+    when a name means two things, a known or related target is in no measurement, or a tool needs its orientation free.
     """
+    if not measurements:
+        raise MeasurementError("there are no measurements to identify from.")
+    for data in measurements:
+        if not len(data):
+            raise MeasurementError(f"{data.where}: has no rows to identify from.")
     sets = with_common_names(model, measurements)
     _refuse_unturned_tools(model, sets)
     _refuse_unknown_targets(model, sets)

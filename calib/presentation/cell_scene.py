@@ -7,11 +7,13 @@ import numpy as np
 
 from calib.compensation.cell import CalibratedCell
 from calib.foundations.arrays import Array
+from calib.foundations.errors import RobotError
 from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.scene import Mark, Scene
 from calib.robot.deviation import axis_frame
-from calib.robot.load import load_robot
-from calib.robot.robot import Reading
+from calib.robot.load import with_document
+from calib.robot.robot import Robot
+from calib.robot.sampling import closing
 from calib.robot.urdf import parse_urdf
 
 # Where joints without limits are led to, in rad and m, and in how many steps.
@@ -25,8 +27,8 @@ def cell_scene(found: CalibratedCell, title: str, mesh_roots: Sequence[Path] = (
     """Return the scene of a cell, in the arm's base link: the placed machine's joints move, one after the other."""
     model, names = found.model, found.cell.links
     document = parse_urdf(found.cell.document, title)
-    robot = load_robot(document, names[model.robot.tip], names[model.robot.base])
-    rows, readings = _sweeps(model.robot.readings)
+    robot = with_document(model.robot, document, names, found.cell.joints)
+    rows, readings = _sweeps(robot)
     arm = arm_of(robot, robot.no_deviations(), readings, found.root)
     links = link_placements(document, arm)
     axes = []
@@ -56,15 +58,21 @@ def cell_scene(found: CalibratedCell, title: str, mesh_roots: Sequence[Path] = (
     )
 
 
-def _sweeps(readings: Sequence[Reading]) -> tuple[tuple[str, ...], Array]:
-    """Return names and readings (N, nr): all at zero first, then every joint from end to end, the others at zero."""
-    rows, found = ["all joints at zero"], [np.zeros(len(readings))]
-    for j, reading in enumerate(readings):
+def _sweeps(robot: Robot) -> tuple[tuple[str, ...], Array]:
+    """Return names and readings (N, nr): all at zero first, then every joint from end to end, the others at zero.
+
+    Without those where a closed loop does not close. Raises RobotError when none is left.
+    """
+    rows, found = ["all joints at zero"], [np.zeros(len(robot.readings))]
+    for j, reading in enumerate(robot.readings):
         way = _WAY[reading.dimension]
         low = -way if reading.lower is None else reading.lower
         high = way if reading.upper is None else reading.upper
         factor, unit = {"angle": (180.0 / np.pi, "deg"), "length": (1e3, "mm")}[reading.dimension]
         for q in np.linspace(max(low, -way), min(high, way), _STEPS):
             rows.append(f"{reading.name} at {q * factor:.0f} {unit}")
-            found.append(np.where(np.arange(len(readings)) == j, q, 0.0))
-    return tuple(rows), np.array(found)
+            found.append(np.where(np.arange(len(robot.readings)) == j, q, 0.0))
+    closes = np.flatnonzero(closing(robot, np.array(found)))
+    if not len(closes):
+        raise RobotError(f"{robot.urdf.where}: its loops close at no pose that would be drawn.")
+    return tuple(rows[k] for k in closes), np.array(found)[closes]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, cast
 
 import numpy as np
@@ -91,14 +92,37 @@ def load_robot(
     )
 
 
-def with_document(robot: Robot, document: Urdf) -> Robot:
-    """Return the same arm of another document: same base and tip, couplings and loops. Raises RobotError."""
+_OWN: Mapping[str, str] = MappingProxyType({})
+
+
+def with_document(
+    robot: Robot, document: Urdf, links: Mapping[str, str] = _OWN, joints: Mapping[str, str] = _OWN
+) -> Robot:
+    """Return the same arm of another document: same base and tip, couplings and loops. Raises RobotError.
+
+    ``links`` and ``joints``: what they are called there, those that have another name.
+    """
+
+    def link(name: str) -> str:
+        return links.get(name, name)
+
+    def joint(name: str) -> str:
+        return joints.get(name, name)
+
     return load_robot(
         document,
-        robot.tip,
-        robot.base,
-        couplings=robot.couplings,
-        loops=robot.closed_loops,
+        link(robot.tip),
+        link(robot.base),
+        couplings=[
+            Coupling(joint(c.joint), {joint(driver): multiple for driver, multiple in c.drivers.items()}, c.offset)
+            for c in robot.couplings
+        ],
+        loops=[
+            ClosedLoop(
+                loop.name, (link(loop.frames[0]), link(loop.frames[1])), loop.closes, tuple(map(joint, loop.passive))
+            )
+            for loop in robot.closed_loops
+        ],
         gravity=robot.gravity,
         payload=robot.payload,
     )

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
@@ -196,22 +197,31 @@ class Robot:
     ) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed.
 
-        Raises PoseError for a row where a loop cannot close, RobotError for a term that needs ``conditions`` which the
-        rows do not have.
+        Raises PoseError for a row where a loop cannot close, RobotError for readings of another shape, or a term that
+        needs ``conditions`` which the rows do not have.
         """
-        return TipModel(self, deviations).joint_positions(readings, conditions)
+        return TipModel(self, deviations).joint_positions(self._own(readings), conditions)
 
     def tips(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).tips(readings, conditions)
+        return TipModel(self, deviations).tips(self._own(readings), conditions)
 
     def motion(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).motion(readings, conditions)
+        return TipModel(self, deviations).motion(self._own(readings), conditions)
+
+    def _own(self, readings: Array) -> Array:
+        """Return readings as they are. Raises RobotError when they have not a column for each of this robot's."""
+        if readings.ndim != 2 or readings.shape[1] != len(self.readings):
+            names = ", ".join(reading.name for reading in self.readings)
+            raise RobotError(
+                f"readings of shape {readings.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
+            )
+        return readings
 
 
 class TipModel:

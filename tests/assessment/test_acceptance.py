@@ -146,6 +146,8 @@ def test_what_cannot_be_verified_is_said() -> None:
     with pytest.raises(MeasurementError, match="2 rows are too few to find the base anew; it takes three"):
         verify(u, seen(true, 2, 3), refit=True)
     assert verify(u, seen(true, 2, 3)).base_refitted is None
+    with pytest.raises(MeasurementError, match="has no rows to verify by"):
+        verify(u, seen(true, 5, 3).subset([]))
     other = replace(seen(true, 5, 3), tools=("ball",))
     with pytest.raises(MeasurementError, match="tool point 'ball' was not identified; known are 'tool'"):
         verify(u, other)

@@ -213,7 +213,8 @@ def is_exported(walked: Walked, folder: Path) -> None:
             found = json.loads(said.out)
             assert np.isfinite(found["lost"]) and np.isfinite(found["before"])
     calib.write_urdf(walked.outcome.fit, folder / "calibrated.urdf")
-    said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", "--prefix", "b_", "--quiet")
+    scene = ("--scene", folder / "cell.html")
+    said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet")
     assert said == (0, "", ""), said.err
 
 

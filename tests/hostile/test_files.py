@@ -1,5 +1,6 @@
 """Files that are none: pipes, devices, folders, files that grow, shrink or change under the reader."""
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -185,6 +186,26 @@ def test_an_arm_that_may_not_be_looked_for_is_refused_in_a_sentence(folder: Path
     run("calibrate", JOB, "-o", "out", "-q")
     code, _, said = run("cell", f"{LONG}.urdf", "out", "-o", "cell.urdf")
     assert (code, said) == (1, f"Error: {LONG}.urdf: cannot be read (File name too long).\n")
+
+
+@pytest.mark.parametrize("hidden", ["too long", "not to be looked at"])
+def test_results_that_cannot_be_looked_for_are_refused_in_a_sentence(
+    folder: Path, hidden: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, why = (LONG, "File name too long") if hidden == "too long" else ("out", "Permission denied")
+    if hidden != "too long":
+        (folder / "out").mkdir()
+        there = os.stat
+
+        def looked_at(path: str | Path, **how: object) -> os.stat_result:
+            if str(path).startswith("out"):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return there(path, **how)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(os, "stat", looked_at)
+    for command in (("compare", name, name), ("view", name), ("sensitivity", JOB, "--errors", name)):
+        file = "result.json" if command[0] == "sensitivity" else "model.json"
+        assert run(*command) == (1, "", f"Error: {name}/{file}: cannot be read ({why}).\n")
 
 
 # Every command, with what is there in the place of all its files and folders.

@@ -225,6 +225,16 @@ def test_one_row_more_or_priors_are_enough() -> None:
             "no parameter is free: free joint offsets, placements, the base or the tool.",
         ),
         (
+            lambda lab: calib.identify(lab.model(), []),
+            MeasurementError,
+            "there are no measurements to identify from.",
+        ),
+        (
+            lambda lab: calib.identify(lab.model(), [lab.measure(20), lab.measure(20).subset([])]),
+            MeasurementError,
+            "arrays: has no rows to identify from.",
+        ),
+        (
             lambda lab: calib.identify(lab.model(), lab.measure(20), blind="ignore"),
             JobError,
             "blind: 'ignore' is not one of nearest, minimal, refuse.",

@@ -199,3 +199,13 @@ def test_a_long_list_of_links_is_cut() -> None:
     text = robot(links("abcdefghijklmno"), *(joint("a", child) for child in "bcdefghijklmno"))
     with pytest.raises(RobotError, match=r"its links are a, b, c, d, e, f, g, h, i, j, k, l and 3 more\.$"):
         load(text, "tip")
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (6,), (2, 3, 6)])
+def test_readings_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    robot = load_robot("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    for ask in (robot.tips, robot.joint_positions, robot.motion):
+        with pytest.raises(
+            RobotError, match=r"^readings of shape .*: needs \(N, 6\), a column for each of shou"
+        ):
+            ask(np.zeros(shape))
