@@ -31,8 +31,9 @@ _MOST_ROBUST_STEPS = 160
 _NEGLIGIBLE_STEP, _HARDLY_A_GAIN, _NEGLIGIBLE_GAIN = 1e-6, 1e-3, 1e-7
 # Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
 _ROUNDING = 1e-10
-# Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton.
-_ROUGH, _MOST_ROUGH_STEPS = 1e-3, 3
+# Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton. Weak priors hold what else would
+# be far, and what the data hardly tell is then left to steps that correct themselves.
+_ROUGH, _MOST_ROUGH_STEPS, _MOST_WITH_WEAK_PRIORS = 1e-3, 10, 3
 # Singular values below this share of the largest are rounding.
 _SINGULAR = 1e-14
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
@@ -391,7 +392,7 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
         ftol=_ROUGH,
         xtol=_ROUGH,
         gtol=_ROUGH,
-        max_nfev=_MOST_ROUGH_STEPS,
+        max_nfev=_MOST_WITH_WEAK_PRIORS if search.prior.has_weak else _MOST_ROUGH_STEPS,
     )
     return np.asarray(result.x)
 

@@ -205,7 +205,5 @@ def test_a_long_list_of_links_is_cut() -> None:
 def test_readings_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     robot = load_robot("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     for ask in (robot.tips, robot.joint_positions, robot.motion):
-        with pytest.raises(
-            RobotError, match=r"^readings of shape .*: needs \(N, 6\), a column for each of shou"
-        ):
+        with pytest.raises(RobotError, match=r"^readings of shape .*: needs \(N, 6\), a column for each of shou"):
             ask(np.zeros(shape))
