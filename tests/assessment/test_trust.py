@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.assessment.metrics import Metrics
-from calib.assessment.trust import doubts
+from calib.assessment.trust import doubts, remarks
 from tests.identification import machines
 
 
@@ -49,3 +49,12 @@ def test_frames_alone_need_not_be_better(fit: calib.Fit) -> None:
 def test_not_converged(fit: calib.Fit) -> None:
     (said,) = doubts(replace(fit, converged=False, step=0.25), figures(2e-3), figures(1e-3), held_out=True)
     assert said == "The solver did not converge: its last step was 0.25 ordinary deviations."
+
+
+def test_narrowed_priors_are_remarked(fit: calib.Fit) -> None:
+    assert remarks(fit) == ()
+    (finding,) = remarks(replace(fit, narrowed=10.0))
+    assert finding.code == "priors-narrowed"
+    assert "made 10 times narrower" in finding.sentence
+    # What did not converge has a doubt, which is more.
+    assert remarks(replace(fit, narrowed=100.0, converged=False)) == ()
