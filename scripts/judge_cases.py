@@ -8,7 +8,7 @@ many mrad; noise is 0.02 to 0.2 mm, stated or not; there are 3 to 30 rows.
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -145,6 +145,11 @@ def machine(
                 d[0, j, c] = rng.uniform(-size, size)
     offsets = rng.uniform(-errors.zero, errors.zero, (1, len(found.ranges)))
     return State(d, offsets, base[None], tools[None], np.zeros((1, 0, 4, 4)))
+
+
+def nominal_of(true: State) -> State:
+    """The nominal machine in the frames of the true one."""
+    return replace(true, deviations=np.zeros_like(true.deviations), offsets=np.zeros_like(true.offsets))
 
 
 def free_placements(which: str, found: Arm) -> tuple[str, ...]:
@@ -309,7 +314,7 @@ def arm_cmm_rows(seed: int) -> Case:
     data = calib.read_measurements(columns, robot, sigma=0.02e-3 if stated else 0.0)
     parameters = [*free_placements("arm_cmm", found), *(f"{name}.offset" for name in found.ranges)]
     parameters += [*(f"base.{c}" for c in POSE), *(f"tool.{c}" for c in POSE[:3])]
-    nominal = State(np.zeros_like(true.deviations), np.zeros_like(true.offsets), true.base, true.tools, true.targets)
+    nominal = nominal_of(true)
     layout = Layout(found, tuple(parameters), nominal, ("tool",), ())
     unseen = readings[np.setdiff1d(np.arange(len(readings)), chosen)]
     unseen = np.concatenate([unseen, found.draw(rng, UNSEEN - len(unseen))])
@@ -402,7 +407,7 @@ def sockets(seed: int) -> Case:
         ]
     if prior is not None:
         free |= {"prior_length": prior[0], "prior_angle": prior[1]}
-    nominal = State(np.zeros_like(true.deviations), np.zeros_like(true.offsets), true.base, true.tools, true.targets)
+    nominal = nominal_of(true)
     layout = Layout(found, tuple(parameters), nominal, ("tool",), names)
     unseen = found.draw(rng, UNSEEN)
     none = np.zeros(UNSEEN, dtype=np.intp)
@@ -479,7 +484,7 @@ def pixels(seed: int) -> Case:
     data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
     parameters += [*(f"tool.{c}" for c in POSE), *(f"target.board.{c}" for c in POSE)]
-    nominal = State(np.zeros_like(true.deviations), np.zeros_like(true.offsets), true.base, true.tools, true.targets)
+    nominal = nominal_of(true)
     layout = Layout(found, tuple(parameters), nominal, ("tool",), ("board",))
     unseen = found.draw(rng, UNSEEN)
     every = np.zeros(UNSEEN, dtype=np.intp)

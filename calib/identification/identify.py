@@ -236,4 +236,5 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         noise=_noise(problem, found, after),
         machine=machine,
         residuals=tuple(read_only(r) for r in after),
+        narrowed=found.narrowed,
     )

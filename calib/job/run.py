@@ -83,8 +83,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
             inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
         known, values, remark = residual_model(inputs, fit, progress)
-        told = remarks(fit) if remark is None else (*remarks(fit), remark)
-        inputs = replace(inputs, findings=(*inputs.findings, *told))
+        if remark is not None:
+            inputs = replace(inputs, findings=(*inputs.findings, remark))
     except (IdentificationError, JobError) as e:
         raise type(e)(f"{inputs.path}: {e}") from e
     trace = None
@@ -92,6 +92,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         progress("following the total differential")
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
+    inputs = replace(inputs, findings=(*inputs.findings, *remarks(fit)))
     progress("validating")
     judged_sets = (
         *_judged("identification", inputs.tables("identify"), inputs.identify, fit, known),

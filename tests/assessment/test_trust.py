@@ -8,6 +8,7 @@ import pytest
 import calib
 from calib.assessment.metrics import Metrics
 from calib.assessment.trust import doubts, remarks
+from calib.identification.identify import with_values
 from tests.identification import machines
 
 
@@ -58,3 +59,5 @@ def test_narrowed_priors_are_remarked(fit: calib.Fit) -> None:
     assert "made 10 times narrower" in finding.sentence
     # What did not converge has a doubt, which is more.
     assert remarks(replace(fit, narrowed=100.0, converged=False)) == ()
+    # Values that were found in another way were searched without any.
+    assert with_values(replace(fit, narrowed=10.0), fit.values, fit.machine).narrowed == 1.0
