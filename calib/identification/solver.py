@@ -24,6 +24,8 @@ from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
 
 _MOST_STEPS, _MANY_STEPS = 60, 20
+# A step is small where it lowers the cost by less than this share.
+_LITTLE = 0.25
 # Weights of rows that lie off settle more slowly than the parameters.
 _MOST_ROBUST_STEPS = 160
 # A step is negligible in ordinary deviations, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, as a
@@ -246,17 +248,23 @@ class _Search(NamedTuple):
         none = np.ones(len(v))
         return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior, np.zeros((len(self.prior.hold), 0)))
 
-    def noise(self, evaluation: Evaluation, weighted_by: _Noise, *, sought: bool = True) -> _Noise:
-        """Return the noise that agrees with an evaluation.
+    def noise(self, z: Array, evaluation: Evaluation, weighted_by: _Noise, *, sought: bool = True) -> _Noise:
+        """Return the noise that agrees with an evaluation at z (p,), or with what a small step from there leaves.
 
         Weights that are new by one factor for a whole component scale its triangle; if they change from row to row, the
         triangle keeps the mean factor and is not settled until the next evaluation. While a solution is ``sought``,
         nothing is added to a stated noise that may well explain the residuals.
         """
         problem, noise = self.problem, weighted_by._replace(factors=np.ones(len(self.fixed)), settled=True)
-        for _ in range(_MOST_STEPS):
+        # Far from the minimum the full step does not tell what it will leave; at a given solution none is made.
+        foretold = sought
+        for k in range(_MOST_STEPS):
             noise = self._inverted(evaluation, noise)
             v, r = noise.variances, evaluation.residuals
+            if foretold:
+                left, gained = self._foretold(z, evaluation, noise)
+                foretold = k > 0 or gained < _LITTLE
+                r = left if foretold else r
             if None in self.fixed or problem.robust:
                 new = weights.model_variances(problem, r, noise.redundancies, v, search=sought)
                 v = _keep(self.fixed, new)
@@ -268,6 +276,22 @@ class _Search(NamedTuple):
             if np.max(np.abs(np.log(change))) < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
                 break
         return noise
+
+    def _foretold(self, z: Array, evaluation: Evaluation, noise: _Noise) -> tuple[tuple[Array, ...], float]:
+        """Return the residuals of every set, as large as the full step from z (p,) leaves them, and its gain (share).
+
+        New weights move the minimum, and that moves the weights: of two kinds of data whose noise nobody stated,
+        residuals that wait for the step would need dozens of steps.
+        """
+        weighted = evaluation.reweighted(noise.factors)
+        rows = np.concatenate([weighted.rows, noise.prior.rows(z)])
+        step = -noise.spread @ rows[:, -1]
+        cost = float(np.sum(rows[:, -1] ** 2))
+        found = [np.array(residual) for residual in evaluation.residuals]
+        for c, triangle in zip(self.problem.components, weighted.triangles, strict=True):
+            before, after = np.linalg.norm(triangle[:, -1]), np.linalg.norm(triangle @ np.append(step, 1.0))
+            found[c.measurements][:, c.columns] *= after / before if before > 0.0 else 1.0
+        return tuple(found), float(np.sum((rows[:, :-1] @ step) ** 2)) / cost if cost > 0.0 else 0.0
 
     def _inverted(self, evaluation: Evaluation, noise: _Noise) -> _Noise:
         """Return the noise with what the rows of an evaluation, weighted by it, make of it."""
@@ -285,7 +309,7 @@ class _Search(NamedTuple):
         """
 
         def accepted(z: Array, evaluation: Evaluation, weighted_by: _Noise) -> _Point:
-            return _Point.of(z, evaluation, weighted_by, self.noise(evaluation, weighted_by))
+            return _Point.of(z, evaluation, weighted_by, self.noise(z, evaluation, weighted_by))
 
         def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
             return self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path))
@@ -354,7 +378,7 @@ def solution_at(problem: LeastSquares, x: Array) -> Solution:
 def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _Noise, first: Evaluation) -> Solution:
     """Return the solution z (p,) with what an evaluation near it tells; ``first``: the evaluation at the start."""
     s = scales(search.problem.parameters)
-    noise = search.noise(evaluation, weighted_by, sought=False)
+    noise = search.noise(z, evaluation, weighted_by, sought=False)
     told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows[:, :-1], search.prior)
     factors, _ = weights.factors_of(search.problem, search.beginning().sigmas, noise.sigmas)
     return Solution(

@@ -28,6 +28,15 @@ def test_the_cost_is_the_least_and_the_tool_as_near_as_can_be(family: str, seed:
         assert verdict.kinematics < 1e-6
 
 
+@pytest.mark.parametrize(("family", "seed"), [("panda", 56), ("irb2400", 63), ("arm_cmm", 43)])
+def test_noise_that_nobody_stated_settles_together_with_the_parameters(family: str, seed: int) -> None:
+    # Positions and orientations of few rows: which of them weigh how much changes the minimum, and that the weights.
+    verdict = judge(case(seed, family))
+    assert verdict.right, verdict
+    assert verdict.evaluations is not None
+    assert verdict.evaluations <= 8
+
+
 @pytest.mark.parametrize("family", ["ur5", "irb2400", "sockets", "pixels"])
 def test_derivatives_of_the_judge_are_those_of_its_costs(family: str) -> None:
     session = case(1, family)
