@@ -18,10 +18,7 @@ from calib.assessment.bootstrap import bootstrap
 from calib.assessment.choice import choose_terms
 from calib.assessment.drift import compare
 from calib.assessment.outliers import Outliers, outliers
-from calib.assessment.uncertainty import outside_identified, tool_uncertainty, uncertainty_map, uncertainty_of
 from calib.compensation import commands
-from calib.compensation.model_file import CalibratedModel, load_model
-from calib.compensation.urdf import write_urdf
 from calib.foundations.errors import (
     CalibError,
     IdentificationError,
@@ -35,6 +32,10 @@ from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.total_differential import Trace, total_differential
+from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.model_file import load_machine
+from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
+from calib.machine.urdf import write_urdf
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
@@ -54,7 +55,7 @@ __version__ = "0.1.0.dev0"
 
 __all__ = [
     "CalibError",
-    "CalibratedModel",
+    "CalibratedMachine",
     "Camera",
     "ClosedLoop",
     "Coupling",
@@ -81,8 +82,9 @@ __all__ = [
     "dh",
     "error_model",
     "identify",
-    "load_model",
+    "load_machine",
     "load_robot",
+    "machine_of",
     "outliers",
     "outside_identified",
     "plot",
@@ -92,7 +94,6 @@ __all__ = [
     "tool_uncertainty",
     "total_differential",
     "uncertainty_map",
-    "uncertainty_of",
     "verify",
     "write_urdf",
 ]

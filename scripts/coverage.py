@@ -19,7 +19,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
+from calib.machine.calibrated import machine_of
+from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.robot.urdf import parse_urdf
 
 Array = NDArray[np.float64]
@@ -178,14 +179,14 @@ def cover(kind: Kind, calibrations: int, seed: int = 1) -> Counts:
         truth = truth_of(rng, frozenset(names))
         data = measured(truth, robot, kind, rng.uniform(-LIMIT, LIMIT, (POSES, 6)), rng)
         fit = calib.identify(model, data, free=names)
-        doubts = uncertainty_of(fit)
-        radius = stats.t.ppf(0.5 + PROBABILITY / 2, doubts.degrees_of_freedom)
+        machine = machine_of(fit)
+        radius = stats.t.ppf(0.5 + PROBABILITY / 2, machine.known_uncertainty.degrees_of_freedom)
         inside = np.abs(fit.values - true_values(fit, truth)) <= radius * fit.sigmas
         readings = rng.uniform(-LIMIT, LIMIT, (UNSEEN, 6))
         frames = fit.machine.frames
         predicted = frames.base @ robot.tips(readings, fit.deviations) @ frames.tools[0]
         errors = predicted[:, :3, 3] - see(truth, readings)[:, :3, 3]
-        held = tool_uncertainty(doubts, readings).inside(errors, PROBABILITY)
+        held = tool_uncertainty(machine, readings).inside(errors, PROBABILITY)
         counts = Counts(
             counts.parameters + int(inside.sum()),
             counts.of_parameters + inside.size,

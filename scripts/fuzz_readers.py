@@ -22,12 +22,7 @@ import numpy as np
 
 from calib.assessment.iso9283 import cycles, figures
 from calib.assessment.performance import touches
-from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
-from calib.compensation.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
-from calib.compensation.grid import grid_bytes, grid_from_residuals, load_grid
-from calib.compensation.model_file import CalibratedModel, load_model, model_json
 from calib.compensation.targets import targets
-from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import CalibError
 from calib.identification.observability import observability
 from calib.job.calibrate import calibrate
@@ -37,6 +32,12 @@ from calib.job.inputs import load
 from calib.job.read import read_job
 from calib.job.results import result, robot_errors
 from calib.job.run import Outcome, run
+from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
+from calib.machine.grid import grid_bytes, grid_from_residuals, load_grid
+from calib.machine.model_file import load_machine, model_json
+from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty_file import uncertainty_json
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -233,18 +234,17 @@ def _fleet(data: bytes) -> None:
 
 def _model_file(data: bytes) -> None:
     _file("model/nominal.urdf", _results()["nominal.urdf"])
-    model = load_model(_file("model/model.json", data).parent)
+    model = load_machine(_file("model/model.json", data).parent)
     readings = np.zeros((1, len(model.robot.readings)))
     for tool in model.tools:
-        assert np.isfinite(model.predict(readings, tool, ordinary(readings))).all(), "a tool nowhere"
+        assert np.isfinite(model.predict(readings, tool=tool, conditions=ordinary(readings))).all(), "a tool nowhere"
 
 
 def _uncertainty(data: bytes) -> None:
     for name in ("nominal.urdf", "model.json"):
         _file(f"doubts/{name}", _results()[name])
-    known = load_model(_file("doubts/uncertainty.json", data).parent).uncertainty
-    assert known is not None
-    tool_uncertainty(known, np.zeros((1, len(known.robot.readings))), known.tools[0])
+    known = load_machine(_file("doubts/uncertainty.json", data).parent)
+    tool_uncertainty(known, np.zeros((1, len(known.robot.readings))), next(iter(known.tools)))
 
 
 def _npz(load_it: Callable[[Path], Any], data: bytes) -> None:
@@ -315,17 +315,17 @@ def _results() -> Files:
     fit = _outcome().fit
     return {
         "nominal.urdf": fit.robot.urdf.source,
-        "model.json": model_json(fit).encode(),
-        "uncertainty.json": uncertainty_json(uncertainty_of(fit)).encode(),
+        "model.json": model_json(machine_of(fit)).encode(),
+        "uncertainty.json": uncertainty_json(machine_of(fit).known_uncertainty, fit.robot).encode(),
         "result.json": json.dumps({"schema": 1, "parameters": fit.records()[:5]}).encode(),
         "fleet.json": json.dumps(_short_result()).encode(),
     }
 
 
 @functools.cache
-def _model() -> CalibratedModel:
+def _model() -> CalibratedMachine:
     _file("good/nominal.urdf", _results()["nominal.urdf"])
-    model = load_model(_file("good/model.json", _results()["model.json"]).parent)
+    model = load_machine(_file("good/model.json", _results()["model.json"]).parent)
     assert sliders(model)
     return model
 

@@ -23,11 +23,11 @@ from simulate_irb2400 import Machine, noise, poses, truth_text
 import calib
 from calib.assessment.choice import choose_terms
 from calib.compensation.commands import for_joint_targets
-from calib.compensation.grid import SectorGrid, grid_from_residuals
 from calib.identification.error_model import with_terms
 from calib.identification.identify import residuals_of
 from calib.identification.joint_terms import harmonic
 from calib.job.inputs import load
+from calib.machine.grid import SectorGrid, grid_from_residuals
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ def commanded(
 ) -> dict[str, Array]:
     """Return how far the true reflector is from where the nominal robot would be, commanded plainly and corrected."""
     frames = fit.machine.frames
-    calibrated = calib.CalibratedModel(fit.robot, fit.deviations, frames.base, {"tool": frames.tools[0]}, grid)
+    calibrated = calib.CalibratedMachine(fit.robot, fit.deviations, frames.base, {"tool": frames.tools[0]}, grid)
     wanted = (frames.base @ fit.robot.tips(np.radians(targets)) @ frames.tools[0])[:, :3, 3] * 1e3
     corrected = for_joint_targets(calibrated, np.radians(targets))
     reached = corrected.reached

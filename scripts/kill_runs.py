@@ -5,7 +5,7 @@
 Every run calibrates anew into a folder that holds whole results of another job, so that old and new can be told apart,
 until as many as asked for were killed before they ended.
 It is killed (SIGKILL) at a random moment: of the whole run, or, every second time, of the moments in which it writes.
-Then the folder is looked at as it stands, read by ``calib.load_model``, which puts right what there is to be put
+Then the folder is looked at as it stands, read by ``calib.load_machine``, which puts right what there is to be put
 right, and written by a run that nobody disturbs. A run passes when the folder was the old one or the new one, whole,
 inputs were untouched, and nothing is left beside it in the end. Full disks and read-only folders need root: they are
 small mounts. Exit code 1 when anything does not pass.
@@ -119,7 +119,7 @@ def kills(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str, ...]], in
             str(tree(out)) if out.exists() else "{}", "BROKEN"
         )
         beside = "yes" if any(entry != out for entry in place.iterdir()) else "no"
-        calib.load_model(out)
+        calib.load_machine(out)
         whole = tree(out) in (old, new)
         calibrate(job, out)
         clean = tree(out) == new and list(place.iterdir()) == [out] and tree(folder / "case") == inputs

@@ -20,8 +20,8 @@ from ur10_leica_job import NotTheDatasetError, read, table_columns
 import calib
 from calib.assessment.choice import choose_terms
 from calib.assessment.validation import groups
-from calib.compensation.gaussian import bought, gaussian_from_residuals
 from calib.identification.identify import residuals_of
+from calib.machine.gaussian import bought, gaussian_from_residuals
 from calib.presentation.sheets import prior_sentences
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Judged(NamedTuple):
 
 def judged(fit: calib.Fit, test: calib.Measurements) -> Judged:
     (r,) = residuals_of(fit, [test], fit.machine)
-    tool = calib.tool_uncertainty(calib.uncertainty_of(fit), test.readings)
+    tool = calib.tool_uncertainty(calib.machine_of(fit), test.readings)
     spread = np.sqrt(tool.covariance[:, range(3), range(3)] + fit.noise[0].total ** 2)
     return Judged(fit, rms(r), float(np.mean(np.abs(r) < WITHIN * spread)))
 

@@ -18,8 +18,8 @@ from ur10_leica_job import NotTheDatasetError, read, table_columns
 import calib
 from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.validation import groups
-from calib.compensation.gaussian import Bought, GaussianResiduals, bought, gaussian_from_residuals
 from calib.identification.identify import residuals_of
+from calib.machine.gaussian import Bought, GaussianResiduals, bought, gaussian_from_residuals
 
 Array = NDArray[np.float64]
 

@@ -14,15 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.metrics import Metrics, metrics
-from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors, refuse_lacking
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError, PoseError
 from calib.foundations.linear import one_thread, triangle
 from calib.identification.alignment import Known, Rows, align
-from calib.identification.machine import Frames, Machine
-from calib.identification.system import residuals
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.tool_uncertainty import common_errors
+from calib.machine.uncertainty import NoiseLevel, Uncertainty
+from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 
 # A machine that has not changed is failed once in so many tests.
@@ -89,7 +90,7 @@ class Verification:
 
 
 def verify(
-    uncertainty: Uncertainty,
+    machine: CalibratedMachine,
     data: Measurements,
     *,
     limit: float | None = None,
@@ -100,24 +101,25 @@ def verify(
     ``refit``: the base decides where it is found anew, as after moving the instrument. Where the table does not state
     the instrument's noise, that of the calibration stands in.
 
-    Raises MeasurementError when a tool was not identified, when a joint term needs a condition that the rows do not
-    have, when orientations are judged by a calibration that saw none, when a loop does not close, or when the base is
-    to be found anew from fewer than three positions or from such as do not show it.
+    Raises MeasurementError when the machine does not say how sure it is, when a tool was not identified, when a joint
+    term needs a condition that the rows do not have, when orientations are judged by a calibration that saw none, when
+    a loop does not close, or when the base is to be found anew from fewer than three positions or from such as do not
+    show it.
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
     if not len(data):
         raise MeasurementError(f"{data.where}: has no rows to verify by.")
-    data = _known_tools(uncertainty, data)
-    refuse_lacking(uncertainty.robot, data.conditions, data.where)
-    sigma = _sigma(uncertainty, data)
-    _refuse_open_loops(uncertainty, data)
-    as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, base=False)
+    data = _of_this_machine(machine, data)
+    refuse_lacking(machine.robot, data.conditions, data.where)
+    sigma = _sigma(machine.known_uncertainty, data)
+    _refuse_open_loops(machine, data)
+    as_calibrated = _judged(machine, data, sigma, base=False)
     refitted, moved, shown = None, None, True
-    if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(uncertainty, data)):
-        machine = _realigned(uncertainty, data)
-        refitted = _judged(uncertainty, machine, data, sigma, base=True)
-        change = rigid.inverse(uncertainty.machine.frames.base) @ machine.frames.base
+    if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(machine, data)):
+        found = _realigned(machine, data)
+        refitted = _judged(found, data, sigma, base=True)
+        change = rigid.inverse(machine.base) @ found.base
         moved = float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
     elif refit and not shown:
         raise MeasurementError(
@@ -129,21 +131,16 @@ def verify(
     return Verification(as_calibrated, refitted, moved, limit, refit)
 
 
-def _known_tools(uncertainty: Uncertainty, data: Measurements) -> Measurements:
-    names = tuple(reading.name for reading in uncertainty.robot.readings)
+def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurements:
+    names = tuple(reading.name for reading in machine.robot.readings)
     if data.reading_names != names:
         raise MeasurementError(f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}.")
-    for tool in data.tools:
-        if tool not in uncertainty.tools:
-            known = ", ".join(map(repr, uncertainty.tools))
-            raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
-    number = np.array([uncertainty.tools.index(tool) for tool in data.tools], dtype=np.intp)
-    return replace(data, tools=uncertainty.tools, tool=number[data.tool])
+    return machine.with_own_tools(data)
 
 
-def _refuse_open_loops(uncertainty: Uncertainty, data: Measurements) -> None:
+def _refuse_open_loops(machine: CalibratedMachine, data: Measurements) -> None:
     try:
-        data.tips(uncertainty.robot, uncertainty.machine.deviations)
+        data.tips(machine.robot, machine.deviations)
     except PoseError as e:
         raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
@@ -165,25 +162,20 @@ def _with_model(instrument: Array, level: NoiseLevel) -> Array:
     return np.asarray(np.where(instrument > 0.0, stated, level.total))
 
 
-def _realigned(uncertainty: Uncertainty, data: Measurements) -> Machine:
+def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMachine:
     """Return the machine with its base where it explains the rows best."""
-    machine = uncertainty.machine
-    tips = uncertainty.tips(data.readings, data.conditions)
+    tips = machine.tips(data.readings, data.conditions)
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
-    tools = machine.frames.tools
+    tools = machine.state.frames.tools
     assert data.position is not None, "positions and poses have one"
     rows = Rows(tips, data.position, turned, data.tool)
-    base = align(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base
-    return replace(machine, frames=Frames(base, tools))
+    return replace(machine, base=align(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
 
 
-def _judged(uncertainty: Uncertainty, machine: Machine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
-    (r,) = residuals(uncertainty.robot, [data], machine)
-    if uncertainty.residual_model is not None:
-        bare = data.tips(uncertainty.robot, machine.deviations)
-        r[:, :3] -= uncertainty.residual_model.shifts(machine.frames.base, bare, data.readings)
+def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
+    r = machine.residuals(data)
     with one_thread():
-        F = common_errors(replace(uncertainty, machine=machine), data) / sigma[:, :, None]
+        F = common_errors(machine, data) / sigma[:, :, None]
         U, s, _ = np.linalg.svd(F.reshape(r.size, -1), full_matrices=False)
 
         def whitened(x: Array) -> Array:
@@ -192,29 +184,28 @@ def _judged(uncertainty: Uncertainty, machine: Machine, data: Measurements, sigm
 
         w, n = whitened((r / sigma).ravel()), r.size
         if base:
-            B = whitened((_base_motion(uncertainty, machine, data) / sigma[:, :, None]).reshape(n, 6))
+            B = whitened((_base_motion(machine, data) / sigma[:, :, None]).reshape(n, 6))
             w, n = w - B @ np.linalg.lstsq(B, w)[0], n - 6
         T = float(w @ w)
     return Judgement(
         dict(metrics([(data.kind, r)])),
         read_only(r),
-        ChiSquare(T, n, float(exceeded(T, n, uncertainty.degrees_of_freedom))),
+        ChiSquare(T, n, float(exceeded(T, n, machine.known_uncertainty.degrees_of_freedom))),
     )
 
 
-def _shows_base(uncertainty: Uncertainty, data: Measurements) -> bool:
+def _shows_base(machine: CalibratedMachine, data: Measurements) -> bool:
     """Return whether the rows see every motion of the base: positions at one place, or in line, do not."""
-    B = _base_motion(uncertainty, uncertainty.machine, data).reshape(-1, 6)
-    B = B / np.repeat([1.0, uncertainty.robot.reach], 3)
+    B = _base_motion(machine, data).reshape(-1, 6)
+    B = B / np.repeat([1.0, machine.robot.reach], 3)
     values = np.linalg.svd(triangle(B), compute_uv=False)
     return bool(values[-1] > _NEARLY_IN_LINE * values[0])
 
 
-def _base_motion(uncertainty: Uncertainty, machine: Machine, data: Measurements) -> Array:
+def _base_motion(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
-    tools = machine.frames.tools[data.tool]
-    in_base = data.tips(uncertainty.robot, machine.deviations) @ tools
+    in_base = data.tips(machine.robot, machine.deviations) @ machine.state.frames.tools[data.tool]
     local = rigid.adjoint(rigid.inverse(in_base))
-    placed = machine.frames.base @ in_base
+    placed = machine.base @ in_base
     motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)
     return np.asarray(motion[:, : data.sigma.shape[1]])

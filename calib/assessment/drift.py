@@ -5,11 +5,10 @@ what joint terms did shows at the tip. What one of the two did not see is no dif
 combinations that both have seen.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
@@ -17,6 +16,10 @@ from calib.foundations.linear import one_thread
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.tool_uncertainty import tool_motions
+from calib.machine.uncertainty import Uncertainty, squared_bound
+from calib.robot.conditions import ordinary
 from calib.robot.deviation import COMPONENTS
 from calib.robot.robot import Deviations, Robot
 from calib.robot.sampling import random_readings
@@ -72,8 +75,11 @@ class Comparison:
         return together or any(change.moved for change in self.changes)
 
 
-def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
-    """Compare two calibrations of one machine. Raises MeasurementError when they are of different ones."""
+def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) -> Comparison:
+    """Compare two calibrations of one machine.
+
+    Raises MeasurementError when they are of different ones, or one does not say how sure it is.
+    """
     robot = old.robot
     if [reading.name for reading in robot.readings] != [reading.name for reading in new.robot.readings]:
         raise MeasurementError("the two calibrations are not of one machine: other joints of theirs are read.")
@@ -82,14 +88,16 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
     ):
         raise MeasurementError("the two calibrations are not of one machine: their nominal URDFs differ.")
     if set(old.tools).isdisjoint(new.tools):
-        raise MeasurementError(f"the two calibrations have no tool in common: {old.tools} and {new.tools}.")
+        both = " and ".join(str(tuple(machine.tools)) for machine in (old, new))
+        raise MeasurementError(f"the two calibrations have no tool in common: {both}.")
     names, units = _entries(robot)
     count = len(names)
-    free_old, free_new = (_free(u, count) for u in (old, new))
-    difference = _state(new.machine.deviations) - _state(old.machine.deviations)
-    C = old.factor[:count] @ old.factor[:count].T + new.factor[:count] @ new.factor[:count].T
-    seen = free_old & free_new & ~_blind(old, count) & ~_blind(new, count)
-    nu = min(old.degrees_of_freedom, new.degrees_of_freedom)
+    before, after = old.known_uncertainty, new.known_uncertainty
+    free_old, free_new = (_free(u, count) for u in (before, after))
+    difference = _state(new.deviations) - _state(old.deviations)
+    C = before.factor[:count] @ before.factor[:count].T + after.factor[:count] @ after.factor[:count].T
+    seen = free_old & free_new & ~_blind(before, count) & ~_blind(after, count)
+    nu = min(before.degrees_of_freedom, after.degrees_of_freedom)
     readings = _common_readings(old, new, seed)
     # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
     tests = max(int(np.count_nonzero(seen)), 1)
@@ -102,8 +110,8 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
             Change(
                 names[k],
                 units[k],
-                float(_state(old.machine.deviations)[k]),
-                float(_state(new.machine.deviations)[k]),
+                float(_state(old.deviations)[k]),
+                float(_state(new.deviations)[k]),
                 sigma,
                 bool(abs(difference[k]) > bound * sigma),
                 float(by_entry[k] * abs(difference[k])),
@@ -111,7 +119,7 @@ def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
         )
     statistic, freedom, probability = None, 0, None
     if np.array_equal(free_old, free_new):
-        statistic, freedom = _together(old, new, difference, C, free_old)
+        statistic, freedom = _together(before, after, difference, C, free_old)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
     tool = next(name for name in old.tools if name in new.tools)
@@ -166,41 +174,43 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, C: Array, free: Bool
     return float(z @ np.linalg.solve(Q.T @ scaled @ Q, z)), Q.shape[1]
 
 
-def _common_readings(old: Uncertainty, new: Uncertainty, seed: int) -> Array:
-    low = np.maximum(old.identified[:, 0], new.identified[:, 0])
-    high = np.minimum(old.identified[:, 1], new.identified[:, 1])
+def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:
+    before, after = old.known_uncertainty.identified, new.known_uncertainty.identified
+    low, high = np.maximum(before[:, 0], after[:, 0]), np.minimum(before[:, 1], after[:, 1])
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]
-    limits = np.where(apart, new.identified, np.stack([low, high], axis=1))
-    return random_readings(old.robot, _SAMPLES, limits, (old.machine.deviations, new.machine.deviations), seed=seed)
+    limits = np.where(apart, after, np.stack([low, high], axis=1))
+    return random_readings(old.robot, _SAMPLES, limits, (old.deviations, new.deviations), seed=seed)
 
 
-def _by_entry(u: Uncertainty, readings: Array, count: int) -> Array:
+def _by_entry(machine: CalibratedMachine, readings: Array, count: int) -> Array:
     """Return the rms motion of the tool for each entry of the robot's state, in m per m or rad."""
-    unit = np.eye(len(u.factor), count)
-    J, _ = tool_motions(replace(u, factor=unit, unseen=unit[:, :0]), readings, u.tools[0])
+    J = tool_motions(machine, np.eye(Layout(machine.robot, len(machine.tools)).size, count), readings, _first(machine))
     return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
 
 
-def _stated(u: Uncertainty, readings: Array, tool: str) -> float:
+def _first(machine: CalibratedMachine) -> str:
+    return next(iter(machine.tools))
+
+
+def _stated(machine: CalibratedMachine, readings: Array, tool: str) -> float:
     """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
-    layout, number = Layout(u.robot), u.tools.index(tool)
-    of_robot = u.factor.copy()
+    layout, number = Layout(machine.robot), list(machine.tools).index(tool)
+    of_robot = machine.known_uncertainty.factor.copy()
     of_robot[layout.base :] = 0.0
-    fitted = np.eye(len(u.factor))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
-    J, _ = tool_motions(replace(u, factor=np.hstack([of_robot, fitted]), unseen=of_robot[:, :0]), readings, tool)
+    fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
+    J = tool_motions(machine, np.hstack([of_robot, fitted]), readings, tool)
     rows = J[:, :3].reshape(-1, J.shape[2])
     moved, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
     rest = moved - frames @ np.linalg.lstsq(frames, moved, rcond=None)[0]
     return float(np.sum(rest**2)) / len(readings)
 
 
-def _at_tip(old: Uncertainty, new: Uncertainty, readings: Array, tool: str) -> Array:
+def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, tool: str) -> Array:
     """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
-    before, after = old.tools.index(tool), new.tools.index(tool)
-    tips = [u.tips(readings) for u in (old, new)]
-    target = (tips[1] @ new.machine.frames.tools[after])[:, :3, 3]
-    guess = old.machine.frames.tools[before : before + 1]
+    tips = [machine.tips(readings, ordinary(readings)) for machine in (old, new)]
+    target = (tips[1] @ new.tools[tool])[:, :3, 3]
+    guess = old.tools[tool][None]
     rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))
     with one_thread():
         base, tools, _ = align(rows, Known(None, None, guess[:, :3, :3]), guess)

@@ -19,12 +19,12 @@ from typing import Literal, Protocol, cast
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
-from calib.assessment.uncertainty import refuse_lacking
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.identification.pivot import pivot
-from calib.measurement.conditions import conditions
+from calib.machine.calibrated import CalibratedMachine
+from calib.measurement.conditions import conditions, refuse_lacking
 from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, Robot
@@ -316,23 +316,8 @@ class Performance:
         return tuple(figure for result in self.results for figure in result.figures)
 
 
-class Arm(Protocol):
-    """A calibrated arm, as :class:`calib.CalibratedModel` is."""
-
-    @property
-    def robot(self) -> Robot:
-        """The nominal arm."""
-
-    @property
-    def tools(self) -> Mapping[str, Array]:
-        """Poses (4, 4) of tools in the tip link."""
-
-    def placements(self, readings: Array, /, conditions: Conditions) -> Array:
-        """Return the placements (N, 4, 4) of the calibrated arm's tip link in its base."""
-
-
 def before_and_after(
-    arm: Arm, tests: Sequence[Touches], probe: Touches | None = None
+    machine: CalibratedMachine, tests: Sequence[Touches], probe: Touches | None = None
 ) -> tuple[Performance, Performance]:
     """Return the performance of the nominal and of the calibrated arm in the same tests.
 
@@ -345,9 +330,9 @@ def before_and_after(
     Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs to be told.
     """
     for test in (*tests, *(() if probe is None else (probe,))):
-        refuse_lacking(arm.robot, test.conditions, test.where)
-    tool = next(iter(arm.tools.values()))[:3, 3]
-    return performance(arm.robot.tips, tests, probe, tool), performance(arm.placements, tests, probe, tool)
+        refuse_lacking(machine.robot, test.conditions, test.where)
+    tool = next(iter(machine.tools.values()))[:3, 3]
+    return performance(machine.robot.tips, tests, probe, tool), performance(machine.tips, tests, probe, tool)
 
 
 def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, guess: Array) -> Performance:

@@ -12,13 +12,14 @@ from calib.assessment.acceptance import Judgement, verify
 from calib.assessment.candidates import Observed
 from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures, read_cycles
-from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
 from calib.cli.options import MOST_POSES, NOT_TRUSTED, Json, Quiet, ResultFolder, app
-from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.ranges import RANGES, parse_within
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.model_file import load_machine
+from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
     change_table,
@@ -60,8 +61,7 @@ def verify_command(
     """
     with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the measurements")
-        model = load_model(results)
-        doubts = _doubts(model, results)
+        model = _sure(results)
         data = read_measurements(
             measurements,
             model.robot,
@@ -71,12 +71,12 @@ def verify_command(
         )
         say("judging")
         found = verify(
-            doubts,
+            model,
             data,
             limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
         )
-        outside = outside_identified(doubts, data.readings)
+        outside = outside_identified(model, data.readings)
     if as_json:
         contents = {
             "schema": 1,
@@ -113,7 +113,7 @@ def compare_command(
     """
     with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading both models")
-        before, after = (_doubts(load_model(folder), folder) for folder in (old, new))
+        before, after = (_sure(folder) for folder in (old, new))
         say("comparing")
         found = compare(before, after)
     if as_json:
@@ -167,18 +167,18 @@ def uncertainty(
     if out is not None:
         refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=1) as say:
-        doubts = _doubts(load_model(results), results)
+        model = _sure(results)
         found = uncertainty_map(
-            doubts,
+            model,
             samples,
             tool=tool,
-            limits=None if whole else doubts.identified,
+            limits=None if whole else model.known_uncertainty.identified,
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
-        near = tool_uncertainty(doubts, found.readings, tool)
+        near = tool_uncertainty(model, found.readings, tool)
     if out is not None:
         units = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
-        readings = doubts.robot.readings
+        readings = model.robot.readings
         columns = [*(f"{r.name} [{units[r.dimension][0]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
         header = [*columns, "sigma [mm]", "sigma_angle [deg]", "unseen [mm]", "unseen_angle [deg]"]
         factors = np.array([units[r.dimension][1] for r in readings])
@@ -193,7 +193,9 @@ def uncertainty(
         show(map_table(found, near.seen), *([] if out is None else [sentence(f"Every pose is in {out}.")]))
 
 
-def _doubts(model: CalibratedModel, folder: Path) -> Uncertainty:
-    if model.uncertainty is None:
+def _sure(folder: Path) -> CalibratedMachine:
+    """Return the machine of a folder that says how sure it is."""
+    machine = load_machine(folder)
+    if machine.uncertainty is None:
         raise OutputError(f"{folder}: holds no uncertainty.json; calibrate again with this version.")
-    return model.uncertainty
+    return machine

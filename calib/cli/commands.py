@@ -15,7 +15,6 @@ from calib.assessment.advice import blind_advice
 from calib.assessment.performance import before_and_after, read_touches
 from calib.assessment.sensitivity import group_study
 from calib.assessment.sensitivity import sensitivity as sensitivity_of
-from calib.assessment.uncertainty import outside_identified
 from calib.cli.options import (
     NOT_TRUSTED,
     CommandFile,
@@ -36,7 +35,6 @@ from calib.cli.options import (
 from calib.compensation import targets as targets_of
 from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
-from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError
 from calib.foundations.files import refuse_taken, write_atomically
 from calib.identification.error_model import with_terms
@@ -47,6 +45,8 @@ from calib.job.example import copy_example
 from calib.job.inputs import load
 from calib.job.report import report_of
 from calib.job.results import REPORT_FILE, SCENE_FILE, result_json, robot_errors
+from calib.machine.model_file import load_machine
+from calib.machine.tool_uncertainty import outside_identified
 from calib.presentation.cell_scene import cell_scene
 from calib.presentation.console import brief, literal, progress, sentence, show, warning, write
 from calib.presentation.live import serve
@@ -143,7 +143,7 @@ def compensate(
     refuse_taken(out)
     with progress(shown=not (quiet or as_json), steps=2) as say:
         say("reading the model and the targets")
-        model = load_model(results)
+        model = load_machine(results)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
@@ -158,7 +158,7 @@ def compensate(
         write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
     elif not quiet:
         if model.uncertainty is not None and found.reached.any():
-            show(*map(warning, outside_identified(model.uncertainty, found.readings[found.reached])))
+            show(*map(warning, outside_identified(model, found.readings[found.reached])))
         missed = len(found) - int(found.reached.sum())
         said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
         show(sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."))
@@ -228,7 +228,7 @@ def sensitivity(
         readings = np.concatenate([end.readings for data in inputs.identify for end in data.ends])
         model = inputs.model
         if errors is not None and inputs.job.error_model.terms == "auto":
-            model = with_terms(model, load_model(errors).robot.terms)  # those that were chosen
+            model = with_terms(model, load_machine(errors).robot.terms)  # those that were chosen
         found = sensitivity_of(model, readings)
         study = None
         if errors is not None:
@@ -256,7 +256,7 @@ def performance(
     """
     with progress(shown=not (quiet or as_json), steps=1) as say:
         say("reading the model and the touches")
-        model = load_model(results)
+        model = load_machine(results)
         tests = [read_touches(path, model.robot) for path in touches]
         before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
     if as_json:

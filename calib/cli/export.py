@@ -11,16 +11,17 @@ import typer
 
 from calib.cli.options import Json, Quiet, ResultFolder, app
 from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
-from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError
 from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.folders import reading_folder
 from calib.job.results import DH_FILE
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.model_file import load_machine
 from calib.presentation.console import sentence, show, warning, write
 from calib.robot import dh
 
 Target = Literal["ur", "offsets", "dh", "ros"]
-_EXPORTS: Mapping[Target, Callable[[CalibratedModel], Export]] = {
+_EXPORTS: Mapping[Target, Callable[[CalibratedMachine], Export]] = {
     "ur": export_ur,
     "offsets": export_offsets,
     "ros": export_ros,
@@ -47,7 +48,7 @@ def export_command(
     """
     refuse_taken(out)
     with reading_folder(results):
-        model = load_model(results)
+        model = load_machine(results)
         corrected = results / DH_FILE
         table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:

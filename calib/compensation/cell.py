@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from calib.compensation.model_file import MODEL_FILE, CalibratedModel, load_model
-from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.model_file import MODEL_FILE, load_machine
+from calib.machine.urdf import calibrated_urdf
 from calib.robot.cell import Cell, compose
 from calib.robot.urdf import parse_urdf, read_urdf
 
@@ -26,7 +27,7 @@ class CalibratedCell:
     """
 
     cell: Cell
-    model: CalibratedModel
+    model: CalibratedMachine
     root: Array
     placement: Array
 
@@ -43,7 +44,7 @@ def calibrated_cell(
     Raises JobError when a URDF is to be placed in an instrument's frame, OutputError when a folder holds no readable
     model, RobotError when a URDF cannot be used.
     """
-    model = load_model(positioner)
+    model = load_machine(positioner)
     second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
     placement, root = model.base, np.eye(4)
     if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
@@ -52,7 +53,7 @@ def calibrated_cell(
         first = read_urdf(arm)
         base = first.root
     else:
-        carrier = load_model(arm)
+        carrier = load_machine(arm)
         first = parse_urdf(calibrated_urdf(carrier.robot, carrier.deviations), str(arm))
         base, root = carrier.robot.base, carrier.robot.root_in_base
         if placed_in == "instrument":

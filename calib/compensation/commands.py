@@ -11,12 +11,12 @@ from typing import Literal, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from calib.compensation.grid import Frame
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.grid import Frame
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, TipModel
 from calib.robot.transmission import lacking
@@ -89,7 +89,7 @@ class Corrections:
 
 
 def for_joint_targets(
-    model: CalibratedModel,
+    model: CalibratedMachine,
     readings: Array,
     tool: str | Sequence[str] = "tool",
     *,
@@ -119,7 +119,7 @@ def for_joint_targets(
 
 
 def for_poses(
-    model: CalibratedModel,
+    model: CalibratedMachine,
     poses: Array,
     start: Array | None = None,
     tool: str | Sequence[str] = "tool",
@@ -175,7 +175,7 @@ def for_poses(
 # ---- arguments
 
 
-def _start(model: CalibratedModel, readings: Array) -> Array:
+def _start(model: CalibratedMachine, readings: Array) -> Array:
     readings = np.asarray(readings, dtype=np.float64)
     k = len(model.robot.readings)
     if readings.ndim != 2 or readings.shape[1] != k:
@@ -185,13 +185,13 @@ def _start(model: CalibratedModel, readings: Array) -> Array:
     return readings
 
 
-def _refuse_unknown_conditions(model: CalibratedModel, conditions: Conditions) -> None:
+def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions) -> None:
     names = [reading.name for reading in model.robot.readings]
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs to be told {missing[1]!r} of every target.")
 
 
-def _tools(model: CalibratedModel, tool: str | Sequence[str], n: int) -> Array:
+def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:
     """Return the tool's pose in the tip link of every row: (N, 4, 4)."""
     names = [tool] * n if isinstance(tool, str) else list(tool)
     if len(names) != n:
@@ -208,7 +208,7 @@ def _are_placements(poses: Array) -> bool:
     return bool(orthogonal and (np.linalg.det(R) > 0.0).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
-def _starting_places(model: CalibratedModel) -> Array:
+def _starting_places(model: CalibratedMachine) -> Array:
     """Return readings (12, nr) within the limits: the middle, then others spread at random, always the same."""
     low, high = _limits(model.robot.readings)
     size = np.array([np.pi if reading.dimension == "angle" else 1.0 for reading in model.robot.readings])
@@ -316,7 +316,7 @@ class _How:
 class _Machine:
     """The calibrated machine at N targets."""
 
-    def __init__(self, model: CalibratedModel, asked: _Asked, how: _How) -> None:
+    def __init__(self, model: CalibratedMachine, asked: _Asked, how: _How) -> None:
         self._tips, self._residuals = TipModel(model.robot, model.deviations), how.residuals
         self._conditions, self._targets, self._tools = asked.conditions, asked.targets, asked.tools
         self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))
@@ -361,7 +361,7 @@ class _Machine:
 # ---- the solver
 
 
-def _solve(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
+def _solve(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
     what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
@@ -383,7 +383,7 @@ def _solve(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
     )
 
 
-def _solve_block(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
+def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
     readings, start, tolerances = model.robot.readings, asked.start, how.tolerances
     machine = _Machine(model, asked, how)
     low, high = _limits(readings)

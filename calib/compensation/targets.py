@@ -7,12 +7,12 @@ from typing import cast
 import numpy as np
 
 from calib.compensation.commands import Corrections, PoseFrame, What, for_joint_targets, for_poses
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit
+from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import orientations, stacked
 from calib.measurement.conditions import conditions
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
@@ -39,12 +39,12 @@ class Targets:
         return len(self.table)
 
 
-def read_targets(path: str | Path, model: CalibratedModel, tool: str = "tool") -> Targets:
+def read_targets(path: str | Path, model: CalibratedMachine, tool: str = "tool") -> Targets:
     """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
     return targets(read_table(path), model, tool)
 
 
-def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets:
+def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targets:
     """Return the targets of a table; which kind they are, its columns say.
 
     With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
@@ -96,7 +96,7 @@ def targets(table: Table, model: CalibratedModel, tool: str = "tool") -> Targets
 
 
 def corrections(
-    model: CalibratedModel,
+    model: CalibratedMachine,
     wanted: Targets,
     *,
     what: What = "pose",
@@ -130,7 +130,7 @@ def corrections(
     return found
 
 
-def corrected_csv(model: CalibratedModel, wanted: Targets, found: Corrections) -> str:
+def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections) -> str:
     """Return the table with corrected joints, in the units of its header, and what is expected of every row.
 
     Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses

@@ -56,7 +56,7 @@ def relative_base(
 
     ``sigma_a``, ``sigma_b``: standard deviations of a coordinate, in m; where either is None the noise of their
     difference is estimated from the residuals. Joint readings become points through a calibrated arm:
-    :meth:`calib.CalibratedModel.predict`.
+    :meth:`calib.CalibratedMachine.predict`.
 
     Raises MeasurementError when the points do not pair, IdentificationError when they lie on a line.
     """

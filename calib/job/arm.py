@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from calib.assessment.performance import read_touches
-from calib.assessment.uncertainty import refuse_lacking
-from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model, residual_file
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import UNITS, Dimension, parse_quantity
 from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, residual_file
 from calib.measurement.checks import Finding, check
 from calib.measurement.columns import stacked
 from calib.measurement.conditions import conditions as conditions_of
+from calib.measurement.conditions import refuse_lacking
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import APPROACH, TORQUE, Column, read_table
@@ -42,7 +43,7 @@ class Arm:
     ``files``: what it was read from, by the name that the job gives it. ``findings``: doubts about the pivoting.
     """
 
-    model: CalibratedModel
+    model: CalibratedMachine
     point: Array
     sigma: float
     files: Mapping[str, Path]
@@ -50,7 +51,7 @@ class Arm:
 
     def points(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tool points (N, 3) in the base link at readings (N, nr), with what a residual model adds."""
-        T = self.model.placements(readings, conditions)
+        T = self.model.tips(readings, conditions)
         return np.asarray(T[:, :3, :3] @ self.point + T[:, :3, 3])
 
 
@@ -61,7 +62,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> Arm:
     """
     files: dict[str, Path] = {}
     if section.model is not None:
-        model = load_model(folder / section.model)
+        model = load_machine(folder / section.model)
         beside = residual_file(model.residual_model)
         parts = [MODEL_FILE, NOMINAL_FILE] + ([] if beside is None else [beside])
         files |= {f"{section.model}/{part}": folder / section.model / part for part in parts}
@@ -69,7 +70,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> Arm:
         assert section.urdf is not None, "the schema asks for one of both"
         urdf = resolve(section.urdf) if section.urdf.startswith(EXAMPLE) else folder / section.urdf
         robot = load_robot(urdf, section.tip)
-        model = CalibratedModel(robot, robot.no_deviations(), read_only(np.eye(4)), {})
+        model = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {})
         files[section.urdf] = urdf
     sigma = parse_quantity(section.sigma, "length", "sigma")
     arm = Arm(model, read_only(np.zeros(3)), sigma, files, ())
@@ -88,7 +89,7 @@ def _pivoted(arm: Arm, file: str, folder: Path) -> Arm:
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
     refuse_lacking(arm.model.robot, touches.conditions, touches.where)
-    found = pivot(arm.model.placements(touches.readings, touches.conditions), touches.words["target"])
+    found = pivot(arm.model.tips(touches.readings, touches.conditions), touches.words["target"])
     if found.rank < 3:
         raise MeasurementError(
             f"{touches.where}: the orientations turn about {'one axis only' if found.rank else 'no axis'}, and do not "

@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.assessment.gaussian_choice import bought
 from calib.assessment.validation import groups
-from calib.compensation.gaussian import GaussianResiduals, bought, gaussian_from_residuals
-from calib.compensation.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.foundations.errors import JobError
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.job.inputs import Inputs, Progress
+from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
+from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.measurement.checks import Finding
 
 
@@ -25,8 +26,8 @@ class ResidualLevel(NamedTuple):
 def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLevel:
     """Return the residual model for which the last level asks. A Gaussian process must earn its place.
 
-    Raises JobError and MeasurementError as :func:`calib.compensation.grid.grid_from_residuals` and
-    :func:`calib.compensation.gaussian.gaussian_from_residuals`.
+    Raises JobError and MeasurementError as :func:`calib.machine.grid.grid_from_residuals` and
+    :func:`calib.machine.gaussian.gaussian_from_residuals`.
     """
     section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
     if section is None:

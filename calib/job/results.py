@@ -12,20 +12,6 @@ import numpy as np
 from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
-from calib.assessment.uncertainty import uncertainty_of
-from calib.compensation.gaussian import gaussian_bytes
-from calib.compensation.grid import SectorGrid, grid_bytes
-from calib.compensation.model_file import (
-    GAUSSIAN_FILE,
-    GRID_FILE,
-    MODEL_FILE,
-    NOMINAL_FILE,
-    PoseEntry,
-    model_json,
-    residual_file,
-)
-from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, uncertainty_json
-from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
@@ -39,6 +25,16 @@ from calib.job.report import report_of
 from calib.job.run import Outcome, resolved
 from calib.job.scene import scene_of
 from calib.job.versions import versions
+from calib.machine.model_file import (
+    CALIBRATED_FILE,
+    GAUSSIAN_FILE,
+    GRID_FILE,
+    MODEL_FILE,
+    NOMINAL_FILE,
+    PoseEntry,
+    machine_files,
+)
+from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
@@ -46,7 +42,6 @@ from calib.presentation.scene import render_scene
 from calib.robot import dh
 
 RESULT_FILE = "result.json"
-CALIBRATED_FILE = "calibrated.urdf"
 JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
@@ -108,38 +103,24 @@ def _refuse_foreign(folder: Path) -> None:
 def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:
     """Write the folder of results; on any error it stays as it was."""
     out = refuse_folder(out, outcome.inputs)  # a link stays a link: what it points to is replaced
-    fit, robot = outcome.fit, outcome.fit.robot
     progress("writing the calibrated URDF")
-    calibrated = calibrated_urdf(robot, fit.deviations)
+    machine = machine_files(outcome.machine)
     progress("drawing the scene")
     scene = render_scene(scene_of(outcome))
     progress("writing the report")
     report = report_of(outcome)
     files: dict[str, bytes | str] = {
-        CALIBRATED_FILE: calibrated,
-        NOMINAL_FILE: robot.urdf.source,
+        **machine,
         JOB_FILE: resolved(outcome.inputs),
-        MODEL_FILE: model_json(fit, residual_file(outcome.residual_model)),
-        UNCERTAINTY_FILE: uncertainty_json(uncertainty_of(fit)),
         RESULT_FILE: result_json(outcome),
         RESIDUAL_FILE: residual_table(outcome),
         SCENE_FILE: scene,
         REPORT_FILE: render_page(report),
         MARKDOWN_FILE: render_markdown(report),
-        **_dh_table(fit),
-        **_residual_model(outcome),
+        **_dh_table(outcome.fit),
     }
     progress("writing the results")
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
-
-
-def _residual_model(outcome: Outcome) -> dict[str, bytes]:
-    known = outcome.residual_model
-    if known is None:
-        return {}
-    if isinstance(known, SectorGrid):
-        return {GRID_FILE: grid_bytes(known)}
-    return {GAUSSIAN_FILE: gaussian_bytes(known)}
 
 
 def steps_after_loading(inputs: Inputs) -> int:

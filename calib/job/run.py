@@ -12,9 +12,6 @@ from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.trust import doubts, remarks
-from calib.compensation.gaussian import GaussianResiduals
-from calib.compensation.grid import SectorGrid
-from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import parse_quantity
@@ -24,6 +21,8 @@ from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress, term_priors
 from calib.job.residuals import residual_model
+from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.urdf import lost_in_urdf
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
 
@@ -56,21 +55,22 @@ class Outcome:
     """A finished calibration.
 
     ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
-    ``sets``: residuals of every table, those after with the ``residual_model``, where it has values. ``doubts``: why it
-    should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``: rms in m at the tip that
-    the calibrated URDF alone is off, as it holds neither closed loops nor joint terms. ``choice``: of the joint terms,
-    where the job leaves it to the tool; ``inputs.model`` then has them. ``outliers``: of the data to identify from.
+    ``sets``: residuals of every table; those after are left by ``machine``, with its residual model where that has
+    values. ``doubts``: why it should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``:
+    rms in m at the tip that the calibrated URDF alone is off, as it holds neither closed loops nor joint terms.
+    ``choice``: of the joint terms, where the job leaves it to the tool; ``inputs.model`` then has them. ``outliers``:
+    of the data to identify from.
     """
 
     inputs: Inputs
     fit: Fit
+    machine: CalibratedMachine
     sets: tuple[JudgedSet, ...]
     metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
     doubts: tuple[str, ...]
     outliers: Outliers
     trace: Trace | None = None
     levels: tuple[LevelReport, ...] = ()
-    residual_model: SectorGrid | GaussianResiduals | None = None
     lost_in_urdf: float = 0.0
     choice: Choice | None = None
 
@@ -93,10 +93,11 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
     inputs = replace(inputs, findings=(*inputs.findings, *remarks(fit)))
+    machine = machine_of(fit, known)
     progress("validating")
     judged_sets = (
-        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, known),
-        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, known),
+        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, machine),
+        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, machine),
     )
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
@@ -114,13 +115,13 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
     return Outcome(
         inputs,
         fit,
+        machine,
         judged_sets,
         figures,
         (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
         outliers(fit, files=files),
         trace,
         reports,
-        known,
         lost_in_urdf(
             fit.robot,
             fit.deviations,
@@ -212,13 +213,12 @@ def _judged(
     files: Sequence[str],
     sets: Sequence[Measurements],
     fit: Fit,
-    known: SectorGrid | GaussianResiduals | None,
+    machine: CalibratedMachine,
 ) -> Iterator[JudgedSet]:
     before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
     for file, data, b, a in zip(files, sets, before, after, strict=True):
-        if known is not None and data.position is not None:
-            a = a.copy()  # noqa: PLW2901
-            a[:, :3] -= known.shifts(fit.machine.frames.base, data.tips(fit.robot, fit.deviations), data.readings)
+        if data.position is not None:
+            a = machine.less_shifts(a, data)  # noqa: PLW2901
         yield JudgedSet(use, file, data, b, a)
 
 

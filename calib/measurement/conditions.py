@@ -10,7 +10,8 @@ from calib.measurement.columns import numbers, stacked, words
 from calib.measurement.table import APPROACH, TORQUE, Table
 from calib.robot.conditions import Conditions
 from calib.robot.conditions import in_order as sides_in_order
-from calib.robot.robot import Reading
+from calib.robot.robot import Reading, Robot
+from calib.robot.transmission import lacking
 
 _SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
 
@@ -57,3 +58,9 @@ def _sides(table: Table, name: str) -> Array:
             )
         found[row] = _SIDES[word]
     return found
+
+
+def refuse_lacking(robot: Robot, conditions: Conditions, where: str) -> None:
+    """Raise MeasurementError where a joint term of the robot needs a condition that rows do not have."""
+    if missing := lacking(robot.terms, [reading.name for reading in robot.readings], conditions):
+        raise MeasurementError(f"{where}: there is no column {missing[1]!r}, which {missing[0]} needs.")

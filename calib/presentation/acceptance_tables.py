@@ -10,8 +10,8 @@ from rich.text import Text
 from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import Figure
-from calib.assessment.uncertainty import UncertaintyMap
 from calib.foundations.arrays import BoolArray
+from calib.machine.uncertainty import UncertaintyMap
 
 _SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
 

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError, PoseError
 from calib.foundations.files import read_inside, stamp
 from calib.foundations.folders import reading_folder
 from calib.foundations.units import UNITS
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.model_file import load_machine
 from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations
@@ -41,7 +42,7 @@ def serve(
     ``page`` and ``others``: names of the pages in the folder, the first one also without a name. ``port`` 0: any free
     one. ``started`` is told the address. Raises OutputError when there is nothing to show, or no port.
     """
-    model = load_model(folder)
+    model = load_machine(folder)
     if not os.path.lexists(folder / page):
         raise OutputError(f"{folder}: holds no {page}; run calib calibrate again.")
     read_inside(folder, page, OutputError, _LARGEST_PAGE)
@@ -53,7 +54,7 @@ def serve(
 
 
 async def _run(
-    folder: Path, model: CalibratedModel, pages: tuple[str, ...], port: int, started: Callable[[str], None]
+    folder: Path, model: CalibratedMachine, pages: tuple[str, ...], port: int, started: Callable[[str], None]
 ) -> None:
     import asyncio  # noqa: PLC0415 - calib must load none of these on import
 
@@ -110,7 +111,7 @@ async def _run(
             now = stamp(folder)
             if now not in (seen, None):
                 try:
-                    model, seen = load_model(folder), now
+                    model, seen = load_machine(folder), now
                 except CalibError:  # half way through an exchange; the next look finds it
                     continue
                 for page in listening:
@@ -120,7 +121,7 @@ async def _run(
         await server.close_all_connections()
 
 
-def sliders(model: CalibratedModel) -> list[dict[str, Any]]:
+def sliders(model: CalibratedMachine) -> list[dict[str, Any]]:
     """Return what a person may move: name, unit, limits and a first value of every reading, in degrees and mm."""
     found = []
     for reading in model.robot.readings:
@@ -135,7 +136,7 @@ def sliders(model: CalibratedModel) -> list[dict[str, Any]]:
     return found
 
 
-def answer(model: CalibratedModel, message: str | bytes) -> dict[str, Any]:
+def answer(model: CalibratedMachine, message: str | bytes) -> dict[str, Any]:
     """Return the positions of both arms' joints at the readings that a page asks for, and how far their tips are apart.
 
     The nominal arm's difference is taken as often as the page draws it; the distance told is the true one, of both

@@ -10,8 +10,8 @@ import pytest
 import calib
 from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
-from calib.assessment.uncertainty import uncertainty_of
 from calib.foundations.errors import MeasurementError
+from calib.machine.calibrated import machine_of
 from tests.identification import machines
 from tests.identification.machines import Array, Machine, anywhere, pose
 from tests.job.cases import copy_case, run
@@ -46,7 +46,7 @@ def with_zero(true: Machine, joint: str, by: float) -> Machine:
 def test_what_has_not_changed_passes(observes: str, stated: tuple[float, float] | None) -> None:
     """The statistic over its degrees of freedom is 1 on average, base refitted or not, from ten points."""
     _, true, _ = machine()
-    u = uncertainty_of(calibrated(true, 1, observes, stated=stated))
+    u = machine_of(calibrated(true, 1, observes, stated=stated))
     found = [verify(u, seen(true, 10, seed, observes, stated=stated)) for seed in range(100, 116)]
     for tests in ([v.as_calibrated.test for v in found], [v.base_refitted.test for v in found if v.base_refitted]):
         assert len(tests) == 16
@@ -65,7 +65,7 @@ def test_the_probability_is_uniform_over_calibrations() -> None:
     probabilities = []
     for seed in range(16):
         _, true, _ = machine(seed)
-        u = uncertainty_of(calibrated(true, seed + 500, rows=40))
+        u = machine_of(calibrated(true, seed + 500, rows=40))
         probabilities.append(verify(u, seen(true, 10, seed + 900)).as_calibrated.test.probability)
     p = np.sort(probabilities)
     # Kolmogorov and Smirnov: 16 uniform numbers stay within 0.36 of their places in 98 of 100 cases.
@@ -74,7 +74,7 @@ def test_the_probability_is_uniform_over_calibrations() -> None:
 
 def test_a_shifted_zero_fails_and_a_moved_base_only_with_its_old_place() -> None:
     _, true, _ = machine()
-    u = uncertainty_of(calibrated(true, 1))
+    u = machine_of(calibrated(true, 1))
     bent = verify(u, seen(with_zero(true, "elbow_joint", 5e-4), 12, 7))
     assert not bent.passed
     assert bent.base_refitted is not None
@@ -94,7 +94,7 @@ def test_a_shifted_zero_fails_and_a_moved_base_only_with_its_old_place() -> None
 
 def test_the_limit_is_one_of_every_error() -> None:
     _, true, _ = machine()
-    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 8)
+    u, data = machine_of(calibrated(true, 1)), seen(true, 12, 8)
     largest = float(np.linalg.norm(verify(u, data).as_calibrated.residuals, axis=1).max())
     above, below = (verify(u, data, limit=largest * share) for share in (1.01, 0.99))
     assert (above.within_limit, above.passed) == (True, True)
@@ -104,13 +104,13 @@ def test_the_limit_is_one_of_every_error() -> None:
 
 def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
     _, true, _ = machine()
-    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 8)
+    u, data = machine_of(calibrated(true, 1)), seen(true, 12, 8)
 
     class AlongTheBase:
         def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
             return np.tile(base[:3, 0] * 1e-3, (len(readings), 1))
 
-    shifted = replace(data, position=data.position + 1e-3 * u.machine.frames.base[:3, 0])
+    shifted = replace(data, position=data.position + 1e-3 * u.base[:3, 0])
     known = replace(u, residual_model=AlongTheBase())
     np.testing.assert_allclose(
         verify(known, shifted).as_calibrated.residuals, verify(u, data).as_calibrated.residuals, atol=1e-15
@@ -127,7 +127,7 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
 def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
     _, true, _ = machine()
     fit, data = calibrated(true, 1), seen(true, 12, 8)
-    u = uncertainty_of(fit)
+    u = machine_of(fit)
     order = np.random.default_rng(0).permutation(12)
     a, b = (verify(u, some).as_calibrated.test.statistic for some in (data, data.subset(order)))
     assert a == pytest.approx(b, rel=1e-9)
@@ -135,12 +135,12 @@ def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
     (own,) = fit.measurements
     there = calib.identify(fit.model, replace(own, position=own.position @ T[:3, :3].T + T[:3, 3]))
     moved = replace(data, position=data.position @ T[:3, :3].T + T[:3, 3])
-    assert verify(uncertainty_of(there), moved).as_calibrated.test.statistic == pytest.approx(a, rel=1e-4)
+    assert verify(machine_of(there), moved).as_calibrated.test.statistic == pytest.approx(a, rel=1e-4)
 
 
 def test_what_cannot_be_verified_is_said() -> None:
     _, true, _ = machine()
-    u = uncertainty_of(calibrated(true, 1))
+    u = machine_of(calibrated(true, 1))
     with pytest.raises(MeasurementError, match="the calibration saw no orientation"):
         verify(u, seen(true, 5, 3, "pose"))
     with pytest.raises(MeasurementError, match="2 rows are too few to find the base anew; it takes three"):
@@ -159,7 +159,7 @@ def test_what_cannot_be_verified_is_said() -> None:
 @pytest.mark.parametrize("places", [1, 2])
 def test_rows_that_do_not_show_the_base_are_judged_where_it_was(places: int) -> None:
     _, true, _ = machine()
-    u = uncertainty_of(calibrated(true, 1))
+    u = machine_of(calibrated(true, 1))
     data = seen(true, 12, 7).subset([row % places for row in range(6)])
     found = verify(u, data)
     assert found.base_refitted is None
@@ -172,15 +172,16 @@ def test_rows_that_do_not_show_the_base_are_judged_where_it_was(places: int) -> 
 @pytest.mark.parametrize("size", [1e-200, 1e12])
 def test_doubts_of_any_size_are_judged(size: float) -> None:
     _, true, _ = machine()
-    u, data = uncertainty_of(calibrated(true, 1)), seen(true, 12, 7)
-    found = verify(replace(u, factor=np.full_like(u.factor, size)), data)
+    u, data = machine_of(calibrated(true, 1)), seen(true, 12, 7)
+    known = u.known_uncertainty
+    found = verify(replace(u, uncertainty=replace(known, factor=np.full_like(known.factor, size))), data)
     assert 0.0 <= found.as_calibrated.test.probability <= 1.0
 
 
 def test_two_calibrations_of_one_machine_are_the_same() -> None:
     _, true, _ = machine()
     found = [
-        compare(*(uncertainty_of(calibrated(true, seed + k)) for k in (0, 1)))
+        compare(*(machine_of(calibrated(true, seed + k)) for k in (0, 1)))
         for seed in range(20, 34, 2)
     ]  # fmt: skip
     ratios = np.array([c.statistic / c.degrees_of_freedom for c in found if c.statistic is not None])
@@ -200,7 +201,7 @@ def test_a_zero_that_moved_is_named_with_what_it_does_at_the_tip() -> None:
     # The tracker has been moved as well.
     late = with_zero(replace(good, base=anywhere(np.random.default_rng(5))), "elbow_joint", 1e-3)
     before, after = (calib.identify(model, seen(one, 60, seed)) for one, seed in ((good, 1), (late, 2)))
-    found = compare(uncertainty_of(before), uncertainty_of(after))
+    found = compare(machine_of(before), machine_of(after))
     changes = {change.name: change for change in found.changes}
     assert set(changes) == {"elbow_joint.offset", "wrist_1_joint.offset"}
     elbow = changes["elbow_joint.offset"]
@@ -222,7 +223,7 @@ def test_a_zero_that_moved_is_named_with_what_it_does_at_the_tip() -> None:
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
     robot, true, _ = machine()
     some = calib.error_model(robot, offsets=["elbow_joint"])
-    found = compare(uncertainty_of(calibrated(true, 1)), uncertainty_of(calib.identify(some, seen(true, 60, 2))))
+    found = compare(machine_of(calibrated(true, 1)), machine_of(calib.identify(some, seen(true, 60, 2))))
     assert (found.statistic, found.probability) == (None, None)
     assert found.tip_rms > 5e-4
 
@@ -235,7 +236,7 @@ def test_other_machines_are_not_compared() -> None:
     data = Machine(arm, pose(), true.tools).measure(machines.load(*name), arm.draw(rng, 30), rng=rng, sigma=SIGMA)
     fit = calib.identify(calib.error_model(machines.load(*name), offsets="all"), data)
     with pytest.raises(MeasurementError, match="not of one machine"):
-        compare(uncertainty_of(calibrated(true, 1)), uncertainty_of(fit))
+        compare(machine_of(calibrated(true, 1)), machine_of(fit))
 
 
 # ---- the commands

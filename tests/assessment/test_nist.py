@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.assessment.uncertainty import squared_bound
 from calib.foundations import linear
 from calib.foundations.arrays import Array
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Component, Evaluation
+from calib.machine.uncertainty import squared_bound
 
 DATA = json.loads((Path(__file__).parent / "nist" / "strd.json").read_text(encoding="utf-8"))
 # Starts are off by more than themselves: an ordinary deviation is taken to be ten times as large.

@@ -190,13 +190,13 @@ def test_without_a_cone_the_tool_of_the_model_serves(robot: calib.Robot) -> None
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> calib.CalibratedModel:
+def model(tmp_path_factory: pytest.TempPathFactory) -> calib.CalibratedMachine:
     out = tmp_path_factory.mktemp("arm") / "out"
     write_results(run(load(CASE / "calibration_realistic.toml")), out)
-    return calib.load_model(out)
+    return calib.load_machine(out)
 
 
-def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: calib.CalibratedModel) -> None:
+def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: calib.CalibratedMachine) -> None:
     tests = [read_touches(CASE / name, model.robot) for name in TESTS]
     before, after = before_and_after(model, tests, read_touches(CASE / "probe.csv", model.robot))
     assert [(f.test, f.place, f.n, f.name) for f in before.figures] == [
@@ -211,7 +211,7 @@ def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: cali
     assert "no certificate" in text
 
 
-def test_the_order_of_files_only_orders_the_figures(model: calib.CalibratedModel) -> None:
+def test_the_order_of_files_only_orders_the_figures(model: calib.CalibratedMachine) -> None:
     tests = [read_touches(CASE / name, model.robot) for name in TESTS]
     _, after = before_and_after(model, tests)
     _, again = before_and_after(model, tests[::-1])

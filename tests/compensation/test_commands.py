@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.compensation import commands, grid, targets
+from calib.compensation import commands, targets
 from calib.foundations.errors import JobError, MeasurementError
+from calib.machine import grid
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import TipModel
 from calib.robot.transmission import JointTerm
@@ -49,9 +50,9 @@ def deviations(robot: calib.Robot, seed: int = 1, size: float = 1.0) -> calib.De
     return calib.Deviations(placements, rng.normal(scale=size * 1e-3, size=len(robot.moving)))
 
 
-def model_of(robot: calib.Robot, seed: int = 1, size: float = 1.0) -> calib.CalibratedModel:
+def model_of(robot: calib.Robot, seed: int = 1, size: float = 1.0) -> calib.CalibratedMachine:
     base = machines.anywhere(np.random.default_rng(seed))
-    return calib.CalibratedModel(robot, deviations(robot, seed, size), base, TOOLS)
+    return calib.CalibratedMachine(robot, deviations(robot, seed, size), base, TOOLS)
 
 
 def draw(robot: calib.Robot, n: int, seed: int = 2, share: float = 0.6) -> Array:
@@ -79,7 +80,7 @@ def apart(a: Array, b: Array) -> tuple[float, float]:
     return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max()), float(turn.max())
 
 
-def well_posed(model: calib.CalibratedModel, readings: Array) -> Array:
+def well_posed(model: calib.CalibratedMachine, readings: Array) -> Array:
     J = TipModel(model.robot, model.deviations).driven(readings)[1]
     return readings[np.linalg.svd(J, compute_uv=False)[:, -1] > 0.03]
 
@@ -214,7 +215,7 @@ def test_limits() -> None:
     offsets = np.zeros(6)
     offsets[1] = 0.01
     deviated = calib.Deviations(np.zeros((len(robot.chain), 6)), offsets)
-    model = calib.CalibratedModel(robot, deviated, np.eye(4), TOOLS)
+    model = calib.CalibratedMachine(robot, deviated, np.eye(4), TOOLS)
     inside = np.array([0.3, 0.2, 0.4, 0.1, 0.7, 0.2])
     low, past = inside.copy(), inside.copy()
     low[1], past[1] = -2.595, 2.9
@@ -389,7 +390,7 @@ def test_outside_the_residuals() -> None:
 # ---- tables
 
 
-def panel(model: calib.CalibratedModel, readings: Array, **more: Any) -> dict[str, Any]:
+def panel(model: calib.CalibratedMachine, readings: Array, **more: Any) -> dict[str, Any]:
     return {f"{r.name} [deg]": np.degrees(readings[:, k]) for k, r in enumerate(model.robot.readings)} | more
 
 

@@ -12,9 +12,9 @@ from calib.compensation.controllers import LeftOut, export_dh, export_offsets, e
 from calib.compensation.controllers.export import poses
 from calib.compensation.controllers.offsets import read_offsets
 from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
-from calib.compensation.grid import SectorGrid
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations.errors import OutputError, RobotError
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.grid import SectorGrid
 from calib.robot import dh
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import JointTerm
@@ -32,7 +32,7 @@ MADE = {
 }
 
 
-def model(robot: calib.Robot, *, seed: int | None = 0, fixed: bool = False) -> CalibratedModel:
+def model(robot: calib.Robot, *, seed: int | None = 0, fixed: bool = False) -> CalibratedMachine:
     """A calibrated machine with errors of all moving joints, of fixed ones as well, or with none."""
     d = robot.no_deviations()
     if seed is not None:
@@ -41,10 +41,10 @@ def model(robot: calib.Robot, *, seed: int | None = 0, fixed: bool = False) -> C
         placements[[joint.type == "fixed" and not fixed for joint in robot.chain]] = 0.0
         d = calib.Deviations(placements, rng.normal(scale=0.01, size=len(robot.moving)))
     frames = machines.pose((1.0, 2.0, 3.0), (0.1, -0.2, 0.3)), machines.pose((0.1, 0.0, 0.2), (1.0, 0.0, 0.0))
-    return CalibratedModel(robot, d, frames[0], {'tool "ä"': frames[1]})
+    return CalibratedMachine(robot, d, frames[0], {'tool "ä"': frames[1]})
 
 
-def with_terms(bare: CalibratedModel, amounts: dict[JointTerm, float]) -> CalibratedModel:
+def with_terms(bare: CalibratedMachine, amounts: dict[JointTerm, float]) -> CalibratedMachine:
     d = replace(bare.deviations, terms=np.array(list(amounts.values())))
     return replace(bare, robot=replace(bare.robot, terms=tuple(amounts)), deviations=d)
 

@@ -51,7 +51,7 @@ class Case:
     path: Path
     draft: Draft
     robot: Robot
-    truth: calib.CalibratedModel
+    truth: calib.CalibratedMachine
     placed: bool
     rng: np.random.Generator
     places: Array
@@ -263,7 +263,7 @@ def build(features: Sequence[Feature], folder: Path, seed: int = 0) -> Case:
         second = _roles(draft)["@second"]
         robot = replace(robot, terms=(JointTerm(second, "gain"), JointTerm(second, "backlash")))
         d = Deviations(d.placements, d.offsets, np.array([2e-3, 1e-3]))
-    case = Case(path, draft, arm.robot, calib.CalibratedModel(robot, d, base, placed), not alone, rng, places)
+    case = Case(path, draft, arm.robot, calib.CalibratedMachine(robot, d, base, placed), not alone, rng, places)
     for section in job["measurements"]:
         file = section["file"]
         n = FRESH if section["use"] == "validate" else ROWS

@@ -51,8 +51,17 @@ SENTENCES: Mapping[str, tuple[tuple[str, Callable[[Case], bool]], ...]] = {
 WALKED = {
     *("calibrate", "check", "verify", "compare", "uncertainty", "compensate", "view", "sensitivity", "performance"),
     *("cell", "export", "plan", "models"),
-    *("identify", "error_model", "load_robot", "load_model", "read_measurements", "advice", "bootstrap", "data_frame"),
-    *("outliers", "outside_identified", "plot", "table", "tool_uncertainty", "uncertainty_map", "uncertainty_of"),
+    *(
+        "identify",
+        "error_model",
+        "load_robot",
+        "load_machine",
+        "read_measurements",
+        "advice",
+        "bootstrap",
+        "data_frame",
+    ),
+    *("outliers", "outside_identified", "plot", "table", "tool_uncertainty", "uncertainty_map", "machine_of"),
     *("write_urdf", "commands", "choose_terms", "total_differential"),
 }
 ELSEWHERE = {
@@ -71,7 +80,7 @@ class Walked:
     case: Case
     outcome: Outcome
     out: Path
-    model: calib.CalibratedModel
+    model: calib.CalibratedMachine
 
     def bound(self, quantity: str) -> float:
         """How far predictions may be off."""
@@ -108,7 +117,7 @@ def _calibrated(case: Case, out: Path) -> Walked:
     assert (said.code, said.err) == (0, ""), said.err
     outcome = calibrate(case.path, out)
     assert all(map(plain, brief(report_of(outcome))))
-    walked = Walked(case, outcome, out, calib.load_model(out))
+    walked = Walked(case, outcome, out, calib.load_machine(out))
     for judged in outcome.sets:
         for quantity, m in outcome.metrics[judged.use]["after"].items():
             assert m.rms < walked.bound(quantity), (judged.use, quantity, m.rms)
@@ -124,7 +133,10 @@ def predicts(walked: Walked, folder: Path) -> None:
         return
     there = case.see(q, told, tools)[:, :3, 3]
     found = np.stack(
-        [walked.model.predict(q[n : n + 1], tools[n], told.subset(slice(n, n + 1)))[0, :3, 3] for n in range(30)]
+        [
+            walked.model.predict(q[n : n + 1], tool=tools[n], conditions=told.subset(slice(n, n + 1)))[0, :3, 3]
+            for n in range(30)
+        ]
     )
     rms = float(np.sqrt(np.mean(np.sum((found - there) ** 2, axis=1))))
     # Farther out than the rows, errors of the parameters are larger than at them.
@@ -165,12 +177,12 @@ def is_uncertain(walked: Walked, folder: Path) -> None:
     tool = case.draft.tools[0]
     said = run("uncertainty", walked.out, "--samples", "20", "--tool", tool, "-o", folder / "map.csv", "--json")
     assert (said.code, said.err) == (0, ""), said.err
-    u = walked.model.uncertainty
-    assert u is not None
+    u = walked.model
+    assert u.uncertainty is not None
     q = case.draw(5)
     found = calib.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
     assert np.isfinite(found.position).all() and (found.position > 0.0).all()
-    calib.uncertainty_map(calib.uncertainty_of(walked.outcome.fit), 5, tool=tool)
+    calib.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
     calib.outside_identified(u, 5.0 * q)
 
 
@@ -196,7 +208,7 @@ def is_commanded(walked: Walked, folder: Path) -> None:
     assert len(rows) >= 3, found.reasons
     T = np.stack([model.tools[tools[n]] for n in rows])
     wanted = (model.robot.tips(q[rows]) @ T)[:, :3, 3]
-    there = (model.placements(found.readings[rows], told.subset(rows)) @ T)[:, :3, 3]
+    there = (model.tips(found.readings[rows], told.subset(rows)) @ T)[:, :3, 3]
     assert np.abs(there - wanted).max() < 3e-6
     back = for_poses(model, there, q[rows], [tools[n] for n in rows], conditions=told.subset(rows))
     assert back.reached.all(), back.reasons

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.compensation.model_file import load_model
-from calib.compensation.npz import NotReadableError, arrays_of
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.read import read_job
 from calib.job.results import robot_errors
+from calib.machine.model_file import load_machine
+from calib.machine.npz import NotReadableError, arrays_of
 
 
 def refused(tmp_path: Path, job: str | bytes) -> str:
@@ -107,7 +107,7 @@ def test_results_twice_under_one_name(tmp_path: Path) -> None:
 def test_a_model_with_a_key_twice(tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text('{"schema": 1, "base_link": "a", "base_link": "b"}', "utf-8")
     with pytest.raises(OutputError, match="it has 'base_link' twice in one object"):
-        load_model(tmp_path)
+        load_machine(tmp_path)
 
 
 # Archives. -------------------------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ def test_archives(name: str) -> None:
 
 
 def test_an_archive_that_unpacks_to_more_than_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calib.compensation.npz.LARGEST_FILE", 1_000_000)
+    monkeypatch.setattr("calib.machine.npz.LARGEST_FILE", 1_000_000)
     bomb = archive(npy(shape="(1000000,)", data=bytes(8_000_000)), compression=zipfile.ZIP_DEFLATED)
     assert len(bomb) < 20_000
     with pytest.raises(NotReadableError, match="it unpacks to more than 1000000 bytes"):

@@ -10,14 +10,15 @@ import pytest
 
 import calib
 from calib.assessment.choice import candidates, choose_terms
-from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
 from calib.compensation import targets
 from calib.compensation.commands import for_joint_targets
-from calib.compensation.model_file import model_json
 from calib.foundations.errors import JobError, MeasurementError, RobotError
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
+from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary
 from tests.identification import machines
@@ -208,14 +209,14 @@ def test_they_are_chosen_where_they_are_and_offered_where_they_can_be_seen() -> 
 def folder(tmp_path: Path) -> tuple[Path, calib.Fit]:
     lab = Lab(17)
     fit = calib.identify(lab.model(), calib.read_measurements(lab.columns(), lab.robot, sigma=SIGMA))
-    (tmp_path / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (tmp_path / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
     return tmp_path, fit
 
 
 def test_the_model_read_back_and_its_commands_know_them(folder: tuple[Path, calib.Fit]) -> None:
     path, fit = folder
-    model, rng = calib.load_model(path), np.random.default_rng(0)
+    model, rng = calib.load_machine(path), np.random.default_rng(0)
     u = rng.uniform(-0.5, 0.5, (30, 6)) + np.array([0.0, 0.0, 1.2, 0.0, 1.5, 0.0])
     told = Conditions(rng.choice([-1.0, 1.0], (30, 6)), rng.uniform(10.0, 40.0, 30))
     np.testing.assert_allclose(model.tips(u, told), fit.robot.tips(u, fit.deviations, told), rtol=0, atol=1e-13)
@@ -235,13 +236,13 @@ def test_what_nobody_says_adds_nothing(folder: tuple[Path, calib.Fit]) -> None:
     u = np.random.default_rng(2).uniform(-1.0, 1.0, (5, 6))
     plain = fit.robot.tips(u, replace(fit.deviations, terms=np.zeros_like(fit.deviations.terms)))
     np.testing.assert_allclose(fit.robot.tips(u, fit.deviations, ordinary(u)), plain, rtol=0, atol=1e-15)
-    found = tool_uncertainty(uncertainty_of(fit), u)
+    found = tool_uncertainty(machine_of(fit), u)
     assert np.isfinite(found.position).all()
 
 
 def test_targets_of_a_table_say_them(folder: tuple[Path, calib.Fit]) -> None:
     path, fit = folder
-    model = calib.load_model(path)
+    model = calib.load_machine(path)
     u = np.random.default_rng(1).uniform(-0.5, 0.5, (4, 6)) + np.array([0.0, 0.0, 1.0, 0.0, 1.5, 0.0])
     columns: dict[str, object] = {f"{r.name} [rad]": u[:, k] for k, r in enumerate(fit.robot.readings)}
     said = columns | {"direction": ["+", "-", "-", "+"], "temperature [degC]": [20.0, 25.0, 30.0, 35.0]}

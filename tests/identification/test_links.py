@@ -10,14 +10,15 @@ import pytest
 
 import calib
 from calib.assessment.choice import Candidate, candidates, choose_terms
-from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
 from calib.compensation.commands import for_joint_targets
 from calib.compensation.controllers.ros import export_ros
-from calib.compensation.model_file import model_json
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
+from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.robot.conditions import Conditions
 from calib.robot.gravity import Payload
 from calib.robot.sources import resolve
@@ -245,9 +246,9 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(tmp_path: Path) ->
         fit = calib.identify(model, lab.measure())
         folder = tmp_path / name
         folder.mkdir()
-        (folder / "model.json").write_text(model_json(fit), encoding="utf-8")
+        (folder / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
         (folder / "nominal.urdf").write_bytes(fit.robot.urdf.source)
-        again = calib.load_model(folder)
+        again = calib.load_machine(folder)
         assert again.robot.terms == fit.robot.terms
         u = lab.rng.uniform(-0.5, 0.5, (30, 6)) + np.array([0.0, 0.0, 1.2, 0.0, 1.5, 0.0])
         told = Conditions(temperature=lab.rng.uniform(10.0, 40.0, 30))
@@ -256,7 +257,7 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(tmp_path: Path) ->
         found = for_joint_targets(again, u, conditions=told)
         assert found.reached.all(), found.reasons
         np.testing.assert_allclose(again.tips(found.readings, told), again.robot.tips(u), rtol=0, atol=2e-6)
-        assert np.isfinite(tool_uncertainty(uncertainty_of(fit), u).position).all()
+        assert np.isfinite(tool_uncertainty(machine_of(fit), u).position).all()
         exported = export_ros(again).text
         terms = json.loads((folder / "model.json").read_text())["terms"]
         assert all(term["kind"] in exported for term in terms)

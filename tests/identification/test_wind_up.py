@@ -12,10 +12,11 @@ import pytest
 import calib
 from calib.assessment.choice import Candidate, choose_terms
 from calib.compensation.commands import for_joint_targets
-from calib.compensation.model_file import model_json
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
 from calib.robot.gravity import Payload
 from calib.robot.transmission import JointTerm
 
@@ -132,9 +133,9 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
     fit = calib.identify(
         calib.error_model(loaded, offsets="all", elastic="all"), measurements(loaded, np.degrees(u), positions)
     )
-    (tmp_path / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (tmp_path / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(URDF.read_bytes())
-    model = calib.load_model(tmp_path)
+    model = calib.load_machine(tmp_path)
     np.testing.assert_allclose(model.tips(u), fit.robot.tips(u, fit.deviations), rtol=0, atol=1e-13)
     assert json.loads((tmp_path / "model.json").read_text())["payload"] == {"mass": 8.0, "position": [0.0, 0.1, 0.2]}
     found = for_joint_targets(model, u)

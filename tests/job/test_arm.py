@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import calib
-from calib.compensation.grid import grid_from_residuals
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations.errors import MeasurementError
 from calib.job.arm import Arm, read_arm, touched
 from calib.job.inputs import load
 from calib.job.read import read_job
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.grid import grid_from_residuals
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
 from calib.robot.joint_terms import with_joint_terms
@@ -71,7 +71,7 @@ def test_folder_of_results_as_the_arm(folder: Path) -> None:
     """The arm CMM, calibrated by its own job with a tracker, touches: what its model predicts is what counts."""
     arm = folder.parent / "arm"
     assert run("calibrate", ARM_CASE / JOB, "-o", arm).code == 0
-    model = calib.load_model(arm)
+    model = calib.load_machine(arm)
     readings = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 6))
     lines = [", ".join([*(f"joint_{k} [rad]" for k in range(1, 7)), "tilt [rad]", "rotary [rad]"])]
     lines += [", ".join(map(repr, [*map(float, row), float(row[0]), float(row[1])])) for row in readings]
@@ -100,7 +100,7 @@ def test_residual_grid_of_the_arm_counts() -> None:
     errors = rng.normal(scale=1e-3, size=(9, 3))
     grid = grid_from_residuals(readings, errors, robot.readings, ["joint_1", "joint_2"], "base")
     base = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
-    model = CalibratedModel(robot, robot.no_deviations(), base, {}, None)
+    model = CalibratedMachine(robot, robot.no_deviations(), base, {}, None)
     plain = Arm(model, np.zeros(3), 1e-4, {}, ())
     bent = replace(plain, model=replace(model, residual_model=grid))
     assert np.abs(bent.points(readings) - plain.points(readings) - errors).max() < 1e-12
@@ -117,7 +117,7 @@ def test_backlash_and_a_grid_of_the_arm_count_in_its_table(folder: Path) -> None
         np.column_stack([nodes, np.zeros((9, 4))]), errors, robot.readings, ["joint_1", "joint_2"], "base"
     )
     point = np.array([0.0, 0.0, 0.2])
-    arm = Arm(CalibratedModel(robot, amounts, np.eye(4), {}, grid), point, 1e-4, {}, ())
+    arm = Arm(CalibratedMachine(robot, amounts, np.eye(4), {}, grid), point, 1e-4, {}, ())
     positioner = calib.load_robot(CASE / "positioner.urdf", "table")
     rows = [row for row in (folder / TABLE).read_text(encoding="utf-8").splitlines() if not row.startswith("#")]
     path = folder / "sides.csv"

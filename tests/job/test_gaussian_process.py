@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import calib
-from calib.compensation.gaussian import GaussianResiduals
 from calib.foundations.errors import JobError
 from calib.job.inputs import load
 from calib.job.results import steps_after_loading, write_results
 from calib.job.run import Outcome, run
+from calib.machine.gaussian import GaussianResiduals
 from tests.job import cases
 
 IRB = Path(__file__).parents[2] / "robots" / "irb2400"
@@ -62,7 +62,7 @@ def test_it_is_learnt_from_the_nodes(kept: tuple[Outcome, Path]) -> None:
 def test_the_model_read_back_predicts_with_it(kept: tuple[Outcome, Path]) -> None:
     outcome, out = kept
     assert json.loads((out / "model.json").read_text())["residual_model"] == "gaussian.npz"
-    model = calib.load_model(out)
+    model = calib.load_machine(out)
     (judged,) = [judged for judged in outcome.sets if judged.use == "validation"]
     predicted = model.predict(judged.data.readings)[:, :3, 3]
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)
@@ -101,7 +101,7 @@ def test_an_arm_without_anything_unexplained_gets_none(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "gaussian.npz").exists()
     assert sentence in json.loads((tmp_path / "out" / "result.json").read_text())["findings"]
     assert sentence.split(":")[0] in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
-    assert calib.load_model(tmp_path / "out").residual_model is None
+    assert calib.load_machine(tmp_path / "out").residual_model is None
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_every_level_is_better_than_the_one_before(outcome: Outcome) -> None:
 
 
 def test_the_model_read_back_predicts_with_the_grid(outcome: Outcome, out: Path) -> None:
-    model = calib.load_model(out)
+    model = calib.load_machine(out)
     (judged,) = [judged for judged in outcome.sets if judged.use == "validation"]
     predicted = model.predict(judged.data.readings)[:, :3, 3]
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)

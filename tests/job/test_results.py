@@ -151,7 +151,7 @@ def tip_by_yourdfpy(robot: yourdfpy.URDF, tip: str, names: list[str], readings: 
 
 
 def compare_at_the_tip(out: Path) -> None:
-    model = calib.load_model(out)
+    model = calib.load_machine(out)
     names = [reading.name for reading in model.robot.readings]
     readings = np.random.default_rng(3).uniform(-2.5, 2.5, (100, len(names)))
     robot = yourdfpy.URDF.load(str(out / "calibrated.urdf"), load_meshes=False)

@@ -56,7 +56,7 @@ def test_harmonics_come_near_the_floor(given: tuple[Outcome, Path], chosen: tupl
 @pytest.mark.parametrize("which", ["given", "chosen"])
 def test_the_model_read_back_predicts_with_the_terms(which: str, request: pytest.FixtureRequest) -> None:
     outcome, out = request.getfixturevalue(which)
-    model = calib.load_model(out)
+    model = calib.load_machine(out)
     assert model.robot.terms == outcome.fit.robot.terms
     assert len(model.robot.terms) > 10
     judged = outcome.sets[-1]

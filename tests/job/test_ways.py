@@ -14,7 +14,7 @@ def test_dh_parameters_come_back_as_a_table(tmp_path: Path) -> None:
     job = copy_case(tmp_path / "job")
     edit("calibration.toml", ('offsets = "all"\n', ""), ('placements = "all"', 'dh = "all"'))(job.parent)
     assert run("calibrate", job, "-o", tmp_path / "out", "-q") == (0, "", "")
-    model = calib.load_model(tmp_path / "out")
+    model = calib.load_machine(tmp_path / "out")
     table = calib.dh.read_dh(tmp_path / "out" / "calibrated_dh.csv")
     assert run("dh", tmp_path / "out" / "calibrated_dh.csv", "-o", tmp_path / "again.urdf") == (0, "", "")
     again = calib.load_robot(tmp_path / "again.urdf")
@@ -91,7 +91,7 @@ def test_commands_are_corrected(tmp_path: Path) -> None:
     assert said.code == 0
     assert said.out.startswith("1 targets, all can be reached.")
     robot = calib.load_robot(CASE / "arm_cmm.urdf")
-    model = calib.load_model(tmp_path / "out")
+    model = calib.load_machine(tmp_path / "out")
     row = (tmp_path / "corrected.csv").read_text().splitlines()[1].split(",")
     corrected = np.radians(np.array(row[:6], dtype=float))
     wanted = robot.tips(np.radians([[5.0, 40.0, 40.0, -60.0, 60.0, 50.0]])) @ model.tools["tool"]

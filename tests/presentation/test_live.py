@@ -18,10 +18,10 @@ import numpy as np
 import psutil
 import pytest
 
-from calib.compensation.model_file import load_model
 from calib.job.inputs import load
 from calib.job.results import write_results
 from calib.job.run import run as identify
+from calib.machine.model_file import load_machine
 from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
 from scripts.browser import CHROMIUM, browser
@@ -117,7 +117,7 @@ def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Po
 
     hello, told = asyncio.run(talk())
     assert [r["name"] for r in hello["readings"]] == [f"joint_{k}" for k in range(1, 7)]
-    model = load_model(out)
+    model = load_machine(out)
     u = np.radians([[10.0, 20.0, -5.0, 0.0, 30.0, 0.0]])
     arm = arm_of(model.robot, model.deviations, u, np.eye(4))
     np.testing.assert_allclose(told["positions"]["robot"], arm.positions[0], atol=1e-12)
@@ -126,7 +126,7 @@ def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Po
 
 
 def test_questions_without_sense_are_answered_in_words(results: Path) -> None:
-    model = load_model(results)
+    model = load_machine(results)
     good = {"readings": [0.0] * 6, "apart": 1.0}
     assert "positions" in answer(model, json.dumps(good))
     for changes in (
@@ -227,7 +227,7 @@ def test_a_person_moves_a_joint_and_sees_new_results(server: tuple[subprocess.Po
             "(s => { s.value = 40; s.dispatchEvent(new Event('input')); })(document.querySelector('#live input')), true"
         )
         page.wait_for("document.getElementById('said').innerText.includes('mm apart')")
-        model = load_model(out)
+        model = load_machine(out)
         expected = model.tips(np.radians([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))[0, :3, 3]
         np.testing.assert_allclose(page.evaluate(tip), expected, atol=1e-6)
         assert np.linalg.norm(expected - before) > 0.1

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.compensation import commands
-from calib.compensation.urdf import calibrated_urdf
+from calib.machine.urdf import calibrated_urdf
 from calib.robot.sampling import joint_limits
 from tests.compensation.test_commands import apart, well_posed
 from tests.identification import machines
@@ -82,7 +82,7 @@ def test_columns_of_the_jacobian_match_central_differences(text: str, observes: 
 @given(arms(least=6), seeds)
 def test_commands_take_the_calibrated_machine_where_the_nominal_one_would_be(text: str, rng: Rng) -> None:
     robot = machines.load(text, "tip")
-    model = calib.CalibratedModel(
+    model = calib.CalibratedMachine(
         robot, deviations(robot, rng, 5e-4), np.eye(4), {"tool": machines.pose((0, 0.1, 0.1))}
     )
     low, high = joint_limits(robot).T

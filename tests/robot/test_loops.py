@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.compensation.model_file import model_json
-from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.errors import PoseError, RobotError
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
+from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.sampling import closing, random_readings
@@ -537,9 +538,9 @@ def test_a_model_file_with_loops_and_couplings_predicts_the_same(name: str, tmp_
     model = calib.error_model(robot, offsets="all", base="fixed", tool="fixed")
     fit = calib.identify(model, data)
 
-    (tmp_path / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (tmp_path / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(robot.urdf.source)
-    again = calib.load_model(tmp_path)
+    again = calib.load_machine(tmp_path)
     assert again.robot.closed_loops == robot.closed_loops
     assert again.robot.couplings == robot.couplings
     np.testing.assert_allclose(again.predict(readings), machines.predicted(fit, readings), atol=1e-13)

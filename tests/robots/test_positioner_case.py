@@ -90,7 +90,7 @@ def test_positioner_is_nearly_the_scripts_one(simulation: ModuleType) -> None:
 
 
 def test_calibration_finds_the_axes(results: Path, simulation: ModuleType) -> None:
-    model = calib.load_model(results)
+    model = calib.load_machine(results)
     rng = np.random.default_rng(1)
     q = np.column_stack([rng.uniform(-90, 90, 300), rng.uniform(-180, 180, 300)])
     s = np.column_stack([rng.uniform(-500, 500, (300, 2)), rng.uniform(0, 300, 300)])
@@ -115,7 +115,7 @@ def test_five_points_of_the_table_agree(results: Path) -> None:
     P = [first[pose] for pose in ((0, 0), (0, 60), (0, -60), (90, 0), (-90, 0))]
     found = positioner.five_point(*P, angles=np.radians([60, -60, 90, -90]).tolist())
     assert not found.findings
-    model = calib.load_model(results)
+    model = calib.load_machine(results)
     T = model.base @ model.tips(np.radians([[50.0, -100.0], [0.0, 0.0]]))
     carried = T[0] @ np.linalg.inv(T[1])
     assert (
@@ -127,7 +127,7 @@ def test_cell_has_both_machines_at_the_calibrated_place(results: Path, tmp_path:
     cell, scene = tmp_path / "cell.urdf", tmp_path / "cell.html"
     said = run("cell", CASE / "welder.urdf", results, "-o", cell, "--scene", scene)
     assert (said.code, said.err) == (0, "")
-    model = calib.load_model(results)
+    model = calib.load_machine(results)
     both, alone = (yourdfpy.URDF.load(str(path)) for path in (cell, CASE / "welder.urdf"))
     rng = np.random.default_rng(2)
     for q, a in zip(rng.uniform(-1.5, 1.5, (5, 2)), rng.uniform(-1.5, 1.5, (5, 6)), strict=True):

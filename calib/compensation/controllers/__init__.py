@@ -1,6 +1,6 @@
 """What controllers and other programs take of a calibrated machine, each reloaded and compared before it is handed out.
 
-    model = calib.load_model("out/")
+    model = calib.load_machine("out/")
     found = controllers.export_ur(model)        # or export_offsets, export_dh, export_ros
     found.text, found.lost, found.left_out
 

@@ -3,17 +3,17 @@
 import numpy as np
 
 from calib.compensation.controllers.export import Export, exported, plain_tips, poses
-from calib.compensation.model_file import CalibratedModel
-from calib.compensation.urdf import calibrated_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.urdf import calibrated_urdf
 from calib.robot import dh
 from calib.robot.dh.table import DhTable
 from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
 
 
-def export_dh(model: CalibratedModel, table: DhTable | None = None) -> Export:
+def export_dh(model: CalibratedMachine, table: DhTable | None = None) -> Export:
     """Return a DH table (CSV) of the calibrated machine, offsets included in theta and d.
 
     ``table``: the corrected one where DH parameters were free; by default that of the calibrated URDF. Raises

@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from calib.compensation.model_file import CalibratedModel
-from calib.compensation.urdf import lost_in_urdf
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.urdf import lost_in_urdf
 from calib.robot.conditions import ordinary
 from calib.robot.sampling import random_readings
 
@@ -52,22 +52,22 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
-def poses(model: CalibratedModel) -> Array:
+def poses(model: CalibratedMachine) -> Array:
     """Return random readings (500, nr) of the identified range, always the same, at which exports are judged."""
     limits = None if model.uncertainty is None else model.uncertainty.identified
     plain = replace(model.deviations, terms=np.zeros_like(model.deviations.terms))
     return random_readings(model.robot, _POSES, limits, (None, plain))
 
 
-def whole_positions(model: CalibratedModel, readings: Array) -> Array:
+def whole_positions(model: CalibratedMachine, readings: Array) -> Array:
     """Return the positions (N, 3) in m of the tip in the base link: joint terms and residual grid included.
 
     Reached from neither side, at 20 degC, with no torques measured.
     """
-    return np.asarray(model.placements(readings, ordinary(readings))[:, :3, 3])
+    return np.asarray(model.tips(readings, ordinary(readings))[:, :3, 3])
 
 
-def plain_tips(model: CalibratedModel, readings: Array) -> Array:
+def plain_tips(model: CalibratedMachine, readings: Array) -> Array:
     """Return the tips (N, 4, 4) in the base link of placements and offsets alone, at readings (N, nr)."""
     return model.robot.tips(readings, replace(model.deviations, terms=np.zeros_like(model.deviations.terms)))
 
@@ -78,7 +78,7 @@ def rms(a: Array, b: Array) -> float:
 
 
 def exported(
-    model: CalibratedModel,
+    model: CalibratedMachine,
     text: str,
     read_back: Callable[[Array], Array],
     expected: Array,
@@ -102,10 +102,10 @@ def exported(
     return Export(text, rms(nominal, whole), rms(tips[:, :3, 3], whole), (*more, *left))
 
 
-def _parts(model: CalibratedModel, readings: Array) -> list[LeftOut]:
+def _parts(model: CalibratedMachine, readings: Array) -> list[LeftOut]:
     """Return the parts that this calibration has, each with the distance that it makes at the tip."""
     robot, d, conditions = model.robot, model.deviations, ordinary(readings)
-    tips = model.tips(readings, conditions)
+    tips = robot.tips(readings, d, conditions)
     found: list[LeftOut] = []
     if d.placements.any():
         without = robot.tips(readings, replace(d, placements=np.zeros_like(d.placements)), conditions)

@@ -12,16 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from calib.compensation.controllers.export import Export, LeftOut, exported, poses, rms, whole_positions
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.units import UNITS
+from calib.machine.calibrated import CalibratedMachine
 from calib.robot.robot import Deviations
 
 _HEADER = ("joint", "offset [deg]", "offset [mm]")
 
 
-def export_offsets(model: CalibratedModel) -> Export:
+def export_offsets(model: CalibratedMachine) -> Export:
     """Return the table of the offsets of all joints that are read: ``joint``, ``offset [deg]`` or ``offset [mm]``.
 
     Comments above the header tell the sense, and how far the tip is off with no correction and with this one. Offsets
@@ -66,7 +66,7 @@ def read_offsets(table: str) -> Mapping[str, float]:
     }
 
 
-def _offsets_alone(model: CalibratedModel, offsets: Array) -> Deviations:
+def _offsets_alone(model: CalibratedMachine, offsets: Array) -> Deviations:
     d = model.deviations
     return replace(
         d,

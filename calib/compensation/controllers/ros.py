@@ -6,9 +6,9 @@ import numpy as np
 
 from calib.compensation.controllers.export import Export, exported, poses
 from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
-from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import ordinary
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations
@@ -21,7 +21,7 @@ _COMMENTS = """\
 """
 
 
-def export_ros(model: CalibratedModel) -> Export:
+def export_ros(model: CalibratedMachine) -> Export:
     """Return YAML: joints with offsets, joint terms (kind, order, amount, unit), base and tool frames.
 
     ``calibration.joints``: names of the moving joints and offsets in rad or m; ``base``: the base link in the

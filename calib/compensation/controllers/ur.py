@@ -17,12 +17,12 @@ import numpy as np
 
 from calib.compensation.controllers.export import Export, LeftOut, exported, plain_tips, poses, rms
 from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
-from calib.compensation.model_file import CalibratedModel
-from calib.compensation.urdf import calibrated_urdf
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
 from calib.foundations.files import sha256
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, parse_urdf
@@ -47,7 +47,7 @@ _SAME_AXIS = 0.1
 _SAME_TOOL = 1e-6
 
 
-def export_ur(model: CalibratedModel) -> Export:
+def export_ur(model: CalibratedMachine) -> Export:
     """Return the YAML for ``kinematics_params`` of a calibrated arm of Universal Robots.
 
     Raises OutputError for any other arm.

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from calib.assessment.uncertainty import NoiseLevel, Uncertainty, placed_machine
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
-from calib.identification.machine import Frames, Layout
-from calib.robot.robot import Deviations, Robot
+from calib.identification.machine import Layout
+from calib.machine.uncertainty import NoiseLevel, Uncertainty
+from calib.robot.robot import Robot
 
 UNCERTAINTY_FILE = "uncertainty.json"
 
@@ -56,7 +56,7 @@ class NoiseEntry(_Strict):
 
 
 class UncertaintyFile(_Strict):
-    """Schema 1 of ``uncertainty.json``: as :class:`calib.assessment.uncertainty.Uncertainty`, in m and rad.
+    """Schema 1 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
     Rows of ``factor`` and ``unseen``: six deviations of every joint of model.json, the offsets of those that move,
     then x, y, z, rx, ry, rz of the base and of every tool.
@@ -70,9 +70,9 @@ class UncertaintyFile(_Strict):
     unseen: tuple[tuple[_Number, ...], ...]
 
 
-def uncertainty_json(uncertainty: Uncertainty) -> str:
+def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
     """Return ``uncertainty.json`` as text, one line for every row of the matrices."""
-    names = [reading.name for reading in uncertainty.robot.readings]
+    names = [reading.name for reading in robot.readings]
     ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
     entries = {
         "schema": 1,
@@ -92,24 +92,22 @@ def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
     return None if entry is None else entry.model_dump()
 
 
-def load_uncertainty(
-    path: Path, robot: Robot, deviations: Deviations, frames: Frames, tools: tuple[str, ...]
-) -> Uncertainty:
-    """Read the doubts about the machine of ``model.json``. Raises OutputError when the file does not belong to it."""
+def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
+    """Read the uncertainty of the machine of ``model.json``, which has so many tools.
+
+    Raises OutputError when the file does not belong to it.
+    """
     try:
         found = UncertaintyFile.model_validate_json(read_bytes(path, OutputError, LARGEST_JSON))
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
-    size = Layout(robot).tools + 6 * len(tools)
+    size = Layout(robot, tools).size
     names = [reading.name for reading in robot.readings]
     factor, unseen = (_matrix(rows) for rows in (found.factor, found.unseen))
     if list(found.identified) != names or factor is None or unseen is None or not len(factor) == len(unseen) == size:
         raise OutputError(f"{path}: is not of the machine in model.json.")
     return Uncertainty(
-        robot,
-        placed_machine(deviations, frames),
-        tools,
         factor,
         unseen,
         None if found.position is None else found.position.level,

@@ -9,19 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.uncertainty import (
-    common_errors,
-    outside_identified,
-    squared_bound,
-    tool_uncertainty,
-    uncertainty_map,
-    uncertainty_of,
-)
-from calib.compensation.model_file import model_json
-from calib.compensation.uncertainty_file import uncertainty_json
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
+from calib.machine.tool_uncertainty import common_errors, outside_identified, tool_uncertainty, uncertainty_map
+from calib.machine.uncertainty import squared_bound
+from calib.machine.uncertainty_file import uncertainty_json
 from calib.robot.sampling import joint_limits
 from tests.identification import machines
 from tests.identification.machines import Array, Machine, anywhere, pose
@@ -79,7 +74,7 @@ def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
 ) -> None:
     fit, _, arm = fitted(name, **options)
     readings = arm.draw(np.random.default_rng(5), 6)
-    found = tool_uncertainty(uncertainty_of(fit), readings)
+    found = tool_uncertainty(machine_of(fit), readings)
     J, s = by_differences(fit, readings), scales(fit.parameters)
     expected = J @ (fit.covariance / (s[:, None] * s)) @ np.swapaxes(J, 1, 2)
     np.testing.assert_allclose(found.covariance, expected, rtol=2e-4, atol=1e-6 * np.abs(expected).max())
@@ -90,9 +85,7 @@ def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
 
 def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
     readings = machines.arm(*UR10).draw(np.random.default_rng(1), 20)
-    by_position, by_pose = (
-        tool_uncertainty(uncertainty_of(fitted(observes=o)[0]), readings) for o in ("position", "pose")
-    )
+    by_position, by_pose = (tool_uncertainty(machine_of(fitted(observes=o)[0]), readings) for o in ("position", "pose"))
     assert by_position.seen[:, 0].all()
     assert not by_position.seen[:, 1].any()
     assert by_pose.seen.all()
@@ -100,7 +93,7 @@ def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
 
 def test_base_and_tool_can_be_left_out() -> None:
     fit, *_ = fitted(offsets=["elbow_joint"], placements="none")
-    u, readings = uncertainty_of(fit), np.full((1, 6), 0.3)
+    u, readings = machine_of(fit), np.full((1, 6), 0.3)
     whole, arm, alone = (
         tool_uncertainty(u, readings, **options)
         for options in ({}, {"base": False}, {"base": False, "tool_pose": False})
@@ -127,7 +120,7 @@ def test_moving_the_world_and_the_rows_changes_nothing() -> None:
         np.random.default_rng(9).permutation(80)
     )
     other = calib.identify(fit.model, moved)
-    here, there = (tool_uncertainty(uncertainty_of(f), readings) for f in (fit, other))
+    here, there = (tool_uncertainty(machine_of(f), readings) for f in (fit, other))
     np.testing.assert_allclose(there.position, here.position, rtol=1e-5)
     turned = T[:3, :3] @ here.covariance[:, :3, :3] @ T[:3, :3].T
     np.testing.assert_allclose(there.covariance[:, :3, :3], turned, rtol=1e-3, atol=1e-4 * np.abs(turned).max())
@@ -135,9 +128,9 @@ def test_moving_the_world_and_the_rows_changes_nothing() -> None:
 
 def test_errors_common_to_rows_are_those_of_single_rows() -> None:
     fit, *_ = fitted()
-    u, (data,) = uncertainty_of(fit), fit.measurements
+    u, (data,) = machine_of(fit), fit.measurements
     F = common_errors(u, data)
-    assert F.shape == (80, 3, u.factor.shape[1])
+    assert F.shape == (80, 3, u.known_uncertainty.factor.shape[1])
     one = tool_uncertainty(u, data.readings[:3]).covariance[:, :3, :3]
     np.testing.assert_allclose(F[:3] @ np.swapaxes(F[:3], 1, 2), one, rtol=1e-9)
 
@@ -149,7 +142,7 @@ def test_bounds_of_regions() -> None:
 
 def test_map_over_the_workspace_tells_how_far_it_is() -> None:
     fit, _, _ = fitted()
-    u = uncertainty_of(fit)
+    u = machine_of(fit)
     steps: list[tuple[int, int]] = []
     found = uncertainty_map(u, 1100, progress=lambda done, of: steps.append((done, of)))
     assert steps[-1] == (1100, 1100)
@@ -162,7 +155,7 @@ def test_map_over_the_workspace_tells_how_far_it_is() -> None:
 
 
 def test_unknown_tools_and_wrong_readings_are_refused() -> None:
-    u = uncertainty_of(fitted(offsets=["elbow_joint"], placements="none")[0])
+    u = machine_of(fitted(offsets=["elbow_joint"], placements="none")[0])
     with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated tools are 'tool'\."):
         tool_uncertainty(u, np.zeros((1, 6)), "ball")
     with pytest.raises(
@@ -175,8 +168,8 @@ def test_unknown_tools_and_wrong_readings_are_refused() -> None:
 
 
 def test_outside_the_identified_range_is_one_sentence_a_joint() -> None:
-    u = uncertainty_of(fitted(offsets=["elbow_joint"], placements="none")[0])
-    u = replace(u, identified=np.array([[-1.0, 1.0]] * 6))
+    u = machine_of(fitted(offsets=["elbow_joint"], placements="none")[0])
+    u = replace(u, uncertainty=replace(u.known_uncertainty, identified=np.array([[-1.0, 1.0]] * 6)))
     inside = np.array([[1.05, -1.05, 0.0, 2 * np.pi, 0.5 - 2 * np.pi, -0.2]])
     assert outside_identified(u, inside) == ()
     outside = np.repeat(inside, 2, axis=0)
@@ -192,29 +185,31 @@ def test_outside_the_identified_range_is_one_sentence_a_joint() -> None:
 
 def written(fit: calib.Fit, folder: Path) -> Path:
     (folder / "nominal.urdf").write_bytes(fit.robot.urdf.source)
-    (folder / "model.json").write_text(model_json(fit), encoding="utf-8")
-    (folder / "uncertainty.json").write_text(uncertainty_json(uncertainty_of(fit)), encoding="utf-8")
+    (folder / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
+    machine = machine_of(fit)
+    contents = uncertainty_json(machine.known_uncertainty, machine.robot)
+    (folder / "uncertainty.json").write_text(contents, encoding="utf-8")
     return folder
 
 
 @pytest.mark.parametrize("options", [{}, {"offsets": "none", "placements": "none", "dh": "all"}], ids=["urdf", "dh"])
 def test_the_file_gives_back_what_the_fit_knows(tmp_path: Path, options: dict[str, object]) -> None:
     fit, _, arm = fitted(**options)
-    model = calib.load_model(written(fit, tmp_path))
+    model = calib.load_machine(written(fit, tmp_path))
     assert model.uncertainty is not None
     readings = arm.draw(np.random.default_rng(2), 10)
-    here, there = (tool_uncertainty(u, readings) for u in (uncertainty_of(fit), model.uncertainty))
+    here, there = (tool_uncertainty(u, readings) for u in (machine_of(fit), model))
     np.testing.assert_allclose(there.covariance, here.covariance, rtol=1e-9, atol=1e-9 * np.abs(here.covariance).max())
     np.testing.assert_allclose(there.unseen, here.unseen, rtol=1e-6, atol=1e-12)
-    assert model.uncertainty.position == uncertainty_of(fit).position
+    assert model.uncertainty.position == machine_of(fit).known_uncertainty.position
     assert model.uncertainty.orientation is None
-    np.testing.assert_array_equal(model.uncertainty.identified, uncertainty_of(fit).identified)
+    np.testing.assert_array_equal(model.uncertainty.identified, machine_of(fit).known_uncertainty.identified)
 
 
 def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> None:
     folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
     (folder / "uncertainty.json").unlink()
-    assert calib.load_model(folder).uncertainty is None
+    assert calib.load_machine(folder).uncertainty is None
 
 
 def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> None:
@@ -222,7 +217,7 @@ def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> No
     (folder / "uncertainty.json").unlink()
     (folder / "uncertainty.json").mkdir()
     with pytest.raises(OutputError, match=r"uncertainty.json: is not a regular file\.$"):
-        calib.load_model(folder)
+        calib.load_machine(folder)
 
 
 @pytest.mark.parametrize(
@@ -252,5 +247,5 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path, change: object, why
     change(contents)  # type: ignore[operator]
     (folder / "uncertainty.json").write_text(json.dumps(contents))
     with pytest.raises(OutputError) as caught:
-        calib.load_model(folder)
+        calib.load_machine(folder)
     assert str(caught.value) == f"{folder / 'uncertainty.json'}: {why}."

@@ -2,8 +2,6 @@
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -19,19 +17,18 @@ from pydantic import (
     model_validator,
 )
 
-from calib.assessment.uncertainty import Uncertainty, shifted
-from calib.compensation.gaussian import GaussianResiduals, load_gaussian
-from calib.compensation.grid import SectorGrid, load_grid
-from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, parse_json
-from calib.identification.fit import Fit
-from calib.identification.machine import Frames
-from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
+from calib.machine.grid import SectorGrid, grid_bytes, load_grid
+from calib.machine.residual_model import ResidualModel
+from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
+from calib.machine.urdf import calibrated_urdf
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import is_term_of, with_joint_terms
 from calib.robot.load import load_robot
@@ -41,6 +38,7 @@ from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
+CALIBRATED_FILE = "calibrated.urdf"
 GRID_FILE: Final = "grid.npz"
 GAUSSIAN_FILE: Final = "gaussian.npz"
 
@@ -178,55 +176,16 @@ class ModelFile(_Strict):
     payload: PayloadEntry | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibratedModel:
-    """A calibrated machine read back from its folder. Made by :func:`load_model`.
-
-    ``base`` (4, 4): the robot's base in the instrument's frame; ``tools``: poses (4, 4) in the tip link, by name.
-    ``residual_model``: errors of tool positions that the rest leaves, over joint space, or None. ``uncertainty``: how
-    sure all of it is, for :func:`calib.tool_uncertainty`, or None where the folder does not say.
-    """
-
-    robot: Robot
-    deviations: Deviations
-    base: Array
-    tools: Mapping[str, Array]
-    residual_model: SectorGrid | GaussianResiduals | None = None
-    uncertainty: Uncertainty | None = None
-
-    def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
-
-        Without the residual model. Raises RobotError for a joint term that needs ``conditions`` which are not given.
-        """
-        return self.robot.tips(readings, self.deviations, conditions)
-
-    def placements(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return the placements (N, 4, 4) of the tip link in the base link, positions shifted by the residual model.
-
-        Where it knows nothing, it adds nothing. Raises as :meth:`tips` does.
-        """
-        tips = self.tips(readings, conditions)
-        return tips if self.residual_model is None else shifted(self.residual_model, tips, readings)
-
-    def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
-
-        With the residual model, as :meth:`placements`.
-        """
-        return np.asarray(self.base @ self.placements(readings, conditions) @ self.tools[tool])
-
-
-def residual_file(known: SectorGrid | GaussianResiduals | None) -> ResidualFile | None:
+def residual_file(known: ResidualModel | None) -> ResidualFile | None:
     """Return the name of the file that holds a residual model beside ``model.json``."""
     if known is None:
         return None
     return GRID_FILE if isinstance(known, SectorGrid) else GAUSSIAN_FILE
 
 
-def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
-    """Return the contents of ``model.json`` for a fit; ``residuals``: the residual model that lies beside it."""
-    robot, machine, deviations = fit.robot, fit.machine, fit.deviations
+def model_file(machine: CalibratedMachine) -> ModelFile:
+    """Return the contents of ``model.json`` of a machine."""
+    robot, deviations = machine.robot, machine.deviations
     offsets = iter(map(float, deviations.offsets))
     joints = tuple(
         JointEntry(
@@ -237,7 +196,6 @@ def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
         )
         for joint, d in zip(robot.chain, deviations.placements, strict=True)
     )
-    tools = dict(zip(fit.measurements[0].tools, map(PoseEntry.of, machine.frames.tools), strict=True))
     return ModelFile(
         schema=1,
         urdf=NOMINAL_FILE,
@@ -245,9 +203,9 @@ def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
         tip=robot.tip,
         joints=joints,
         transmission=_transmission(robot),
-        base=PoseEntry.of(machine.frames.base),
-        tools=tools,
-        residual_model=residuals,
+        base=PoseEntry.of(machine.base),
+        tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
+        residual_model=residual_file(machine.residual_model),
         couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
         loops=tuple(
             LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
@@ -278,8 +236,10 @@ def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:
     )
 
 
-def load_model(folder: str | Path) -> CalibratedModel:
-    """Read the calibrated machine from the folder that ``calib calibrate`` wrote.
+def load_machine(folder: str | Path) -> CalibratedMachine:
+    """Read the calibrated machine from the folder that ``calib calibrate`` or :func:`calib.save` wrote.
+
+        machine = calib.load_machine("results")
 
     Raises OutputError when the folder holds no readable model.
     """
@@ -288,7 +248,7 @@ def load_model(folder: str | Path) -> CalibratedModel:
         return _loaded(folder)
 
 
-def _loaded(folder: Path) -> CalibratedModel:
+def _loaded(folder: Path) -> CalibratedMachine:
     path, urdf = folder / MODEL_FILE, folder / NOMINAL_FILE
     try:
         source = read_bytes(path, JobError, LARGEST_JSON)
@@ -322,15 +282,10 @@ def _loaded(folder: Path) -> CalibratedModel:
     )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
-    doubts = folder / UNCERTAINTY_FILE
-    known = os.path.lexists(doubts) and bool(tools)
-    frames = Frames(base, np.stack(list(tools.values()))) if known else None
+    path = folder / UNCERTAINTY_FILE
+    uncertainty = load_uncertainty(path, equipped, len(tools)) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    uncertainty = None
-    if frames is not None:
-        uncertainty = load_uncertainty(doubts, equipped, deviations, frames, tuple(tools))
-        uncertainty = replace(uncertainty, residual_model=residuals)
-    return CalibratedModel(equipped, deviations, base, tools, residuals, uncertainty)
+    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty)
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:
@@ -364,7 +319,32 @@ def _nonzero(names: list[str], row: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, row, strict=True) if value != 0.0}
 
 
-def model_json(fit: Fit, residuals: ResidualFile | None = None) -> str:
-    """Return ``model.json`` of a fit as text."""
-    contents: dict[str, Any] = model_file(fit, residuals).model_dump(by_alias=True)
+def model_json(machine: CalibratedMachine) -> str:
+    """Return ``model.json`` of a machine as text."""
+    contents: dict[str, Any] = model_file(machine).model_dump(by_alias=True)
     return json.dumps(contents, indent=2, allow_nan=False) + "\n"
+
+
+def machine_files(machine: CalibratedMachine) -> dict[str, bytes | str]:
+    """Return the files that hold a machine, by name: what :func:`load_machine` reads, and the calibrated URDF.
+
+    Raises OutputError when the URDF cannot hold the deviations.
+    """
+    robot, known = machine.robot, machine.residual_model
+    files: dict[str, bytes | str] = {
+        CALIBRATED_FILE: calibrated_urdf(robot, machine.deviations),
+        NOMINAL_FILE: robot.urdf.source,
+        MODEL_FILE: model_json(machine),
+    }
+    if machine.uncertainty is not None:
+        files[UNCERTAINTY_FILE] = uncertainty_json(machine.uncertainty, robot)
+    if isinstance(known, SectorGrid):
+        files[GRID_FILE] = grid_bytes(known)
+    elif isinstance(known, GaussianResiduals):
+        files[GAUSSIAN_FILE] = gaussian_bytes(known)
+    elif known is not None:
+        raise OutputError(
+            f"a residual model of the type {type(known).__name__} has no file; allowed are grids and "
+            "Gaussian processes of this toolkit."
+        )
+    return files

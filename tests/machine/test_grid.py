@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.compensation import grid
-from calib.compensation.grid import SectorGrid, grid_from_residuals, load_grid, save_grid
 from calib.foundations.errors import CalibError, JobError, MeasurementError, OutputError
+from calib.machine import grid
+from calib.machine.grid import SectorGrid, grid_from_residuals, load_grid, save_grid
 from calib.measurement.table import read_table
 from calib.robot.robot import Reading
 

@@ -18,13 +18,12 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
-from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
-from calib.compensation.grid import FRAMES, SCHEMA, Frame, axes_of, head_of
-from calib.compensation.npz import LARGEST_FILE, NotReadableError, arrays_of
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.foundations.linear import one_thread
+from calib.machine.grid import FRAMES, SCHEMA, Frame, axes_of, head_of
+from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
 
 Dimension = Literal["angle", "length"]
@@ -159,9 +158,9 @@ def gaussian_from_residuals(
         )
     if not errors.any():
         raise MeasurementError(f"{where}: all errors are zero, and leave nothing to be explained.")
-    points, errors = _in_order(readings[:, numbers], errors)
+    points, errors = in_row_order(readings[:, numbers], errors)
     with one_thread():
-        kernel = _likeliest(points, errors)
+        kernel = likeliest(points, errors)
         dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
         return _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
 
@@ -179,14 +178,14 @@ def _numbers(names: Sequence[str], joints: Sequence[str] | None, frame: str) -> 
     return sorted(names.index(name) for name in joints)
 
 
-def _in_order(points: Array, errors: Array) -> tuple[Array, Array]:
+def in_row_order(points: Array, errors: Array) -> tuple[Array, Array]:
     """Return rows in an order of their own, so that the one they came in is forgotten."""
     order = np.lexsort(np.column_stack([errors, points]).T)
     return points[order], errors[order]
 
 
-def _likeliest(points: Array, errors: Array) -> Kernel:
-    """Return the kernel of the largest marginal likelihood; scikit-learn's optimiser and its gradient."""
+def likeliest(points: Array, errors: Array) -> Kernel:
+    """Return the kernel of the largest marginal likelihood of errors (N, 3) in m at points (N, k)."""
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 - slow to load, and needed here alone
     from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel  # noqa: PLC0415
@@ -221,60 +220,6 @@ def _trained(
     return GaussianResiduals(
         readings, joints, read_only(points), read_only(errors), frame, kernel, read_only(factor), read_only(weights)
     )
-
-
-# ---- the guard
-
-
-class Bought(NamedTuple):
-    """Errors at rows held out, in m: as they are, and less what a process made of the other rows predicts."""
-
-    without: HeldOut
-    held_out: HeldOut
-
-    @property
-    def enters(self) -> bool:
-        """Whether they are smaller by more than one standard error."""
-        return one_standard_error([self.without, self.held_out]) == 1
-
-
-def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntArray) -> Bought:
-    """Return what a process brings, by grouped cross-validation of the rows that it was made of.
-
-    ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.groups`.
-    Amplitude, length scales and noise are not learnt anew for every fold: those with which the even folds are judged
-    come from the odd ones, and the other way round. Those of all rows would have seen what they are judged by, and
-    praise noise.
-
-    Raises MeasurementError when all rows are of one group.
-    """
-    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
-    points, fold = readings[:, list(known.joints)], folds(group)
-    left = np.empty_like(errors)
-    for half in (0, 1):
-        judged = fold % 2 == half
-        with one_thread():
-            kernel = _likeliest(*_in_order(points[~judged], errors[~judged]))
-        left[judged] = held_out_errors(kernel, points, errors, fold)[judged]
-    without, held = (np.sum(np.asarray(rows) ** 2, axis=1) for rows in (errors, left))
-    return Bought(held_out(without, group), held_out(held, group))
-
-
-def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray) -> Array:
-    """Return what is left (N, 3) of errors in m at points (N, k), less the prediction from rows of other folds.
-
-    Of one inverse: with K of all rows, what is left in fold f is ``(K^-1)_ff^-1 (K^-1 y)_f`` (5.10 to 5.12 of Rasmussen
-    and Williams, for more rows than one).
-    """
-    with one_thread():
-        covariance = kernel.of_rows(points)
-        inverse = cho_solve((cholesky(covariance, lower=True), True), np.eye(len(covariance)))
-        weights = inverse @ errors
-        left = np.empty_like(weights)
-        for k in range(int(fold.max()) + 1):
-            own = np.flatnonzero(fold == k)
-            left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weights[own])
-    return left
 
 
 # ---- files

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.compensation.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
+from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
 
 Frame = Literal["base", "tip"]

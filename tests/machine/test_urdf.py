@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.compensation import urdf as compensation
-from calib.compensation.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
 from calib.foundations.errors import OutputError
+from calib.machine import urdf as compensation
+from calib.machine.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
 from calib.robot.load import load_robot
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import parse_urdf

@@ -10,10 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
-from calib.compensation import commands, gaussian
-from calib.compensation.gaussian import GaussianResiduals, bought, gaussian_from_residuals, load_gaussian, save_gaussian
+from calib.assessment.gaussian_choice import bought, held_out_errors
+from calib.compensation import commands
 from calib.foundations import rigid
 from calib.foundations.errors import JobError, MeasurementError, OutputError
+from calib.machine import gaussian
+from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals, load_gaussian, save_gaussian
 from calib.robot.robot import Reading
 from tests.identification import machines
 
@@ -118,7 +120,7 @@ def test_named_joints_alone(known: GaussianResiduals) -> None:
 
 def test_held_out_rows_are_those_of_a_process_without_them(known: GaussianResiduals) -> None:
     fold = np.arange(len(ROWS)) % 4
-    left = gaussian.held_out_errors(known.kernel, ROWS, ERRORS, fold)
+    left = held_out_errors(known.kernel, ROWS, ERRORS, fold)
     for k in range(4):
         own = fold == k
         K = known.kernel.of_rows(ROWS[~own])
@@ -161,7 +163,7 @@ def test_commands_through_it_converge() -> None:
     known = gaussian_from_residuals(rows, field, robot.readings, [r.name for r in robot.readings[1:3]])
     deviations = calib.Deviations(rng.normal(scale=3e-4, size=(len(robot.chain), 6)), rng.normal(scale=1e-3, size=6))
     tool = rigid.placement(np.eye(3), np.array([0.03, 0.0, 0.1]))
-    model = calib.CalibratedModel(robot, deviations, machines.anywhere(rng), {"tool": tool}, known)
+    model = calib.CalibratedMachine(robot, deviations, machines.anywhere(rng), {"tool": tool}, known)
     wanted = np.array([0.0, -1.2, 1.0, 0.3, 0.9, 0.2]) + rng.uniform(-0.5, 0.5, (20, 6))
     found = commands.for_joint_targets(model, wanted)
     assert found.reached.all(), found.reasons

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.compensation.model_file import model_json
 from calib.foundations.errors import OutputError
+from calib.machine.calibrated import machine_of
+from calib.machine.model_file import model_json
 from tests.foundations.swaps import left
 from tests.identification import machines
 from tests.job.cases import tree
@@ -36,7 +37,7 @@ def fit() -> calib.Fit:
 @pytest.fixture(scope="module")
 def written(fit: calib.Fit, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    (folder / "model.json").write_text(model_json(fit), encoding="utf-8")
+    (folder / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
     (folder / "nominal.urdf").write_bytes(fit.model.robot.urdf.source)
     return folder
 
@@ -49,25 +50,25 @@ def folder(written: Path, tmp_path: Path) -> Path:
 
 
 def test_round_trip_is_the_fits_machine(fit: calib.Fit, written: Path) -> None:
-    model = calib.load_model(written)
+    model = calib.load_machine(written)
     readings = np.random.default_rng(8).uniform(-3.0, 3.0, (200, 6))
     for t, name in enumerate(fit.measurements[0].tools):
-        assert np.abs(model.predict(readings, name) - machines.predicted(fit, readings, t)).max() < 1e-13
+        assert np.abs(model.predict(readings, tool=name) - machines.predicted(fit, readings, t)).max() < 1e-13
     assert list(model.tools) == ["left", "right"]
     assert model.deviations.offsets.tolist() == fit.machine.deviations.offsets.tolist()
     assert model.deviations.placements.tolist() == fit.machine.deviations.placements.tolist()
 
 
 def test_prediction_is_the_measured_point(fit: calib.Fit, written: Path) -> None:
-    data, model = fit.measurements[0], calib.load_model(written)
+    data, model = fit.measurements[0], calib.load_machine(written)
     for t, name in enumerate(data.tools):
         rows = data.tool == t
-        assert np.abs(model.predict(data.readings[rows], name)[:, :3, 3] - data.position[rows]).max() < 1e-7
+        assert np.abs(model.predict(data.readings[rows], tool=name)[:, :3, 3] - data.position[rows]).max() < 1e-7
 
 
 def test_unknown_tool(written: Path) -> None:
-    with pytest.raises(KeyError):
-        calib.load_model(written).predict(np.zeros((1, 6)), "middle")
+    with pytest.raises(calib.MeasurementError, match=r"no tool 'middle'; the calibrated tools are 'left', 'right'"):
+        calib.load_machine(written).predict(np.zeros((1, 6)), tool="middle")
 
 
 def test_transmission_says_what_the_mimic_joint_does(written: Path) -> None:
@@ -82,26 +83,26 @@ def test_transmission_says_what_the_mimic_joint_does(written: Path) -> None:
 
 def test_current_folder_and_text_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    assert calib.load_model(".").robot.tip == "tip"
-    assert calib.load_model(str(folder)).robot.tip == "tip"
+    assert calib.load_machine(".").robot.tip == "tip"
+    assert calib.load_machine(str(folder)).robot.tip == "tip"
 
 
 def test_reading_removes_nothing(folder: Path) -> None:
     hidden = left(folder.with_name(f".{folder.name}.0123abcd.calib"), new=False)
     before = tree(hidden)
-    calib.load_model(folder)
+    calib.load_machine(folder)
     assert tree(hidden) == before
 
 
 def test_results_of_a_killed_run_are_found(folder: Path) -> None:
     place = folder.with_name("moved")
     folder.rename(left(folder.with_name(".moved.0123abcd.calib"), old=False) / "old")
-    assert calib.load_model(place).robot.tip == "tip"
+    assert calib.load_machine(place).robot.tip == "tip"
 
 
 def refused(folder: Path) -> str:
     with pytest.raises(OutputError) as caught:
-        calib.load_model(folder)
+        calib.load_machine(folder)
     said = str(caught.value)
     assert "\n" not in said
     assert said.endswith(".")
@@ -204,13 +205,13 @@ def test_nominal_urdf_is_missing_or_cut_off(folder: Path) -> None:
 def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> None:
     model = calib.error_model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
     found = calib.identify(model, fit.measurements)
-    (tmp_path / "model.json").write_text(model_json(found), encoding="utf-8")
+    (tmp_path / "model.json").write_text(model_json(machine_of(found)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
-    again = calib.load_model(tmp_path)
+    again = calib.load_machine(tmp_path)
     readings = np.random.default_rng(8).uniform(-3.0, 3.0, (50, 6))
     assert again.robot.terms == found.robot.terms
     assert np.abs(found.deviations.terms).min() > 0.0
-    assert np.abs(again.predict(readings, "left") - machines.predicted(found, readings)).max() < 1e-13
+    assert np.abs(again.predict(readings, tool="left") - machines.predicted(found, readings)).max() < 1e-13
 
 
 TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}
@@ -241,4 +242,4 @@ def test_an_older_file_has_no_terms(fit: calib.Fit, folder: Path) -> None:
     contents = json.loads((folder / "model.json").read_text())
     del contents["terms"]
     (folder / "model.json").write_text(json.dumps(contents))
-    assert calib.load_model(folder).robot.terms == ()
+    assert calib.load_machine(folder).robot.terms == ()

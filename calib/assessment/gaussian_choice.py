@@ -1,0 +1,62 @@
+"""Does a Gaussian process of residuals earn its place? By rows held out, as every model part must."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+
+from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.linear import one_thread
+from calib.machine.gaussian import GaussianResiduals, Kernel, in_row_order, likeliest
+
+
+class Bought(NamedTuple):
+    """Errors at rows held out, in m: as they are, and less what a process made of the other rows predicts."""
+
+    without: HeldOut
+    held_out: HeldOut
+
+    @property
+    def enters(self) -> bool:
+        """Whether they are smaller by more than one standard error."""
+        return one_standard_error([self.without, self.held_out]) == 1
+
+
+def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntArray) -> Bought:
+    """Return what a process brings, by grouped cross-validation of the rows that it was made of.
+
+    ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.groups`.
+    Amplitude, length scales and noise are not learnt anew for every fold: those with which the even folds are judged
+    come from the odd ones, and the other way round. Those of all rows would have seen what they are judged by, and
+    praise noise.
+
+    Raises MeasurementError when all rows are of one group.
+    """
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    points, fold = readings[:, list(known.joints)], folds(group)
+    left = np.empty_like(errors)
+    for half in (0, 1):
+        judged = fold % 2 == half
+        with one_thread():
+            kernel = likeliest(*in_row_order(points[~judged], errors[~judged]))
+        left[judged] = held_out_errors(kernel, points, errors, fold)[judged]
+    without, held = (np.sum(np.asarray(rows) ** 2, axis=1) for rows in (errors, left))
+    return Bought(held_out(without, group), held_out(held, group))
+
+
+def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray) -> Array:
+    """Return what is left (N, 3) of errors in m at points (N, k), less the prediction from rows of other folds.
+
+    Of one inverse: with K of all rows, what is left in fold f is ``(K^-1)_ff^-1 (K^-1 y)_f`` (5.10 to 5.12 of Rasmussen
+    and Williams, for more rows than one).
+    """
+    with one_thread():
+        covariance = kernel.of_rows(points)
+        inverse = cho_solve((cholesky(covariance, lower=True), True), np.eye(len(covariance)))
+        weights = inverse @ errors
+        left = np.empty_like(weights)
+        for k in range(int(fold.max()) + 1):
+            own = np.flatnonzero(fold == k)
+            left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weights[own])
+    return left

@@ -1,0 +1,38 @@
+"""What a machine adds to the positions of its kinematics, where its errors were measured: a grid, or a process."""
+
+from typing import Protocol
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.machine.grid import Frame
+
+
+class ResidualModel(Protocol):
+    """Errors of positions over joint space that no model of the arm explains."""
+
+    @property
+    def frame(self) -> Frame:
+        """Whose axes the vectors have: those of the base or of the tip link."""
+
+    def at(self, readings: Array, *, clamp: bool = False) -> Array:
+        """Return vectors (N, 3) in m to add to predicted positions at readings (N, nr), finite where it clamps."""
+
+    def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
+        """Return vectors (N, 3) in the instrument's axes, finite; ``base`` (4, 4) is there, ``tips`` in the base."""
+
+    def outside(self, readings: Array) -> tuple[str, ...]:
+        """Return for every row why the model does not know it, or an empty text."""
+
+    @property
+    def when_clamped(self) -> str:
+        """What is added in such rows where it clamps."""
+
+
+def shifted(known: ResidualModel | None, tips: Array, readings: Array) -> Array:
+    """Return the tips (N, 4, 4) in the base link, from those without them, with what a residual model adds."""
+    if known is None:
+        return tips
+    found = np.array(tips)
+    found[:, :3, 3] += known.shifts(np.eye(4), tips, readings)
+    return found

@@ -1,0 +1,120 @@
+"""What is known of the uncertainty of a calibrated machine, and of its tool: plain data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.chance import bound
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevel:
+    """Noise of one coordinate of a quantity, in m or rad: the model's part, and both parts together.
+
+    ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains all.
+    """
+
+    model: float
+    total: float
+    degrees_of_freedom: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How sure a calibrated machine is of itself; kept in the results' folder as ``uncertainty.json``.
+
+    All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
+    its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
+    covariance of the state is ``factor @ factor.T``. ``unseen`` (n, k): changes of the state that the data do not see,
+    each one ordinary deviation long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
+    none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
+    """
+
+    factor: Array
+    unseen: Array
+    position: NoiseLevel | None
+    orientation: NoiseLevel | None
+    identified: Array
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
+        levels = (self.position, self.orientation)
+        return min((level.degrees_of_freedom for level in levels if level is not None), default=float("inf"))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Uncertainty: {self.factor.shape[1]} directions of the machine known, {self.unseen.shape[1]} not, "
+            f"{self.degrees_of_freedom:.4g} degrees of freedom>"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolUncertainty:
+    """How sure the tool's pose is at N configurations.
+
+    ``covariance`` (N, 6, 6): of the position, in the axes of the instrument (of the base, where the base is left out),
+    and of small turns about the tool's axes, in m and rad. ``unseen`` (N, 2): rms of what one ordinary deviation along
+    every direction that the data do not see would add to the position, in m, and to the orientation, in rad.
+    ``degrees_of_freedom``: as in :class:`Uncertainty`.
+    """
+
+    covariance: Array
+    unseen: Array
+    degrees_of_freedom: float
+
+    @property
+    def position(self) -> Array:
+        """Standard deviations (N,) of the position, all three coordinates together, in m."""
+        return _root_trace(self.covariance[:, :3, :3])
+
+    @property
+    def orientation(self) -> Array:
+        """Standard deviations (N,) of the orientation, all three turns together, in rad."""
+        return _root_trace(self.covariance[:, 3:, 3:])
+
+    @property
+    def seen(self) -> BoolArray:
+        """Whether (N, 2) position and orientation are known: ordinary unseen deviations add less than sigma."""
+        return np.asarray(self.unseen <= np.stack([self.position, self.orientation], axis=1))
+
+    def inside(self, errors: Array, probability: float = 0.95) -> BoolArray:
+        """Return which position errors (N, 3) are inside the region (an ellipsoid) of the given probability.
+
+        With estimated noise the bound follows F(3, degrees of freedom), else chi-square.
+        """
+        distance = np.einsum(
+            "ni,ni->n", errors, np.linalg.solve(self.covariance[:, :3, :3], errors[:, :, None])[..., 0]
+        )
+        return np.asarray(distance <= squared_bound(probability, 3, self.degrees_of_freedom))
+
+    def __repr__(self) -> str:
+        known = f"position {np.median(self.position) * 1e3:.4g} mm" if len(self.covariance) else "nothing"
+        return f"<ToolUncertainty at {len(self.covariance)} configurations: {known} (median)>"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertaintyMap:
+    """Standard deviations over the workspace, at N random configurations.
+
+    ``readings`` (N, nr); ``positions`` (N, 3) of the tool in the base, in m; ``sigmas`` (N, 2) of position and
+    orientation in m and rad; ``unseen`` (N, 2) as in :class:`ToolUncertainty`.
+    """
+
+    readings: Array
+    positions: Array
+    sigmas: Array
+    unseen: Array
+
+    def __repr__(self) -> str:
+        return f"<UncertaintyMap at {len(self.readings)} configurations>"
+
+
+def squared_bound(probability: float, dimensions: int, degrees_of_freedom: float) -> float:
+    """Return the squared Mahalanobis radius of a region: k F(k, nu) with estimated noise, chi-square(k) without."""
+    return bound(probability, dimensions, degrees_of_freedom)
+
+
+def _root_trace(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
