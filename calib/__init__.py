@@ -27,6 +27,7 @@ from calib.foundations.errors import (
     OutputError,
     RobotError,
 )
+from calib.foundations.version import __version__
 from calib.identification import positioner
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
@@ -51,8 +52,6 @@ from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 # How a fit shows itself is for the presentation room, which the fit's own room must not know; the front door may.
 _display.attach(Fit)
 
-__version__ = "0.1.0.dev0"
-
 __all__ = [
     "CalibError",
     "CalibratedMachine",
@@ -73,6 +72,7 @@ __all__ = [
     "Robot",
     "RobotError",
     "Trace",
+    "__version__",
     "advice",
     "bootstrap",
     "choose_terms",

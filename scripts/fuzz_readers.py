@@ -30,8 +30,7 @@ from calib.job.fleet import Done, FleetJob
 from calib.job.fleet_summary import fleet_lines, summary_csv, summary_json
 from calib.job.inputs import load
 from calib.job.read import read_job
-from calib.job.results import result, robot_errors
-from calib.job.run import Outcome, run
+from calib.job.run import run
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
 from calib.machine.grid import grid_bytes, grid_from_residuals, load_grid
@@ -46,6 +45,8 @@ from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
 from calib.presentation.meshes import primitive, read_mesh
 from calib.presentation.visuals import visuals
+from calib.results.calibration import Calibration
+from calib.results.folder import result, robot_errors
 from calib.robot import dh
 from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
@@ -300,7 +301,7 @@ def _mesh(data: bytes) -> None:
 
 
 @functools.cache
-def _outcome() -> Outcome:
+def _outcome() -> Calibration:
     return run(load(ROBOTS / "arm_cmm" / "calibration.toml"))
 
 

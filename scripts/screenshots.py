@@ -14,8 +14,8 @@ from browser import Page, browser
 from PIL import Image
 
 from calib.job.inputs import load
-from calib.job.results import REPORT_FILE, SCENE_FILE, write_results
 from calib.job.run import run
+from calib.results.folder import REPORT_FILE, SCENE_FILE, write_results
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDE, LONG, PHONE = (1280, 800), (1280, 1900), (390, 844)

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from calib.job import example
+from calib.job.calibrate import steps_after_loading
 from calib.job.inputs import load
-from calib.job.results import steps_after_loading, write_results
 from calib.job.run import run as identify
 from calib.presentation.console import Steps, progress, time_left
+from calib.results.folder import write_results
 from tests.job.cases import CASE, JOB, ROOT, copy_case, run, tree
 
 MAIN = "from calib.cli import main; main()"

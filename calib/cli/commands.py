@@ -43,8 +43,6 @@ from calib.job.calibrate import STEPS_OF_LOADING
 from calib.job.calibrate import calibrate as calibrate_job
 from calib.job.example import copy_example
 from calib.job.inputs import load
-from calib.job.report import report_of
-from calib.job.results import REPORT_FILE, SCENE_FILE, result_json, robot_errors
 from calib.machine.model_file import load_machine
 from calib.machine.tool_uncertainty import outside_identified
 from calib.presentation.cell_scene import cell_scene
@@ -55,6 +53,8 @@ from calib.presentation.plots import figure_bytes, sensitivity_figure
 from calib.presentation.scene import render_scene
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import blind_lines
+from calib.results.folder import REPORT_FILE, SCENE_FILE, result_json, robot_errors
+from calib.results.report import report_of
 from calib.robot import dh
 from calib.robot.dh.table import Convention
 from calib.robot.load import load_robot

@@ -14,10 +14,10 @@ from calib.compensation.controllers import Export, export_dh, export_offsets, ex
 from calib.foundations.errors import CalibError, OutputError
 from calib.foundations.files import refuse_taken, write_atomically
 from calib.foundations.folders import reading_folder
-from calib.job.results import DH_FILE
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
 from calib.presentation.console import sentence, show, warning, write
+from calib.results.folder import DH_FILE
 from calib.robot import dh
 
 Target = Literal["ur", "offsets", "dh", "ros"]

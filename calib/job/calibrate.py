@@ -4,16 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from calib.foundations.linear import one_thread
-from calib.job.inputs import Progress, load
-from calib.job.results import refuse_folder, steps_after_loading, write_results
-from calib.job.run import Outcome, run
+from calib.job.inputs import Inputs, Progress, load
+from calib.job.run import run
+from calib.results.calibration import Calibration
+from calib.results.folder import STEPS_OF_WRITING, refuse_folder, write_results
 
 STEPS_OF_LOADING = 3
 
 
 def calibrate(
     job: Path, out: Path, progress: Progress = lambda _: None, expect: Callable[[int], None] = lambda _: None
-) -> Outcome:
+) -> Calibration:
     """Read a job, identify, and write its folder of results; ``expect`` is told how many steps come after loading.
 
     Linear algebra runs in one thread: sums that several threads share depend on how many they are, and the same job
@@ -22,8 +23,18 @@ def calibrate(
     """
     with one_thread():
         inputs = load(job, progress)
-        refuse_folder(out, inputs)
+        refuse_folder(out, inputs.files)
         expect(steps_after_loading(inputs))
-        outcome = run(inputs, progress)
-        write_results(outcome, out, progress)
-    return outcome
+        found = run(inputs, progress)
+        write_results(found, out, progress)
+    return found
+
+
+def steps_after_loading(inputs: Inputs) -> int:
+    """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
+    fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
+    followed = inputs.job.solver.kind == "total_differential"
+    residual = inputs.job.levels[-1].residual_model if inputs.job.levels else None
+    learned = residual is not None and residual.kind == "gaussian_process"
+    # Validating comes after the fits.
+    return fits + learned + followed + 1 + STEPS_OF_WRITING

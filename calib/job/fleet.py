@@ -20,8 +20,8 @@ from calib.foundations.folders import reading_folder, real_folder, refuse_unwrit
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.inputs import Progress
-from calib.job.results import ALWAYS, RESULT_FILE, TO_BE_SEEN
-from calib.job.versions import versions
+from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN
+from calib.results.versions import versions
 from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, and may be without any worker, in s.

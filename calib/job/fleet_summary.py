@@ -13,10 +13,10 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
-from calib.job.results import REPORT_FILE
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
+from calib.results.folder import REPORT_FILE
 
 # Of rows and parameters, and of errors in m and rad: beyond all results.
 _MOST, _LARGEST = 10**9, 1e9

@@ -1,18 +1,12 @@
 """From inputs to an outcome: identify, level by level where a job has levels, and judge by what was held out."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from glob import escape
-from typing import Literal, NamedTuple
-
-import numpy as np
 
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
-from calib.assessment.outliers import Outliers, outliers
-from calib.assessment.trust import doubts, remarks
-from calib.foundations.arrays import Array
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
@@ -21,61 +15,10 @@ from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress, term_priors
 from calib.job.residuals import residual_model
-from calib.machine.calibrated import CalibratedMachine, machine_of
-from calib.machine.urdf import lost_in_urdf
-from calib.measurement.measurements import Measurements
-from calib.robot.conditions import joined
+from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
 
-class JudgedSet(NamedTuple):
-    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
-
-    use: Literal["identification", "validation"]
-    file: str
-    data: Measurements
-    before: Array
-    after: Array
-
-
-@dataclass(frozen=True, slots=True)
-class LevelReport:
-    """What one level has brought: metrics by quantity of the held-out data, base and tool fitted anew.
-
-    Of the data to identify from, where nothing is held out. ``free``: number of parameters; ``rank``: of those seen.
-    """
-
-    name: str
-    free: int
-    rank: int
-    metrics: Mapping[str, Metrics]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """A finished calibration.
-
-    ``metrics[use][when][quantity]``: use is identification or validation, when is before or after.
-    ``sets``: residuals of every table; those after are left by ``machine``, with its residual model where that has
-    values. ``doubts``: why it should not be trusted. ``levels`` and ``trace``: on the way to the fit. ``lost_in_urdf``:
-    rms in m at the tip that the calibrated URDF alone is off, as it holds neither closed loops nor joint terms.
-    ``choice``: of the joint terms, where the job leaves it to the tool; ``inputs.model`` then has them. ``outliers``:
-    of the data to identify from.
-    """
-
-    inputs: Inputs
-    fit: Fit
-    machine: CalibratedMachine
-    sets: tuple[JudgedSet, ...]
-    metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
-    doubts: tuple[str, ...]
-    outliers: Outliers
-    trace: Trace | None = None
-    levels: tuple[LevelReport, ...] = ()
-    lost_in_urdf: float = 0.0
-    choice: Choice | None = None
-
-
-def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
+def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     """Identify, and judge by the data held out."""
     try:
         choice = _choose(inputs, progress)
@@ -92,44 +35,25 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Outcome:
         progress("following the total differential")
         trace = _follow(inputs)
         fit = with_values(fit, trace.values, trace.machine)
-    inputs = replace(inputs, findings=(*inputs.findings, *remarks(fit)))
-    machine = machine_of(fit, known)
     progress("validating")
-    judged_sets = (
-        *_judged("identification", inputs.tables("identify"), inputs.identify, fit, machine),
-        *_judged("validation", inputs.tables("validate"), inputs.validate, fit, machine),
-    )
-    figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
-        use: {
-            "before": metrics((judged.data.kind, judged.before) for judged in judged_sets if judged.use == use),
-            "after": metrics((judged.data.kind, judged.after) for judged in judged_sets if judged.use == use),
-        }
-        for use in dict.fromkeys(judged.use for judged in judged_sets)
-    }
-    judged = figures["validation" if inputs.validate else "identification"]
-    if known is not None:
-        reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, judged["after"]))
-    progress("looking for outliers")
-    files = {data.where: file for file, data in zip(inputs.tables("identify"), inputs.identify, strict=True)}
-    stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
-    return Outcome(
-        inputs,
+    found = assess(
         fit,
-        machine,
-        judged_sets,
-        figures,
-        (*stopped, *doubts(fit, judged["before"], judged["after"], held_out=bool(inputs.validate))),
-        outliers(fit, files=files),
-        trace,
-        reports,
-        lost_in_urdf(
-            fit.robot,
-            fit.deviations,
-            np.concatenate([end.readings for judged in judged_sets for end in judged.data.ends]),
-            joined([end.conditions for judged in judged_sets for end in judged.data.ends]),
+        inputs.validate,
+        residual_model=known,
+        names=(*inputs.tables("identify"), *inputs.tables("validate")),
+        findings=inputs.findings,
+        trace=trace,
+        origin=Origin(
+            f"calib calibrate {inputs.path.name} -o out",
+            resolved(inputs),
+            inputs.files,
+            inputs.hashes,
+            inputs.mesh_roots,
         ),
-        choice,
     )
+    if known is not None:
+        reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
+    return replace(found, levels=reports, choice=choice)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
@@ -162,11 +86,6 @@ def _follow(inputs: Inputs) -> Trace:
         )
     except (IdentificationError, JobError) as e:
         raise type(e)(f"{inputs.path}: solver: {e}") from e
-
-
-def _not_stopped(trace: Trace) -> str:
-    largest = trace.iterations[-1].largest * 1e3
-    return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."
 
 
 def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
@@ -206,20 +125,6 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
 def _knowing(fit: Fit, inputs: Inputs) -> Fit:
     """Return the fit with what the job knows of all targets, also of those that it was not identified from."""
     return replace(fit, model=replace(fit.model, targets=inputs.targets))
-
-
-def _judged(
-    use: Literal["identification", "validation"],
-    files: Sequence[str],
-    sets: Sequence[Measurements],
-    fit: Fit,
-    machine: CalibratedMachine,
-) -> Iterator[JudgedSet]:
-    before, after = residuals_of(fit, sets, fit.nominal), residuals_of(fit, sets, fit.machine)
-    for file, data, b, a in zip(files, sets, before, after, strict=True):
-        if data.position is not None:
-            a = machine.less_shifts(a, data)  # noqa: PLW2901
-        yield JudgedSet(use, file, data, b, a)
 
 
 def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:

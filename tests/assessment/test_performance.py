@@ -27,11 +27,11 @@ from calib.assessment.performance import (
 )
 from calib.foundations.errors import MeasurementError
 from calib.job.inputs import load
-from calib.job.results import write_results
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.tables import plain
+from calib.results.folder import write_results
 
 Array = NDArray[np.float64]
 

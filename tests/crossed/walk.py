@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 import calib
 from calib.compensation.commands import for_poses
 from calib.job.calibrate import calibrate
-from calib.job.report import report_of
-from calib.job.run import Outcome
 from calib.presentation import live
 from calib.presentation.console import brief
 from calib.presentation.display import fit_html
 from calib.presentation.tables import plain
+from calib.results.calibration import Calibration
+from calib.results.report import report_of
 from tests.crossed.simulate import SIGMA, Case, write
 from tests.job.cases import Said, run
 
@@ -78,7 +78,7 @@ class Walked:
     """A finished calibration and its case."""
 
     case: Case
-    outcome: Outcome
+    outcome: Calibration
     out: Path
     model: calib.CalibratedMachine
 

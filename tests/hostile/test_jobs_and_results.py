@@ -12,9 +12,9 @@ import pytest
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.read import read_job
-from calib.job.results import robot_errors
 from calib.machine.model_file import load_machine
 from calib.machine.npz import NotReadableError, arrays_of
+from calib.results.folder import robot_errors
 
 
 def refused(tmp_path: Path, job: str | bytes) -> str:

@@ -12,9 +12,9 @@ import pytest
 
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.job.inputs import load
-from calib.job.results import residual_table, result_json
 from calib.job.run import run as calibrate
 from calib.measurement.table import Table, read_table
+from calib.results.folder import residual_table, result_json
 from calib.robot import dh
 from tests.job.cases import CASE, JOB, ROOT
 
@@ -165,7 +165,7 @@ def test_a_dh_table_of_another_encoding_and_without_end() -> None:
 _PROGRAM = f"""
 from pathlib import Path
 from calib.job.inputs import load
-from calib.job.results import residual_table, result_json
+from calib.results.folder import residual_table, result_json
 from calib.job.run import run
 outcome = run(load(Path({str(CASE / JOB)!r})))
 print(result_json(outcome), residual_table(outcome), sep="", end="")

@@ -10,10 +10,12 @@ import pytest
 
 import calib
 from calib.foundations.errors import JobError
+from calib.job.calibrate import steps_after_loading
 from calib.job.inputs import load
-from calib.job.results import steps_after_loading, write_results
-from calib.job.run import Outcome, run
+from calib.job.run import run
 from calib.machine.gaussian import GaussianResiduals
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
 from tests.job import cases
 
 IRB = Path(__file__).parents[2] / "robots" / "irb2400"
@@ -30,7 +32,7 @@ residual_model = { kind = "gaussian_process" }
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Path]:
     folder = tmp_path_factory.mktemp("gaussian")
     for file in IRB.iterdir():
         if file.is_file():
@@ -42,7 +44,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     text = (IRB / "calibration.toml").read_text(encoding="utf-8")
     assert GRID in text
     (folder / "calibration.toml").write_text(text.replace(GRID, 'kind = "gaussian_process"'), encoding="utf-8")
-    outcome = run(load(folder / "calibration.toml"))
+    outcome = run(load(out.parent / "calibration.toml"))
     out = folder / "out"
     # Into the results of an earlier run: its file is one of the tool's own.
     write_results(outcome, out)
@@ -50,16 +52,17 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     return outcome, out
 
 
-def test_it_is_learnt_from_the_nodes(kept: tuple[Outcome, Path]) -> None:
-    outcome, _ = kept
-    assert isinstance(outcome.residual_model, GaussianResiduals)
-    assert len(outcome.residual_model.points) == sum(map(len, outcome.inputs.nodes))
+def test_it_is_learnt_from_the_nodes(kept: tuple[Calibration, Path]) -> None:
+    outcome, out = kept
+    assert isinstance(outcome.machine.residual_model, GaussianResiduals)
+    nodes = load(out.parent / "calibration.toml").nodes
+    assert len(outcome.machine.residual_model.points) == sum(map(len, nodes))
     kinematic, residual = (level.metrics["position"].mean for level in outcome.levels[-2:])
     assert residual < 0.9 * kinematic
     assert outcome.levels[-1].free == 3 + 2
 
 
-def test_the_model_read_back_predicts_with_it(kept: tuple[Outcome, Path]) -> None:
+def test_the_model_read_back_predicts_with_it(kept: tuple[Calibration, Path]) -> None:
     outcome, out = kept
     assert json.loads((out / "model.json").read_text())["residual_model"] == "gaussian.npz"
     model = calib.load_machine(out)
@@ -68,7 +71,7 @@ def test_the_model_read_back_predicts_with_it(kept: tuple[Outcome, Path]) -> Non
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)
 
 
-def test_commands_from_a_table(kept: tuple[Outcome, Path], tmp_path: Path) -> None:
+def test_commands_from_a_table(kept: tuple[Calibration, Path], tmp_path: Path) -> None:
     outcome, out = kept
     judged = outcome.sets[-1]
     rows = np.degrees(judged.data.readings[:5])
@@ -93,9 +96,9 @@ def test_an_arm_without_anything_unexplained_gets_none(tmp_path: Path) -> None:
     outcome = run(inputs, told.append)
     assert told.count("learning the Gaussian process") == 1
     assert len(told) + 4 == steps_after_loading(inputs)
-    assert outcome.residual_model is None
+    assert outcome.machine.residual_model is None
     assert [level.name for level in outcome.levels] == ["all"]
-    (sentence,) = [f.sentence for f in outcome.inputs.findings if f.code == "gaussian-process-left-out"]
+    (sentence,) = [f.sentence for f in outcome.findings if f.code == "gaussian-process-left-out"]
     assert sentence.startswith("The Gaussian process is left out: at rows held out it brings the position error from ")
     write_results(outcome, tmp_path / "out")
     assert not (tmp_path / "out" / "gaussian.npz").exists()

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from calib.job.inputs import load
-from calib.job.report import report_of
-from calib.job.results import write_results
-from calib.job.run import Outcome, run
+from calib.job.run import run
 from calib.presentation.report.document import Prose
 from calib.presentation.sheets import prior_sentences
 from calib.presentation.tables import table
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
+from calib.results.report import report_of
 from tests.job.test_terms import CASE, JOB
 
 STATED = 'prior = { length = "0.3 mm", angle = "0.5 mrad", harmonics = "0.1 mrad" }'
@@ -20,7 +21,7 @@ LEARNED = 'prior = { length = "learned", angle = "learned", harmonics = "learned
 
 
 @pytest.fixture(scope="module")
-def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Path]:
     folder = tmp_path_factory.mktemp("learned")
     for name in ("irb2400.urdf", "harmonics.csv", "test.csv"):
         shutil.copy(CASE / name, folder)
@@ -32,12 +33,12 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     return outcome, folder / "out"
 
 
-def test_errors_are_as_small_as_with_priors_of_one_who_knows(learned: tuple[Outcome, Path]) -> None:
+def test_errors_are_as_small_as_with_priors_of_one_who_knows(learned: tuple[Calibration, Path]) -> None:
     """Scatter and tracker alone make 0.038 mm; the stated priors are those that the machine was drawn with."""
     assert learned[0].metrics["validation"]["after"]["position"].mean < 1.1 * 0.0382e-3
 
 
-def test_the_result_and_the_report_tell_what_was_learned(learned: tuple[Outcome, Path]) -> None:
+def test_the_result_and_the_report_tell_what_was_learned(learned: tuple[Calibration, Path]) -> None:
     outcome, out = learned
     result = json.loads((out / "result.json").read_text())
     told = {prior["group"]: prior for prior in result["learned_priors"]}

@@ -9,25 +9,26 @@ import pytest
 import calib
 from calib.foundations.errors import JobError
 from calib.job.inputs import load
-from calib.job.results import write_results
-from calib.job.run import Outcome, run
+from calib.job.run import run
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> Calibration:
     return run(load(CASE / "calibration.toml"))
 
 
 @pytest.fixture(scope="module")
-def out(outcome: Outcome, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(outcome: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("levels") / "out"
     write_results(outcome, folder)
     return folder
 
 
-def test_every_level_is_better_than_the_one_before(outcome: Outcome) -> None:
+def test_every_level_is_better_than_the_one_before(outcome: Calibration) -> None:
     means = [level.metrics["position"].mean for level in outcome.levels]
     assert [level.name for level in outcome.levels] == ["base", "joint", "kinematic", "residual"]
     assert means == sorted(means, reverse=True)
@@ -37,7 +38,7 @@ def test_every_level_is_better_than_the_one_before(outcome: Outcome) -> None:
     assert outcome.levels[3].metrics["position"].max < 0.13e-3
 
 
-def test_the_model_read_back_predicts_with_the_grid(outcome: Outcome, out: Path) -> None:
+def test_the_model_read_back_predicts_with_the_grid(outcome: Calibration, out: Path) -> None:
     model = calib.load_machine(out)
     (judged,) = [judged for judged in outcome.sets if judged.use == "validation"]
     predicted = model.predict(judged.data.readings)[:, :3, 3]
@@ -46,7 +47,7 @@ def test_the_model_read_back_predicts_with_the_grid(outcome: Outcome, out: Path)
     assert not any(model.residual_model.outside(judged.data.readings))
 
 
-def test_the_result_tells_the_levels(outcome: Outcome, out: Path) -> None:
+def test_the_result_tells_the_levels(outcome: Calibration, out: Path) -> None:
     result = json.loads((out / "result.json").read_text())
     assert [level["name"] for level in result["levels"]] == ["base", "joint", "kinematic", "residual"]
     assert result["levels"][-1]["metrics"] == result["metrics"]["validation"]["after"]
@@ -79,7 +80,7 @@ def test_wrong_levels_are_refused(old: str, new: str, sentence: str, tmp_path: P
     assert "calibration.toml" in str(caught.value)
 
 
-def test_what_a_urdf_without_the_loop_loses_is_told(outcome: Outcome, out: Path) -> None:
+def test_what_a_urdf_without_the_loop_loses_is_told(outcome: Calibration, out: Path) -> None:
     # Shape errors of the parallelogram of some tenths of a millimetre, which the mimic joints of a URDF do not follow.
     assert 0.05e-3 < outcome.lost_in_urdf < 2e-3
     assert json.loads((out / "result.json").read_text())["lost_in_urdf"] == outcome.lost_in_urdf

@@ -13,11 +13,11 @@ import yourdfpy
 
 import calib
 from calib.foundations.errors import OutputError
-from calib.job import results, versions
 from calib.job.inputs import load
-from calib.job.results import write_results
-from calib.job.run import Outcome
 from calib.job.run import run as identify
+from calib.results import results, versions
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
 from tests.foundations.swaps import left
 from tests.identification import machines
 from tests.identification.machines import Array
@@ -37,12 +37,12 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def outcome(case: Path) -> Outcome:
+def outcome(case: Path) -> Calibration:
     return identify(load(case / JOB))
 
 
 @pytest.fixture(scope="module")
-def out(case: Path, outcome: Outcome) -> Path:
+def out(case: Path, outcome: Calibration) -> Path:
     write_results(outcome, case / "out")
     return case / "out"
 
@@ -86,7 +86,7 @@ def test_result_is_what_the_table_prints(case: Path, tmp_path: Path) -> None:
         assert figures == [f"{m[key] * 1e3:.4f}" for key in ("mean", "rms", "p95", "max")]
 
 
-def test_result_is_the_fit(out: Path, outcome: Outcome) -> None:
+def test_result_is_the_fit(out: Path, outcome: Calibration) -> None:
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     fit = outcome.fit
     assert (result["trusted"], result["doubts"], result["rank"]) == (True, [], 27)
@@ -109,7 +109,7 @@ def test_result_does_not_depend_on_where_it_was_made(case: Path, out: Path, monk
     assert results.residual_table(outcome) == (out / "residuals.csv").read_text(encoding="utf-8")
 
 
-def test_residuals_give_the_metrics(out: Path, outcome: Outcome) -> None:
+def test_residuals_give_the_metrics(out: Path, outcome: Calibration) -> None:
     rows = list(csv.DictReader(io.StringIO((out / "residuals.csv").read_text(encoding="utf-8"))))
     assert list(rows[0]) == [
         *("use", "file", "line", "point"),
@@ -201,7 +201,7 @@ def test_another_reader_sees_the_tip_of_stranger_arms(arm: str, tmp_path: Path) 
 # Instead of older results. ------------------------------------------------------------------------------------------
 
 
-def test_older_results_are_replaced_whole(case: Path, outcome: Outcome, out: Path, tmp_path: Path) -> None:
+def test_older_results_are_replaced_whole(case: Path, outcome: Calibration, out: Path, tmp_path: Path) -> None:
     target = tmp_path / "out"
     target.mkdir()
     for name in ("result.json", "model.json", "scene.html"):
@@ -211,14 +211,14 @@ def test_older_results_are_replaced_whole(case: Path, outcome: Outcome, out: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_results_of_a_killed_run_come_back_and_are_replaced(outcome: Outcome, out: Path, tmp_path: Path) -> None:
+def test_results_of_a_killed_run_come_back_and_are_replaced(outcome: Calibration, out: Path, tmp_path: Path) -> None:
     left(tmp_path / ".out.0123abcd.calib")
     write_results(outcome, tmp_path / "out")
     assert tree(tmp_path / "out") == tree(out)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_link_to_results_stays_a_link(outcome: Outcome, tmp_path: Path) -> None:
+def test_link_to_results_stays_a_link(outcome: Calibration, tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "out").symlink_to("real")
     write_results(outcome, tmp_path / "out")
@@ -226,7 +226,7 @@ def test_link_to_results_stays_a_link(outcome: Outcome, tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "real").iterdir()) == FILES
 
 
-def test_folders_on_the_way_are_made(outcome: Outcome, tmp_path: Path) -> None:
+def test_folders_on_the_way_are_made(outcome: Calibration, tmp_path: Path) -> None:
     write_results(outcome, tmp_path / "a/b/out")
     assert sorted(path.name for path in (tmp_path / "a/b/out").iterdir()) == FILES
 
@@ -240,9 +240,9 @@ def test_old_results_survive_a_wrong_job(case: Path, out: Path, tmp_path: Path) 
     assert tree(tmp_path / "out") == before
 
 
-@pytest.mark.parametrize("broken", ["render_scene", "calibrated_urdf", "model_json", "residual_table", "result"])
+@pytest.mark.parametrize("broken", ["render_scene", "machine_files", "residual_table", "result"])
 def test_old_results_survive_an_error_at_the_last_moment(
-    outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+    outcome: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise OutputError("the disk is full.")
@@ -256,13 +256,13 @@ def test_old_results_survive_an_error_at_the_last_moment(
 
 
 def test_libraries_known_by_another_name_do_not_cost_the_results(
-    outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+    outcome: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(versions, "_LIBRARIES", ("no-such-distribution",))
     assert results.result(outcome)["versions"]["no-such-distribution"] is None
 
 
-def test_what_is_not_finite_is_null(outcome: Outcome, tmp_path: Path) -> None:
+def test_what_is_not_finite_is_null(outcome: Calibration, tmp_path: Path) -> None:
     copy_case(tmp_path)
     edit(JOB, ('sigma = "0.02 mm"\n', "\n"), everywhere=True)(tmp_path)
     result = results.result(identify(load(tmp_path / JOB)))

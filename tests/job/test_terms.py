@@ -10,10 +10,11 @@ import pytest
 
 import calib
 from calib.job.inputs import load
-from calib.job.results import write_results
-from calib.job.run import Outcome, run
+from calib.job.run import run
 from calib.presentation.sheets import choice_sheet
 from calib.presentation.tables import plain, sheet_table
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
 from tests.job import cases
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
@@ -22,7 +23,7 @@ GIVEN = 'harmonics = "all"             # a cosine and a sine of every axis and o
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+def given(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Path]:
     outcome = run(load(CASE / JOB))
     out = tmp_path_factory.mktemp("terms") / "out"
     write_results(outcome, out)
@@ -30,7 +31,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
 
 
 @pytest.fixture(scope="module")
-def chosen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+def chosen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Path]:
     folder = tmp_path_factory.mktemp("chosen")
     for name in ("irb2400.urdf", "harmonics.csv", "test.csv"):
         shutil.copy(CASE / name, folder)
@@ -43,11 +44,11 @@ def chosen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     return outcome, out
 
 
-def mean(outcome: Outcome) -> float:
+def mean(outcome: Calibration) -> float:
     return outcome.metrics["validation"]["after"]["position"].mean
 
 
-def test_harmonics_come_near_the_floor(given: tuple[Outcome, Path], chosen: tuple[Outcome, Path]) -> None:
+def test_harmonics_come_near_the_floor(given: tuple[Calibration, Path], chosen: tuple[Calibration, Path]) -> None:
     """Scatter and tracker alone make 0.038 mm; docs/irb2400.md has ten machines."""
     assert mean(given[0]) < 1.1 * 0.0382e-3
     assert mean(chosen[0]) < 1.25 * 0.0382e-3
@@ -64,7 +65,7 @@ def test_the_model_read_back_predicts_with_the_terms(which: str, request: pytest
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)
 
 
-def test_the_result_tells_the_choice(given: tuple[Outcome, Path], chosen: tuple[Outcome, Path]) -> None:
+def test_the_result_tells_the_choice(given: tuple[Calibration, Path], chosen: tuple[Calibration, Path]) -> None:
     assert json.loads((given[1] / "result.json").read_text())["choice"] is None
     outcome, out = chosen
     result = json.loads((out / "result.json").read_text())
@@ -93,13 +94,13 @@ def test_priors_of_a_job_are_those_of_its_model(tmp_path: Path) -> None:
     assert sum(width == pytest.approx(1e-4) for width in found.values()) == 48
 
 
-def test_what_a_urdf_without_them_loses_is_told(given: tuple[Outcome, Path]) -> None:
+def test_what_a_urdf_without_them_loses_is_told(given: tuple[Calibration, Path]) -> None:
     outcome, out = given
     assert outcome.lost_in_urdf > 0.1e-3
     assert json.loads((out / "result.json").read_text())["lost_in_urdf"] == outcome.lost_in_urdf
 
 
-def test_commands_are_corrected_for_them(given: tuple[Outcome, Path], tmp_path: Path) -> None:
+def test_commands_are_corrected_for_them(given: tuple[Calibration, Path], tmp_path: Path) -> None:
     """The calibrated machine, sent corrected commands, goes where the nominal one would have gone."""
     outcome, out = given
     targets = np.random.default_rng(0).uniform(-30.0, 30.0, (20, 6)) + np.array([0.0, 0.0, 0.0, 0.0, 45.0, 0.0])
@@ -117,7 +118,7 @@ def test_commands_are_corrected_for_them(given: tuple[Outcome, Path], tmp_path: 
     assert np.abs(sent - wanted).max() > 1e-4
 
 
-def test_parameters_are_told_with_their_units(given: tuple[Outcome, Path]) -> None:
+def test_parameters_are_told_with_their_units(given: tuple[Calibration, Path]) -> None:
     told = calib.table(given[0].fit)
     assert "joint_2.cos_5" in told
     assert max(map(len, told.splitlines())) <= 80

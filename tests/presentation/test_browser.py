@@ -11,10 +11,11 @@ import pytest
 
 from calib.foundations.rigid import inverse
 from calib.job.inputs import load
-from calib.job.results import write_results
-from calib.job.run import Outcome, run
-from calib.job.scene import scene_of
+from calib.job.run import run
 from calib.presentation.arm import link_placements
+from calib.results.calibration import Calibration
+from calib.results.folder import write_results
+from calib.results.scene import scene_of
 from scripts.browser import CHROMIUM, Page, browser
 from tests.job.cases import CASE, JOB
 
@@ -24,13 +25,13 @@ WIDTHS = (1280, 390)
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> Calibration:
     """The IRB2400: loops, levels, many rows."""
     return run(load(CASE.parent / "irb2400" / JOB))
 
 
 @pytest.fixture(scope="module")
-def out(outcome: Outcome, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(outcome: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("browser") / "out"
     write_results(outcome, folder)
     return folder
@@ -161,7 +162,7 @@ def test_scene_opens_and_draws(page: Page, out: Path, width: int, tmp_path: Path
     assert page.evaluate("document.getElementById('legend').scrollWidth <= innerWidth")
 
 
-def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Outcome) -> None:
+def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Calibration) -> None:
     s = scene_of(outcome)
     page.size(1280, 800)
     page.open((out / "scene.html").as_uri())
@@ -180,7 +181,7 @@ def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Outc
         assert said == f"Pose {row + 1} of 492, {s.rows[row]}: before {before:.3f} mm, after {after:.3f} mm"
 
 
-def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, out: Path, outcome: Outcome) -> None:
+def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, out: Path, outcome: Calibration) -> None:
     s = scene_of(outcome)
     page.size(1280, 800)
     page.open((out / "scene.html").as_uri())

@@ -19,11 +19,11 @@ import psutil
 import pytest
 
 from calib.job.inputs import load
-from calib.job.results import write_results
 from calib.job.run import run as identify
 from calib.machine.model_file import load_machine
 from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
+from calib.results.folder import write_results
 from scripts.browser import CHROMIUM, browser
 from tests.job.cases import CASE, JOB, run
 

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from calib.job.inputs import load
-from calib.job.report import report_of
-from calib.job.results import result
-from calib.job.run import Outcome, run
+from calib.job.run import run
 from calib.presentation.console import brief
 from calib.presentation.report.charts import Axis, Bars, Line, Points, chart, linear, logarithmic, map_of, matrix
 from calib.presentation.report.document import Picture, Prose, Report, Row, Section, Sheet, Verdict
@@ -20,6 +18,9 @@ from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.report.sections import correlations
 from calib.presentation.tables import plain
+from calib.results.calibration import Calibration
+from calib.results.folder import result
+from calib.results.report import report_of
 from tests.job.cases import CASE, JOB
 
 UNIT = Axis("u", 0.0, 1.0)
@@ -27,12 +28,12 @@ NASTY = 'a|b <script>alert(1)</script> & "q" `x` *y*'
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def outcome() -> Calibration:
     return run(load(CASE / JOB))
 
 
 @pytest.fixture(scope="module")
-def report(outcome: Outcome) -> Report:
+def report(outcome: Calibration) -> Report:
     return report_of(outcome)
 
 
@@ -118,7 +119,7 @@ def test_a_matrix_is_as_strong_as_its_numbers() -> None:
     assert "b&lt;" in svg
 
 
-def test_the_verdict_is_of_data_held_out(outcome: Outcome, report: Report) -> None:
+def test_the_verdict_is_of_data_held_out(outcome: Calibration, report: Report) -> None:
     after = outcome.metrics["validation"]["after"]["position"]
     before = outcome.metrics["validation"]["before"]["position"]
     assert report.verdict.trusted
@@ -133,7 +134,7 @@ def test_the_verdict_is_of_data_held_out(outcome: Outcome, report: Report) -> No
     assert "no data were held out" in alone.reasons[0]
 
 
-def test_no_better_is_said_so(outcome: Outcome) -> None:
+def test_no_better_is_said_so(outcome: Calibration) -> None:
     swapped = {use: {"before": whens["after"], "after": whens["before"]} for use, whens in outcome.metrics.items()}
     said = report_of(replace(outcome, metrics=swapped)).verdict.headline
     assert said.startswith("No better: on 30 rows it never saw")
@@ -149,7 +150,7 @@ def test_every_part_of_the_issue_is_there(report: Report) -> None:
     assert len(pictures) == 2 + 2 + 6 + 2 + 1 + 1
 
 
-def test_correlations_are_of_the_parameters_that_are_seen(outcome: Outcome) -> None:
+def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) -> None:
     section = correlations(outcome.fit)
     assert section is not None
     (sheet,) = [block for block in section.blocks if isinstance(block, Sheet)]
@@ -190,7 +191,7 @@ def test_page_markdown_and_terminal_say_the_same(report: Report) -> None:
     assert report.verdict.headline in terminal.replace("\n", " ")
 
 
-def test_numbers_are_those_of_the_result(outcome: Outcome, report: Report) -> None:
+def test_numbers_are_those_of_the_result(outcome: Calibration, report: Report) -> None:
     found = json.loads(json.dumps(result(outcome)))
     texts = Reader(render_page(report)).texts
     for record in found["parameters"]:
@@ -238,7 +239,7 @@ def test_words_of_a_user_are_words() -> None:
     assert "<script" not in re.sub(r"\\.", "", markdown.replace(f"    {NASTY}", ""))
 
 
-def test_many_rows_stay_light(outcome: Outcome) -> None:
+def test_many_rows_stay_light(outcome: Calibration) -> None:
     big = tuple(
         s._replace(
             data=s.data.subset(np.tile(np.arange(len(s.data)), 200)),
@@ -250,7 +251,7 @@ def test_many_rows_stay_light(outcome: Outcome) -> None:
     assert len(render_page(report_of(replace(outcome, sets=big)))) < 1_000_000
 
 
-def test_poses_beside_positions_have_figures_of_their_own(outcome: Outcome) -> None:
+def test_poses_beside_positions_have_figures_of_their_own(outcome: Calibration) -> None:
     own, held_out = outcome.sets
     angles = np.random.default_rng(0).normal(scale=1e-3, size=(2, len(own.data), 3))
     poses = own._replace(
@@ -283,6 +284,6 @@ def test_importing_the_report_loads_no_template_engine() -> None:
     import subprocess
     import sys
 
-    code = "import sys, calib.job.report, calib.presentation.report.page as p; print({'jinja2'} & set(sys.modules))"
+    code = "import sys, calib.results.report, calib.presentation.report.page as p; print({'jinja2'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

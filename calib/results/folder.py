@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,6 @@ from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
-from calib.job.inputs import Inputs, Progress
-from calib.job.report import report_of
-from calib.job.run import Outcome, resolved
-from calib.job.scene import scene_of
-from calib.job.versions import versions
 from calib.machine.model_file import (
     CALIBRATED_FILE,
     GAUSSIAN_FILE,
@@ -39,6 +34,10 @@ from calib.measurement.kinds import Kind, size
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
+from calib.results.calibration import Calibration
+from calib.results.report import report_of
+from calib.results.scene import scene_of
+from calib.results.versions import versions
 from calib.robot import dh
 
 RESULT_FILE = "result.json"
@@ -58,19 +57,19 @@ _RESIDUAL_COLUMNS = (_OF_POSES, _OF_LENGTHS, _OF_PIXELS)
 _MOST_WORST = 10
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
-_STEPS_OF_WRITING = 4
+STEPS_OF_WRITING = 4
 # Of a parameter read back, in SI units.
 _LARGEST_VALUE = 1e6
 
 
-def refuse_folder(out: Path, inputs: Inputs) -> Path:
+def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
     """Raise OutputError when results cannot or may not be written to a folder, before any work is done for them.
 
-    Returns the folder that is meant where ``out`` is a link to one.
+    ``inputs``: files that are never replaced. Returns the folder that is meant where ``out`` is a link to one.
     """
     out = real_folder(out)
     try:
-        for file in inputs.files:
+        for file in inputs:
             if out in (file.resolve(), *file.resolve().parents):
                 raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
         if out in (Path.cwd(), *Path.cwd().parents):
@@ -100,37 +99,28 @@ def _refuse_foreign(folder: Path) -> None:
         raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
 
 
-def write_results(outcome: Outcome, out: Path, progress: Progress = lambda _: None) -> None:
+def write_results(found: Calibration, out: Path, progress: Callable[[str], None] = lambda _: None) -> None:
     """Write the folder of results; on any error it stays as it was."""
-    out = refuse_folder(out, outcome.inputs)  # a link stays a link: what it points to is replaced
+    out = refuse_folder(out, found.origin.files)  # a link stays a link: what it points to is replaced
     progress("writing the calibrated URDF")
-    machine = machine_files(outcome.machine)
+    machine = machine_files(found.machine)
     progress("drawing the scene")
-    scene = render_scene(scene_of(outcome))
+    scene = render_scene(scene_of(found))
     progress("writing the report")
-    report = report_of(outcome)
+    report = report_of(found)
     files: dict[str, bytes | str] = {
         **machine,
-        JOB_FILE: resolved(outcome.inputs),
-        RESULT_FILE: result_json(outcome),
-        RESIDUAL_FILE: residual_table(outcome),
+        RESULT_FILE: result_json(found),
+        RESIDUAL_FILE: residual_table(found),
         SCENE_FILE: scene,
         REPORT_FILE: render_page(report),
         MARKDOWN_FILE: render_markdown(report),
-        **_dh_table(outcome.fit),
+        **_dh_table(found.fit),
     }
+    if found.origin.settings:
+        files[JOB_FILE] = found.origin.settings
     progress("writing the results")
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
-
-
-def steps_after_loading(inputs: Inputs) -> int:
-    """Return how many steps a calibration tells of once its inputs are read, up to the written results."""
-    fits = sum(level.residual_model is None for level in inputs.job.levels) or 1
-    followed = inputs.job.solver.kind == "total_differential"
-    residual = inputs.job.levels[-1].residual_model if inputs.job.levels else None
-    learned = residual is not None and residual.kind == "gaussian_process"
-    # Validating and looking for outliers come after the fits.
-    return fits + learned + followed + 2 + _STEPS_OF_WRITING
 
 
 def robot_errors(folder: Path) -> dict[str, float]:
@@ -154,25 +144,25 @@ def robot_errors(folder: Path) -> dict[str, float]:
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
-def result_json(outcome: Outcome) -> str:
+def result_json(found: Calibration) -> str:
     """Return ``result.json`` as text: strict JSON, which knows neither nan nor infinity."""
-    return json.dumps(result(outcome), indent=2, allow_nan=False) + "\n"
+    return json.dumps(result(found), indent=2, allow_nan=False) + "\n"
 
 
-def result(outcome: Outcome) -> dict[str, Any]:
+def result(found: Calibration) -> dict[str, Any]:
     """Return ``result.json``, schema 1: plain data, lengths in m and angles in rad, None for what is not known."""
-    fit = outcome.fit
-    files = outcome.inputs.tables("identify")
+    fit = found.fit
+    files = [judged.file for judged in found.sets]
     contents: dict[str, Any] = {
         "schema": 1,
-        "trusted": not outcome.doubts,
-        "doubts": list(outcome.doubts),
-        "findings": [finding.sentence for finding in outcome.inputs.findings],
+        "trusted": not found.doubts,
+        "doubts": list(found.doubts),
+        "findings": [finding.sentence for finding in found.findings],
         "metrics": {
             use: {when: _by_quantity(figures) for when, figures in by_when.items()}
-            for use, by_when in outcome.metrics.items()
+            for use, by_when in found.metrics.items()
         },
-        "lost_in_urdf": None if np.isnan(outcome.lost_in_urdf) else outcome.lost_in_urdf,
+        "lost_in_urdf": None if np.isnan(found.lost_in_urdf) else found.lost_in_urdf,
         "rank": fit.rank,
         "usable_rank": fit.usable_rank,
         "blind": {
@@ -199,7 +189,7 @@ def result(outcome: Outcome) -> dict[str, Any]:
             }
             for noise in fit.noise
         ],
-        "outliers": _worst(outcome.outliers),
+        "outliers": _worst(found.outliers),
         "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
         "tools": {
             name: PoseEntry.of(tool).model_dump()
@@ -217,14 +207,12 @@ def result(outcome: Outcome) -> dict[str, Any]:
         },
         "levels": [
             {"name": level.name, "free": level.free, "rank": level.rank, "metrics": _by_quantity(level.metrics)}
-            for level in outcome.levels
+            for level in found.levels
         ],
-        "choice": None if outcome.choice is None else outcome.choice.records(),
-        "trace": None
-        if outcome.trace is None
-        else {"reason": outcome.trace.reason, "iterations": outcome.trace.records()},
+        "choice": None if found.choice is None else found.choice.records(),
+        "trace": None if found.trace is None else {"reason": found.trace.reason, "iterations": found.trace.records()},
         "versions": versions(),
-        "inputs": dict(outcome.inputs.hashes),
+        "inputs": dict(found.origin.hashes),
     }
     plain: dict[str, Any] = _strict(contents)
     return plain
@@ -252,7 +240,7 @@ def _by_quantity(figures: Mapping[str, Metrics]) -> dict[str, dict[str, Any]]:
     return {quantity: asdict(m) for quantity, m in figures.items()}
 
 
-def residual_table(outcome: Outcome) -> str:
+def residual_table(found: Calibration) -> str:
     """Return ``residuals.csv``: measured minus predicted of every row, before and after, in mm, degrees and pixels.
 
     A point's error has three components, that of a length, a height or an indicator one, called its ``error``.
@@ -260,14 +248,14 @@ def residual_table(outcome: Outcome) -> str:
     columns = [
         title
         for titles in _RESIDUAL_COLUMNS
-        if titles is _OF_POSES or any(_columns_of(judged.data.kind) is titles for judged in outcome.sets)
+        if titles is _OF_POSES or any(_columns_of(judged.data.kind) is titles for judged in found.sets)
         for title in titles
     ]
     whens = ("before", "after")
     # The unit stands last in a title, so that columns of one unit follow one another.
     titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
     rows: list[Iterable[object]] = [["use", "file", "line", "point", *titles]]
-    for judged in outcome.sets:
+    for judged in found.sets:
         data, own = judged.data, _columns_of(judged.data.kind)
         for n, line in enumerate(data.lines):
             row: dict[str, str] = {}

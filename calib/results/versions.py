@@ -3,7 +3,7 @@
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-import calib
+from calib.foundations.version import __version__
 
 _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "trimesh")
 
@@ -11,7 +11,7 @@ _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "trimesh")
 def versions() -> dict[str, str | None]:
     """Return the versions of this package, of Python and of the libraries that matter; None where one is not known."""
     return {
-        "calib": calib.__version__,
+        "calib": __version__,
         "python": platform.python_version(),
         **{name: _version(name) for name in _LIBRARIES},
     }

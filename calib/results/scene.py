@@ -1,4 +1,4 @@
-"""The scene of an outcome."""
+"""The scene of an found."""
 
 from collections.abc import Iterator
 from typing import Literal
@@ -9,27 +9,27 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
 from calib.identification.targets import shapes
-from calib.job.run import JudgedSet, Outcome
 from calib.measurement.kinds import size
 from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Mark, Scene, magnification
+from calib.results.calibration import Calibration, JudgedSet
 from calib.robot.conditions import Conditions, joined
 from calib.robot.robot import Deviations
 
 
-def scene_of(outcome: Outcome) -> Scene:
-    """Return the scene of a finished calibration: every row of every table that tells a point, in the job's order.
+def scene_of(found: Calibration) -> Scene:
+    """Return the scene of a calibration: every row of every table that tells a point, in the job's order.
 
     A socket's point is where the calibrated robot says it is. Tables of lengths, heights and pixels tell no points:
     where there is nothing else, the calibrated tool's are drawn, without errors.
     """
-    fit, robot = outcome.fit, outcome.fit.robot
+    fit, robot = found.fit, found.fit.robot
     root = robot.root_in_base
-    with_points = [judged for judged in outcome.sets if size(judged.data.kind) >= 3]
-    sets = with_points or list(outcome.sets)
+    with_points = [judged for judged in found.sets if size(judged.data.kind) >= 3]
+    sets = with_points or list(found.sets)
     readings = np.concatenate([judged.data.readings for judged in sets])
     conditions = joined([judged.data.conditions for judged in sets])
-    measured = np.concatenate([_points(outcome, judged) for judged in sets])
+    measured = np.concatenate([_points(found, judged) for judged in sets])
     before = after = measured
     if with_points:
         before = measured - np.concatenate([judged.before[:, :3] for judged in sets])
@@ -37,11 +37,11 @@ def scene_of(outcome: Outcome) -> Scene:
     calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
-    nominal, apart = _nominal(outcome, readings, conditions, root, scales[0])
+    nominal, apart = _nominal(found, readings, conditions, root, scales[0])
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
-        mesh_roots=outcome.inputs.mesh_roots,
+        mesh_roots=found.origin.mesh_roots,
         calibrated=calibrated,
         nominal=nominal,
         apart=apart,
@@ -54,24 +54,24 @@ def scene_of(outcome: Outcome) -> Scene:
         before=before,
         after=after,
         scales=scales,
-        marks=tuple(_targets(outcome, extent)),
+        marks=tuple(_targets(found, extent)),
         judged=bool(with_points),
     )
 
 
-def _targets(outcome: Outcome, extent: float) -> Iterator[Mark]:
+def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
     """Yield the sockets, anchors, balls, planes, boards and cameras where the calibration has found them."""
-    fit = outcome.fit
-    found = shapes(fit.measurements)
+    fit = found.fit
+    known = shapes(fit.measurements)
     for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
-        if shape := found.get(name):
+        if shape := known.get(name):
             kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
             yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
 
 
-def _points(outcome: Outcome, judged: JudgedSet) -> Array:
+def _points(found: Calibration, judged: JudgedSet) -> Array:
     """Return the points (N, 3) that a table measured, in the instrument's frame."""
-    data, fit = judged.data, outcome.fit
+    data, fit = judged.data, found.fit
     if data.position is not None:
         return data.position
     placed = fit.machine.frames.base @ data.tips(fit.robot, fit.deviations)
@@ -81,13 +81,15 @@ def _points(outcome: Outcome, judged: JudgedSet) -> Array:
     return points + judged.after if data.kind == "socket" else points
 
 
-def _nominal(outcome: Outcome, readings: Array, conditions: Conditions, root: Array, apart: float) -> tuple[Arm, float]:
+def _nominal(
+    found: Calibration, readings: Array, conditions: Conditions, root: Array, apart: float
+) -> tuple[Arm, float]:
     """Return the nominal arm, its difference from the calibrated one taken ``apart`` times, or as often as loops allow.
 
     Deviations and base are led on beyond the nominal ones, to first order, so that its tool goes to where the errors
     before calibration, drawn as often, end.
     """
-    fit = outcome.fit
+    fit = found.fit
     for times in (*(apart / k for k in (1.0, 2.0, 5.0, 10.0, 100.0) if apart / k > 1.0), 1.0):
         d = fit.deviations
         try:

@@ -1,0 +1,182 @@
+"""A fit, judged: its machine, its errors before and after, whether it may be trusted, which rows lie off."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from calib.assessment.choice import Choice
+from calib.assessment.metrics import Metrics, metrics
+from calib.assessment.outliers import Outliers, outliers
+from calib.assessment.trust import doubts, remarks
+from calib.foundations.arrays import Array
+from calib.foundations.errors import MeasurementError
+from calib.identification.fit import Fit
+from calib.identification.identify import residuals_of
+from calib.identification.total_differential import Trace
+from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.residual_model import ResidualModel
+from calib.machine.urdf import lost_in_urdf
+from calib.measurement.checks import Finding
+from calib.measurement.measurements import Measurements
+from calib.robot.conditions import joined
+
+Use = Literal["identification", "validation"]
+
+
+class JudgedSet(NamedTuple):
+    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
+
+    use: Use
+    file: str
+    data: Measurements
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LevelReport:
+    """What one level has brought: metrics by quantity of the held-out data, base and tool fitted anew.
+
+    Of the data to identify from, where nothing is held out. ``free``: number of parameters; ``rank``: of those seen.
+    """
+
+    name: str
+    free: int
+    rank: int
+    metrics: Mapping[str, Metrics]
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a calibration was made by and from: a command, its settings as JSON, files, and their SHA-256 by name."""
+
+    command: str = ""
+    settings: str = ""
+    files: tuple[Path, ...] = ()
+    hashes: Mapping[str, str] = MappingProxyType({})
+    mesh_roots: tuple[Path, ...] = ()
+
+
+FROM_PYTHON = Origin()
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration:
+    """A judged calibration. Made by :func:`assess`.
+
+    ``machine``: the calibrated machine of ``fit``. ``metrics[use][when][quantity]``: use is identification or
+    validation, when is before or after. ``sets``: residuals of every table; those after are left by ``machine``, with
+    its residual model where that has values. ``doubts``: why it should not be trusted. ``findings``: what was doubtful,
+    but usable. ``outliers``: of the data to identify from. ``lost_in_urdf``: rms in m at the tip that the calibrated
+    URDF alone is off, as it holds neither closed loops nor joint terms. ``levels``, ``trace`` and ``choice``: on the
+    way to the fit. ``origin``: what it was made from.
+    """
+
+    fit: Fit
+    machine: CalibratedMachine
+    sets: tuple[JudgedSet, ...]
+    metrics: Mapping[str, Mapping[str, Mapping[str, Metrics]]]
+    doubts: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    outliers: Outliers
+    lost_in_urdf: float
+    levels: tuple[LevelReport, ...] = ()
+    trace: Trace | None = None
+    choice: Choice | None = None
+    origin: Origin = FROM_PYTHON
+
+    @property
+    def trusted(self) -> bool:
+        """Whether there is no reason not to use it."""
+        return not self.doubts
+
+    @property
+    def judged_by(self) -> Mapping[str, Mapping[str, Metrics]]:
+        """The metrics that count, by when and quantity: of the data held out, else of those identified from."""
+        return self.metrics["validation" if "validation" in self.metrics else "identification"]
+
+    def __repr__(self) -> str:
+        by = "held out" if "validation" in self.metrics else "identified from"
+        errors = ", ".join(
+            f"{quantity} {_shown(self.judged_by['before'][quantity])} -> {_shown(now)} rms"
+            for quantity, now in self.judged_by["after"].items()
+        )
+        said = "to be trusted" if self.trusted else "not to be trusted: " + " ".join(self.doubts)
+        return f"<Calibration, {said}; {errors}, by data {by}>"
+
+
+def _shown(found: Metrics) -> str:
+    factor, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}.get(found.unit, (1.0, found.unit))
+    return f"{found.rms * factor:.4g} {unit}"
+
+
+def assess(
+    fit: Fit,
+    held_out: Measurements | Sequence[Measurements] = (),
+    *,
+    residual_model: ResidualModel | None = None,
+    names: Sequence[str] | None = None,
+    findings: Sequence[Finding] = (),
+    trace: Trace | None = None,
+    origin: Origin = FROM_PYTHON,
+) -> Calibration:
+    """Judge a fit by its own data, and by measurements that were held out of it.
+
+        found = calib.assess(fit, held_out)
+        found.metrics["validation"]["after"]["position"].rms  # m
+
+    ``residual_model``: what the machine adds to positions. ``names``: of the tables, first those that were identified
+    from; by default where they come from. ``findings``: what was doubtful in the data. ``trace``: of a total
+    differential that has led to the fit. Raises MeasurementError when data held out are of tools or targets that the
+    fit does not know.
+    """
+    validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
+    given = tuple(names) if names is not None else tuple(data.where for data in (*fit.measurements, *validation))
+    if len(given) != len(fit.measurements) + len(validation):
+        raise MeasurementError(f"{len(given)} names are given for {len(fit.measurements) + len(validation)} tables.")
+    machine = machine_of(fit, residual_model)
+    uses: list[tuple[Use, tuple[Measurements, ...]]] = [("identification", fit.measurements)]
+    if validation:
+        uses.append(("validation", validation))
+    sets: list[JudgedSet] = []
+    for use, tables in uses:
+        before, after = residuals_of(fit, tables, fit.nominal), residuals_of(fit, tables, fit.machine)
+        for data, b, a in zip(tables, before, after, strict=True):
+            left = a if data.position is None else machine.less_shifts(a, data)
+            sets.append(JudgedSet(use, given[len(sets)], data, b, left))
+    figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
+        use: {
+            "before": metrics((judged.data.kind, judged.before) for judged in sets if judged.use == use),
+            "after": metrics((judged.data.kind, judged.after) for judged in sets if judged.use == use),
+        }
+        for use, _ in uses
+    }
+    decisive = figures["validation" if validation else "identification"]
+    stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
+    ends = [end for judged in sets for end in judged.data.ends]
+    return Calibration(
+        fit,
+        machine,
+        tuple(sets),
+        figures,
+        (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
+        (*findings, *remarks(fit)),
+        outliers(fit, files={data.where: name for name, data in zip(given, fit.measurements, strict=False)}),
+        lost_in_urdf(
+            fit.robot,
+            fit.deviations,
+            np.concatenate([end.readings for end in ends]),
+            joined([end.conditions for end in ends]),
+        ),
+        trace=trace,
+        origin=origin,
+    )
+
+
+def _not_stopped(trace: Trace) -> str:
+    largest = trace.iterations[-1].largest * 1e3
+    return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."

@@ -1,0 +1,41 @@
+"""The report of a calibration: which sections it has, in which order.
+
+A section more is a function more in ``SECTIONS``: it takes the calibration, and returns None where it has nothing to
+say.
+"""
+
+from collections.abc import Callable
+
+from calib.presentation.report import sections
+from calib.presentation.report.document import Report, Section
+from calib.presentation.report.outlying import outliers
+from calib.results.calibration import Calibration
+from calib.results.versions import versions
+
+SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
+    lambda c: sections.errors(c.metrics, c.lost_in_urdf),
+    lambda c: None if c.trace is None else sections.trace(c.trace),
+    lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
+    lambda c: None if c.choice is None else sections.chosen(c.choice),
+    lambda c: sections.distribution(c.sets),
+    lambda c: sections.poses(c.sets),
+    lambda c: sections.joints(c.fit, c.sets),
+    lambda c: sections.workspace(c.fit, c.sets),
+    lambda c: outliers(c.outliers),
+    lambda c: sections.parameters(c.fit),
+    lambda c: sections.correlations(c.fit),
+    lambda c: sections.seen(c.fit),
+    lambda c: sections.priors(c.fit),
+    lambda c: sections.noise(c.fit),
+    lambda c: sections.provenance(c.origin.command, versions(), c.origin.hashes),
+)
+
+
+def report_of(found: Calibration) -> Report:
+    """Return the report of a judged calibration, as plain data."""
+    robot = found.fit.robot
+    return Report(
+        f"Calibration of {robot.urdf.name or robot.urdf.where}",
+        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings]),
+        tuple(section for make in SECTIONS if (section := make(found)) is not None),
+    )
