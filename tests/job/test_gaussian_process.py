@@ -44,7 +44,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Path]:
     text = (IRB / "calibration.toml").read_text(encoding="utf-8")
     assert GRID in text
     (folder / "calibration.toml").write_text(text.replace(GRID, 'kind = "gaussian_process"'), encoding="utf-8")
-    outcome = run(load(out.parent / "calibration.toml"))
+    outcome = run(load(folder / "calibration.toml"))
     out = folder / "out"
     # Into the results of an earlier run: its file is one of the tool's own.
     write_results(outcome, out)
