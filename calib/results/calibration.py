@@ -1,9 +1,8 @@
 """A fit, judged: its machine, its errors before and after, whether it may be trusted, which rows lie off."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -57,7 +56,7 @@ class Origin:
     command: str = ""
     settings: str = ""
     files: tuple[Path, ...] = ()
-    hashes: Mapping[str, str] = MappingProxyType({})
+    hashes: Mapping[str, str] = field(default_factory=dict)
     mesh_roots: tuple[Path, ...] = ()
 
 
