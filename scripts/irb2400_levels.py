@@ -32,7 +32,7 @@ from calib.machine.grid import SectorGrid, grid_from_residuals
 Array = NDArray[np.float64]
 
 CASE = Path(__file__).resolve().parents[1] / "robots" / "irb2400"
-TRACKER = calib.LaserTracker(7.5e-6, 3e-6)
+TRACKER = calib.measuring.LaserTracker(7.5e-6, 3e-6)
 SETS = ("base_fit", "level1", "level2", "nodes", "test")
 HARMONICS = "harmonics"
 UNCORRECTED = "poses not corrected"

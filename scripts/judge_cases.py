@@ -480,7 +480,7 @@ def pixels(seed: int) -> Case:
     columns |= {f"{name} [px]": seen[..., k].ravel() for k, name in enumerate("uv")}
     columns |= {f"board_{axis} [m]": np.tile(BOARD, (n, 1))[:, k] for k, axis in enumerate("xyz")}
     columns |= {"target": ["board"] * (n * m)}
-    camera = calib.Camera("tip" if on_tip else "floor", **LENS, sigma=sigma if stated else 0.0)
+    camera = calib.measuring.Camera("tip" if on_tip else "floor", **LENS, sigma=sigma if stated else 0.0)
     data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
     parameters += [*(f"tool.{c}" for c in POSE), *(f"target.board.{c}" for c in POSE)]

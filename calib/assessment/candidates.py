@@ -1,6 +1,6 @@
 """Poses that could be measured, and what each would bring."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -30,19 +30,26 @@ _ENOUGH_TRIES = 2000
 _BY_CHANCE = 4
 
 
+def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] = (0.0, 0.0, 0.0)) -> Frames:
+    """Return frames for a plan: ``tool`` (3,), a reflector in the tip link, and ``tracker`` (3,) in the base, in m."""
+    return Frames(rigid.translation(-np.asarray(tracker)), rigid.translation(np.asarray(tool))[None])
+
+
 @dataclass(frozen=True, slots=True)
 class Setup:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
     ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
-    model will not explain, all coordinates together; 0 for none.
+    model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool shall be
+    right; when None, the candidates.
     """
 
-    frames: Frames
+    frames: Frames = field(default_factory=roughly)
     observes: Observed = "position"
     sigma: float = 0.05e-3
     sigma_angle: float = 0.1e-3
     misfit: float = 0.0
+    working: Array | None = None
 
     def __post_init__(self) -> None:
         for name, value, least in (

@@ -160,7 +160,7 @@ def compare_models(
 
     ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
     more) and of one word in the column ``group`` stay together. ``choose``: names of the models to which joint terms
-    are added that :func:`calib.choose_terms` finds, in every fold anew; ``priors``: of these.
+    are added that :func:`calib.judging.choose_terms` finds, in every fold anew; ``priors``: of these.
     ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every row held out counts alike. ``progress`` is told
     each fit, and how many more there are.
 

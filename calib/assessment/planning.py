@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.assessment import design
-from calib.assessment.candidates import Setup, rows, working_rows
+from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
 from calib.assessment.design import Criterion, Space
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError
@@ -57,29 +57,38 @@ class Plan:
 
 def plan(
     model: ErrorModel,
-    setup: Setup,
-    candidates: Array,
-    count: int,
+    count: int = 40,
     *,
+    candidates: int | Array = 1000,
+    setup: Setup | None = None,
     criterion: Criterion = "I",
-    working: Array | None = None,
     measured: Array | None = None,
     target: float | None = None,
-    seed: int = 0,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Plan:
-    """Choose ``count`` of the candidate poses (N, nr), in rad and m, to be measured next.
+    """Choose ``count`` poses to be measured next.
 
-    ``working``: poses where the tool shall be right, the candidates when None. ``measured``: poses measured already,
-    which the new ones complete. ``target`` in m: how many poses keep the forecast within it is searched for.
+        planned = calib.plan(calib.error_model(robot, offsets="all", placements="all"), 40)
+        planned.readings  # (40, nr) in rad and m
+
+    ``candidates`` (N, nr) in rad and m, or how many to draw at random within the joints' limits: see
+    :mod:`calib.planning` for such as a tracker sees and where the arm does not touch itself. ``setup``: how poses are
+    measured, and where the tool shall be right; by default positions by a tracker. ``measured`` (M, nr): poses measured
+    already, which the new ones complete. ``target`` in m: how many poses keep the forecast within it is searched for.
 
     Raises JobError when there are fewer candidates than ``count``, or they see nothing.
     """
+    how = setup or Setup()
+    if isinstance(candidates, int):
+        candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
+    if count < 1:
+        raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
+    working, seed = how.working, 0
     if count > len(candidates):
         raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
     with one_thread():
-        parts = rows(model, setup, candidates), working_rows(model, setup, candidates if working is None else working)
-        given = None if measured is None or not len(measured) else rows(model, setup, measured)
+        parts = rows(model, how, candidates), working_rows(model, how, candidates if working is None else working)
+        given = None if measured is None or not len(measured) else rows(model, how, measured)
         prior = _priors(model)
         judged = design.space(parts[0], criterion, parts[1], given, prior)
         by_error = judged if criterion == "I" else design.space(parts[0], "I", parts[1], given, prior)

@@ -66,6 +66,42 @@ def groups(measurements: Sequence[Measurements], *, places: bool = False) -> Int
     return np.asarray(rank[component][cell], dtype=np.intp)
 
 
+def hold_out(
+    data: Measurements, share: float = 0.25, *, places: Sequence[str] | None = None
+) -> tuple[Measurements, Measurements]:
+    """Return the rows to identify from, and the rest, that judge the fit.
+
+        some, rest = calib.hold_out(data)                  # a quarter, spread at random but alike every time
+        some, rest = calib.hold_out(data, places=["left"])  # all that was touched or grouped there
+
+    ``share``: of whole groups, rows of one pose, one socket or one ``group`` together. ``places``: names of sockets and
+    other targets, or words of the column ``group``, instead. A target of which no row is left is none of the part's.
+    Raises MeasurementError when a place is not known, or when one part would have no rows; JobError for a share that is
+    not between 0 and 1.
+    """
+    if not 0.0 < share < 1.0:
+        raise JobError(f"share: {share!r} is not between 0 and 1.")
+    if places is None:
+        group = groups([data], places=True)
+        number = int(group.max(initial=0)) + 1
+        if number < 2:
+            raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
+        many = min(max(round(share * number), 1), number - 1)
+        out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
+    else:
+        words = [{data.targets[t]} if t >= 0 else set() for t in data.target]
+        if data.group is not None:
+            words = [own | {word} for own, word in zip(words, data.group, strict=True)]
+        known = set().union(*words)
+        if unknown := [place for place in places if place not in known]:
+            there = ", ".join(map(repr, sorted(known))) or "none"
+            raise MeasurementError(f"{data.where}: there is no target or group {unknown[0]!r}; there are {there}.")
+        out = np.array([not own.isdisjoint(places) for own in words])
+        if out.all() or not out.any():
+            raise MeasurementError(f"{data.where}: {'all' if out.all() else 'no'} rows are of {', '.join(places)}.")
+    return data.subset(~out).with_own_names(), data.subset(out).with_own_names()
+
+
 def _words(measurements: Sequence[Measurements]) -> list[str | None]:
     return [word for data in measurements for word in (data.group or [None] * len(data))]
 

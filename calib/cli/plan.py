@@ -88,8 +88,9 @@ def plan(
         say("reading the arm")
         robot, model, roots = _arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(_base(tracker), rigid.translation(_point(tool, "tool"))[None])
+        right = None if working is None else _table(working, robot)
         noise = (_length(sigma, "sigma"), _angle(sigma_angle, "sigma_angle"))
-        setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"))
+        setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right)
         sight = _sight(tracker, facing, acceptance, nearest, farthest)
         notes = _untold(model)
         collision = None
@@ -108,11 +109,10 @@ def plan(
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
-            setup,
-            found.readings,
             count,
+            candidates=found.readings,
+            setup=setup,
             criterion=criterion,
-            working=None if working is None else _table(working, robot),
             measured=None if measured is None else _table(measured, robot),
             target=None if target is None else _length(target, "target"),
         )

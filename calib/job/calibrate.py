@@ -13,20 +13,27 @@ STEPS_OF_LOADING = 3
 
 
 def calibrate(
-    job: Path, out: Path, progress: Progress = lambda _: None, expect: Callable[[int], None] = lambda _: None
+    job: str | Path,
+    out: str | Path,
+    progress: Progress = lambda _: None,
+    expect: Callable[[int], None] = lambda _: None,
 ) -> Calibration:
-    """Read a job, identify, and write its folder of results; ``expect`` is told how many steps come after loading.
+    """Read a job, identify, and write its folder of results, as ``calib calibrate`` does.
+
+        found = calib.calibrate("calibration.toml", "results")
+
+    ``progress`` is told each step, ``expect`` is told how many steps come after loading.
 
     Linear algebra runs in one thread: sums that several threads share depend on how many they are, and the same job
     gives the same bytes alone, in a fleet, and on a machine of more cores. Raises CalibError with one sentence; the
     folder is then as it was.
     """
     with one_thread():
-        inputs = load(job, progress)
-        refuse_folder(out, inputs.files)
+        inputs, folder = load(Path(job), progress), Path(out)
+        refuse_folder(folder, inputs.files)
         expect(steps_after_loading(inputs))
         found = run(inputs, progress)
-        write_results(found, out, progress)
+        write_results(found, folder, progress)
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.assessment.validation import groups
+from calib.assessment.validation import hold_out
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, PoseError
@@ -21,7 +21,7 @@ from calib.identification.parameters import Prior
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
-from calib.job.arm import Arm, read_arm, touched
+from calib.job.arm import ReadArm, read_arm
 from calib.job.read import read_job
 from calib.job.schema import (
     CouplingSection,
@@ -34,6 +34,7 @@ from calib.job.schema import (
     RelationSection,
     TargetSection,
 )
+from calib.machine.touching import touched
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
@@ -300,14 +301,8 @@ def _shared_out(data: Measurements, section: MeasurementsSection) -> Measurement
     """
     if section.hold_out is None:
         return data
-    group = groups([data], places=True)
-    number = int(group.max()) + 1
-    if number < 2:
-        raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
-    many = min(max(round(section.hold_out * number), 1), number - 1)
-    out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
-    # A target of which no row is left is none of the part's: it would be taken for found.
-    return data.subset(out if section.use == "validate" else ~out).with_own_names()
+    kept, held_out = hold_out(data, section.hold_out)
+    return held_out if section.use == "validate" else kept
 
 
 def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
@@ -412,7 +407,7 @@ def _relation(section: RelationSection) -> Relation:
     return Relation(section.kind, section.targets, value, parse_quantity(section.sigma, dimension, "sigma"))
 
 
-def _arms(job: Job, path: Path) -> dict[str, Arm]:
+def _arms(job: Job, path: Path) -> dict[str, ReadArm]:
     """Return the instruments of a job that are arms and that some table was measured with."""
     used = {section.instrument for section in job.measurements}
     arms = {name: arm for name, arm in job.instruments.items() if arm.kind == "arm" and name in used}
@@ -427,11 +422,11 @@ def _measurements(
     job: Job,
     robot: Robot,
     folder: Path,
-    arms: Mapping[str, Arm],
+    arms: Mapping[str, ReadArm],
     doubts: list[Finding],
 ) -> Measurements:
     if section.instrument is not None and section.instrument in arms:
-        data, found = touched(folder / section.file, arms[section.instrument], robot, section.columns)
+        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, section.columns)
         doubts += found
         return data
     data = read_measurements(

@@ -34,7 +34,7 @@ from calib.measurement.kinds import Kind, size
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
-from calib.results.calibration import Calibration
+from calib.results.calibration import Calibration, assess
 from calib.results.report import report_of
 from calib.results.scene import scene_of
 from calib.results.versions import versions
@@ -121,6 +121,37 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
         files[JOB_FILE] = found.origin.settings
     progress("writing the results")
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
+
+
+def save(found: Calibration | Fit, folder: str | Path) -> Path:
+    """Write a calibration as ``calib calibrate`` does: model, URDF, figures, residuals, report and scene.
+
+        calib.save(calib.assess(fit, held_out), "results")
+
+    A fit is judged by its own data. The folder appears whole, or stays as it was; it may hold older results and nothing
+    else. Returns the folder. Raises OutputError with one sentence.
+    """
+    out = Path(folder)
+    write_results(judged(found), out)
+    return out
+
+
+def report(found: Calibration | Fit) -> str:
+    """Return the report of a calibration as one HTML page that needs no other file."""
+    return render_page(report_of(judged(found)))
+
+
+def scene(found: Calibration | Fit) -> str:
+    """Return the 3D scene of a calibration as one HTML page that needs no other file.
+
+    Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them.
+    """
+    return render_scene(scene_of(judged(found)))
+
+
+def judged(found: Calibration | Fit) -> Calibration:
+    """Return a calibration as it is, and a fit judged by its own data."""
+    return assess(found) if isinstance(found, Fit) else found
 
 
 def robot_errors(folder: Path) -> dict[str, float]:

@@ -21,7 +21,7 @@ def solve(case: Case, urdf: Path, setting: str) -> Solved:
     model = calib.error_model(robot, offsets="all", placements="all")
     with Stopwatch() as watch:
         if setting == "terms":
-            model = calib.choose_terms(model, data).model
+            model = calib.judging.choose_terms(model, data).model
         fit = calib.identify(model, data)
     machine = fit.machine
     tips = fit.robot.tips(case.unseen, machine.deviations)

@@ -210,9 +210,9 @@ class Case:
         shown = x @ np.array([0.6, 0.0, 0.8]) - 0.4 + self.rng.normal(0.0, SIGMA, n)
         return self.columns(q, told, tools) | {"target": np.array(["s0"] * n), "indicated [m]": shown}
 
-    def camera(self) -> calib.Camera:
+    def camera(self) -> calib.measuring.Camera:
         lens = {key: float(str(CAMERA[key]).split()[0]) for key in ("fx", "fy", "cx", "cy", "k1")}
-        return calib.Camera("floor", **lens)
+        return calib.measuring.Camera("floor", **lens)
 
     def _pixels(self, n: int) -> Columns:
         q, tools = self.draw(n), self.tools_of(n)

@@ -276,10 +276,10 @@ def is_doubted(walked: Walked, folder: Path) -> None:
     fit = walked.outcome.fit
     calib.advice(fit)
     q, tool = walked.case.draw(3), walked.case.draft.tools[0]
-    found = calib.bootstrap(fit, q, 2, kind="poses", tool=tool)
+    found = calib.judging.bootstrap(fit, q, 2, kind="poses", tool=tool)
     assert found.failed < 2 and found.values.shape[1] == len(fit.parameters)
     if all(data.position is not None for data in fit.measurements):
-        assert calib.bootstrap(fit, q, 2, kind="residuals", tool=tool).failed == 0
+        assert calib.judging.bootstrap(fit, q, 2, kind="residuals", tool=tool).failed == 0
 
 
 def has_others(walked: Walked, folder: Path) -> None:

@@ -21,11 +21,11 @@ LENS = {"fx": 1210.0, "fy": 1190.0, "cx": 655.0, "cy": 508.0}
 BENT = LENS | {"k1": -0.21, "k2": 0.09, "p1": 8e-4, "p2": -5e-4, "k3": -0.015}
 
 
-def eye(camera_on: str, sigma: float = 0.0, lens: dict[str, float] | None = None) -> calib.Camera:
-    return calib.Camera(camera_on, **(BENT if lens is None else lens), sigma=sigma)
+def eye(camera_on: str, sigma: float = 0.0, lens: dict[str, float] | None = None) -> calib.measuring.Camera:
+    return calib.measuring.Camera(camera_on, **(BENT if lens is None else lens), sigma=sigma)
 
 
-def see(camera: calib.Camera, points: Array) -> Array:
+def see(camera: calib.measuring.Camera, points: Array) -> Array:
     """Pixels (..., 2) of points (..., 3) in the camera's frame, by complex numbers: z = x + i y."""
     z = (points[..., 0] + 1j * points[..., 1]) / points[..., 2]
     r2 = np.abs(z) ** 2
@@ -45,7 +45,7 @@ class Scene:
     """An arm at ``base`` with ``tool`` on its tip, and ``target`` on the floor; one is the camera, one the board."""
 
     arm: machines.Arm
-    camera: calib.Camera
+    camera: calib.measuring.Camera
     places: Array
     base: Array
     tool: Array

@@ -253,4 +253,4 @@ def test_a_width_is_a_number_or_to_be_learned() -> None:
     with pytest.raises(JobError, match=r"prior length: 'wide' is neither a positive number nor \"learned\"\."):
         lab.model(prior_length="wide")
     with pytest.raises(JobError, match="knows no priors"):
-        calib.total_differential(lab.model(prior_length="learned"), lab.data(60), stop=1e-4)
+        calib.judging.total_differential(lab.model(prior_length="learned"), lab.data(60), stop=1e-4)

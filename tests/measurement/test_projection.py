@@ -63,7 +63,7 @@ def test_undistorting_undoes_the_lens() -> None:
 
 def test_pixels_beyond_the_fold_of_a_lens_have_no_direction() -> None:
     # r (1 - 2 r^2) is largest at r = 1 / sqrt(6), where it is 0.2722.
-    camera = calib.Camera("tip", 1000.0, 1000.0, 0.0, 0.0, k1=-2.0)
+    camera = calib.measuring.Camera("tip", 1000.0, 1000.0, 0.0, 0.0, k1=-2.0)
     flat, found = undistort(camera, np.array([[0.0, 0.0], [272.0, 0.0], [0.0, -272.0], [273.0, 0.0], [4000.0, 900.0]]))
     assert found.tolist() == [True, True, True, False, False]
     assert 0.39 < flat[1, 0] < 1 / np.sqrt(6)
@@ -87,4 +87,4 @@ def test_a_mark_in_the_camera_is_finite() -> None:
 )
 def test_impossible_cameras_are_refused(key: str, value: object, says: str) -> None:
     with pytest.raises(JobError, match=says):
-        replace(calib.Camera("tip", **BENT), **{key: value})
+        replace(calib.measuring.Camera("tip", **BENT), **{key: value})

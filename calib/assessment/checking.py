@@ -1,0 +1,32 @@
+"""What looks wrong with measurements, before they are fitted."""
+
+from collections.abc import Sequence
+
+from calib.foundations.errors import IdentificationError
+from calib.identification.error_model import ErrorModel
+from calib.identification.observability import unseen
+from calib.identification.sanity import signatures
+from calib.measurement.checks import Finding
+from calib.measurement.checks import check as check_table
+from calib.measurement.measurements import Measurements
+
+
+def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return what looks wrong with measurements, and what they cannot show: an empty tuple where nothing does.
+
+        for finding in calib.check(model, data):
+            print(finding.severity, finding.sentence)
+
+    Readings beyond their limits, wrong units, rows that are repeated; the typical mistake - a sign, an axis, a table in
+    another frame - that explains why the nominal robot misses them; a flange that never turns. An error says that a fit
+    would be meaningless.
+    """
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    robot = model.urdf_robot
+    found = [finding for data in sets for finding in check_table(data, robot.readings, robot.reach)]
+    if any(finding.severity == "error" for finding in found):
+        return tuple(found)
+    try:
+        return (*found, *signatures(model, sets), *unseen(model, sets))
+    except IdentificationError:  # too few numbers for a fit, which says so
+        return tuple(found)

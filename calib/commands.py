@@ -1,0 +1,23 @@
+"""Commands out of a calibrated machine: corrected targets, files for controllers, a cell's URDF."""
+
+from calib.compensation.cell import CalibratedCell, calibrated_cell
+from calib.compensation.commands import Corrections, for_joint_targets, for_poses
+from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
+from calib.compensation.targets import Targets, corrected_csv, corrections, read_targets
+
+__all__ = [
+    "CalibratedCell",
+    "Corrections",
+    "Export",
+    "Targets",
+    "calibrated_cell",
+    "corrected_csv",
+    "corrections",
+    "export_dh",
+    "export_offsets",
+    "export_ros",
+    "export_ur",
+    "for_joint_targets",
+    "for_poses",
+    "read_targets",
+]

@@ -1,0 +1,51 @@
+"""Which model, how sensitive, how good: comparison of models, cross-validation, sensitivity, acceptance figures."""
+
+from calib.assessment.bootstrap import Bootstrap, bootstrap
+from calib.assessment.choice import Choice, choose_terms
+from calib.assessment.comparison import JudgedModel, ModelComparison, compare_models, nested_models
+from calib.assessment.iso9283 import figures as iso9283_figures
+from calib.assessment.iso9283 import read_cycles
+from calib.assessment.performance import Performance, Touches, before_and_after, read_touches
+from calib.assessment.sensitivity import (
+    GroupStudy,
+    Sensitivity,
+    coefficients,
+    exact_error,
+    group_study,
+    predicted_error,
+    sensitivity,
+)
+from calib.assessment.validation import CrossValidation, HeldOut, cross_validate
+from calib.identification.observability import Observability, observability
+from calib.identification.total_differential import Trace, total_differential
+
+__all__ = [
+    "Bootstrap",
+    "Choice",
+    "CrossValidation",
+    "GroupStudy",
+    "HeldOut",
+    "JudgedModel",
+    "ModelComparison",
+    "Observability",
+    "Performance",
+    "Sensitivity",
+    "Touches",
+    "Trace",
+    "before_and_after",
+    "bootstrap",
+    "choose_terms",
+    "coefficients",
+    "compare_models",
+    "cross_validate",
+    "exact_error",
+    "group_study",
+    "iso9283_figures",
+    "nested_models",
+    "observability",
+    "predicted_error",
+    "read_cycles",
+    "read_touches",
+    "sensitivity",
+    "total_differential",
+]

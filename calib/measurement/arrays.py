@@ -1,0 +1,116 @@
+"""Measurements from plain arrays, for those who have no table."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations.errors import MeasurementError
+from calib.measurement.measurements import Measurements
+from calib.measurement.read import read_measurements
+from calib.robot.robot import Robot
+
+
+def positions(
+    robot: Robot,
+    readings: npt.ArrayLike,
+    xyz: npt.ArrayLike,
+    *,
+    sigma: float | None = None,
+    tool: str | Sequence[str] | None = None,
+) -> Measurements:
+    """Return measured positions of a robot from plain arrays.
+
+        data = calib.positions(robot, q, xyz, sigma=0.02e-3)
+
+    ``readings`` (N, nr) in rad and m, columns in the order of ``robot.readings``; ``xyz`` (N, 3) in m, in the
+    instrument's frame; ``sigma`` in m: the instrument's standard deviation of a coordinate, None where it is not known.
+    ``tool``: which point was measured, one name or N. For all else a row may have, see :func:`read_measurements`, which
+    takes arrays by name. Raises MeasurementError for arrays of other shapes, or values that are not finite numbers.
+    """
+    return read_measurements(_columns(robot, readings, xyz, tool), robot, "position", sigma=sigma)
+
+
+def poses(
+    robot: Robot,
+    readings: npt.ArrayLike,
+    xyz: npt.ArrayLike,
+    quaternions: npt.ArrayLike,
+    *,
+    sigma: float | None = None,
+    sigma_angle: float | None = None,
+    tool: str | Sequence[str] | None = None,
+) -> Measurements:
+    """Return measured poses of a robot from plain arrays.
+
+        data = calib.poses(robot, q, xyz, quaternions, sigma=0.05e-3, sigma_angle=0.1e-3)
+
+    ``quaternions`` (N, 4) in the order w, x, y, z; ``sigma_angle`` in rad; all else as :func:`positions`.
+    """
+    turned = _rows(quaternions, 4, "quaternions")
+    columns = _columns(robot, readings, xyz, tool) | dict(zip(("qw", "qx", "qy", "qz"), turned.T, strict=True))
+    return read_measurements(columns, robot, "pose", sigma=sigma, sigma_angle=sigma_angle)
+
+
+def distances(
+    robot: Robot,
+    readings: npt.ArrayLike,
+    lengths: npt.ArrayLike,
+    *,
+    anchor: str | Sequence[str] = "anchor",
+    sigma: float | None = None,
+    tool: str | Sequence[str] | None = None,
+) -> Measurements:
+    """Return measured distances (N,) in m of the tool point from an anchor, one name or N; as :func:`positions`."""
+    found = np.asarray(lengths, dtype=np.float64)
+    if found.ndim != 1:
+        raise MeasurementError(f"lengths of shape {found.shape}: needed is (N,).")
+    columns = _columns(robot, readings, None, tool) | {"distance [m]": found}
+    return read_measurements(columns | {"target": _names(anchor, len(found), "anchor")}, robot, "distance", sigma=sigma)
+
+
+def sockets(
+    robot: Robot,
+    readings: npt.ArrayLike,
+    names: Sequence[str],
+    *,
+    sigma: float | None = None,
+    tool: str | Sequence[str] | None = None,
+) -> Measurements:
+    """Return touches of sockets: the tool point was in the socket that the N ``names`` name; as :func:`positions`."""
+    columns = _columns(robot, readings, None, tool)
+    return read_measurements(columns | {"target": _names(names, None, "names")}, robot, "socket", sigma=sigma)
+
+
+def _columns(
+    robot: Robot, readings: npt.ArrayLike, xyz: npt.ArrayLike | None, tool: str | Sequence[str] | None
+) -> dict[str, Any]:
+    q = _rows(readings, len(robot.readings), "readings")
+    unit = {"angle": "rad", "length": "m"}
+    columns: dict[str, Any] = {
+        f"{reading.name} [{unit[reading.dimension]}]": q[:, k] for k, reading in enumerate(robot.readings)
+    }
+    if xyz is not None:
+        p = _rows(xyz, 3, "xyz")
+        columns |= {f"{axis} [m]": p[:, k] for k, axis in enumerate("xyz")}
+    if tool is not None:
+        columns["point"] = _names(tool, len(q), "tool")
+    return columns
+
+
+def _rows(values: npt.ArrayLike, width: int, what: str) -> npt.NDArray[np.float64]:
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise MeasurementError(f"{what}: are not numbers (N, {width}).") from e
+    if found.ndim != 2 or found.shape[1] != width:
+        raise MeasurementError(f"{what} of shape {found.shape}: needed is (N, {width}).")
+    return found
+
+
+def _names(names: str | Sequence[str], count: int | None, what: str) -> list[str]:
+    found = [names] * (count or 0) if isinstance(names, str) else list(names)
+    if count is not None and len(found) != count:
+        raise MeasurementError(f"{what}: {len(found)} names are given for {count} rows.")
+    return found

@@ -1,0 +1,28 @@
+"""What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
+
+from calib.identification.relations import Relation
+from calib.identification.targets import Target
+from calib.machine.touching import TouchingArm, touched
+from calib.measurement.arrays import distances, poses, positions, sockets
+from calib.measurement.checks import Finding
+from calib.measurement.instruments import Camera, LaserTracker
+from calib.measurement.measurements import Measurements
+from calib.measurement.read import read_measurements
+from calib.robot.conditions import Conditions
+
+__all__ = [
+    "Camera",
+    "Conditions",
+    "Finding",
+    "LaserTracker",
+    "Measurements",
+    "Relation",
+    "Target",
+    "TouchingArm",
+    "distances",
+    "poses",
+    "positions",
+    "read_measurements",
+    "sockets",
+    "touched",
+]

@@ -1,0 +1,19 @@
+"""Which poses to measure: :func:`calib.plan`, and what it can be told of the set-up."""
+
+from calib.assessment.candidates import Candidates, Setup, Sight, possible, random_candidates, roughly
+from calib.assessment.planning import Forecast, Plan, plan
+from calib.robot.collision import SelfCollision, self_collision
+
+__all__ = [
+    "Candidates",
+    "Forecast",
+    "Plan",
+    "SelfCollision",
+    "Setup",
+    "Sight",
+    "plan",
+    "possible",
+    "random_candidates",
+    "roughly",
+    "self_collision",
+]
