@@ -18,9 +18,8 @@ from calib.compensation.commands import for_poses
 from calib.job.calibrate import calibrate
 from calib.job.report import report_of
 from calib.job.run import Outcome
-from calib.presentation import live
+from calib.presentation import display, live
 from calib.presentation.console import brief
-from calib.presentation.display import fit_html
 from calib.presentation.tables import plain
 from tests.crossed.simulate import SIGMA, Case, write
 from tests.job.cases import Said, run
@@ -255,7 +254,7 @@ def is_seen(walked: Walked, folder: Path) -> None:
     assert "positions" in answer or "does not close" in str(answer) or "cannot close" in str(answer), answer
     calib.table(fit)
     calib.plot(fit)
-    fit_html(fit)
+    display.html(fit)
     assert len(calib.data_frame(fit)) == len(fit.parameters)
 
 
