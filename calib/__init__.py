@@ -11,52 +11,108 @@
 
 SI units inside and in every argument: m, rad. More is in ``calib.commands`` (corrected targets, controllers),
 ``calib.planning``, ``calib.measuring`` (instruments, targets), ``calib.judging`` (models, sensitivity, acceptance),
-``calib.positioner`` (external axes) and ``calib.dh``.
+``calib.positioner`` (external axes) and ``calib.dh``. A name is loaded, with the libraries that it needs, when first
+used.
 """
 
-from calib.foundations import system as _system  # noqa: F401 # isort: skip - says where this runs
-from calib import commands, judging, measuring, planning
-from calib.assessment.acceptance import verify
-from calib.assessment.advice import advice
-from calib.assessment.checking import check
-from calib.assessment.drift import compare
-from calib.assessment.outliers import outliers
-from calib.assessment.planning import plan
-from calib.assessment.validation import hold_out
-from calib.foundations.errors import (
-    CalibError,
-    IdentificationError,
-    JobError,
-    MeasurementError,
-    OutputError,
-    RobotError,
-)
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING
+
+from calib.foundations import showing as _showing
+from calib.foundations import system as _system  # noqa: F401 - says where this runs
+from calib.foundations.lazy import submodules_of as _submodules_of
 from calib.foundations.version import __version__
-from calib.identification import positioner
-from calib.identification.error_model import ErrorModel, error_model
-from calib.identification.fit import Fit
-from calib.identification.identify import identify
-from calib.job.calibrate import calibrate
-from calib.machine.calibrated import CalibratedMachine, machine_of
-from calib.machine.model_file import load_machine
-from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
-from calib.machine.urdf import write_urdf
-from calib.measurement.arrays import poses, positions
-from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
-from calib.presentation import display as _display
-from calib.presentation.fit_plots import plot
-from calib.presentation.frames import data_frame
-from calib.presentation.tables import table
-from calib.results.calibration import Calibration, assess
-from calib.results.folder import report, save, scene
-from calib.robot import dh
-from calib.robot.gravity import Payload
-from calib.robot.load import load_robot
-from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+
+if TYPE_CHECKING:
+    from calib import commands, judging, measuring, planning
+    from calib.assessment.acceptance import verify
+    from calib.assessment.advice import advice
+    from calib.assessment.checking import check
+    from calib.assessment.drift import compare
+    from calib.assessment.outliers import outliers
+    from calib.assessment.planning import plan
+    from calib.assessment.validation import hold_out
+    from calib.foundations.errors import (
+        CalibError,
+        IdentificationError,
+        JobError,
+        MeasurementError,
+        OutputError,
+        RobotError,
+    )
+    from calib.identification import positioner
+    from calib.identification.error_model import ErrorModel, error_model
+    from calib.identification.fit import Fit
+    from calib.identification.identify import identify
+    from calib.job.calibrate import calibrate
+    from calib.machine.calibrated import CalibratedMachine, machine_of
+    from calib.machine.model_file import load_machine
+    from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
+    from calib.machine.urdf import write_urdf
+    from calib.measurement.arrays import poses, positions
+    from calib.measurement.measurements import Measurements
+    from calib.measurement.read import read_measurements
+    from calib.presentation.fit_plots import plot
+    from calib.presentation.frames import data_frame
+    from calib.presentation.tables import table
+    from calib.results.calibration import Calibration, assess
+    from calib.results.folder import report, save, scene
+    from calib.robot import dh
+    from calib.robot.gravity import Payload
+    from calib.robot.load import load_robot
+    from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+
+# Where each name is, for whoever runs this; the imports above say the same to whoever reads or checks it.
+_HOMES = {
+    "assessment.acceptance": "verify",
+    "assessment.advice": "advice",
+    "assessment.checking": "check",
+    "assessment.drift": "compare",
+    "assessment.outliers": "outliers",
+    "assessment.planning": "plan",
+    "assessment.validation": "hold_out",
+    "foundations.errors": "CalibError IdentificationError JobError MeasurementError OutputError RobotError",
+    "identification": "positioner",
+    "identification.error_model": "ErrorModel error_model",
+    "identification.fit": "Fit",
+    "identification.identify": "identify",
+    "job.calibrate": "calibrate",
+    "machine.calibrated": "CalibratedMachine machine_of",
+    "machine.model_file": "load_machine",
+    "machine.tool_uncertainty": "outside_identified tool_uncertainty uncertainty_map",
+    "machine.urdf": "write_urdf",
+    "measurement.arrays": "poses positions",
+    "measurement.measurements": "Measurements",
+    "measurement.read": "read_measurements",
+    "presentation.fit_plots": "plot",
+    "presentation.frames": "data_frame",
+    "presentation.tables": "table",
+    "results.calibration": "Calibration assess",
+    "results.folder": "report save scene",
+    "robot": "dh",
+    "robot.gravity": "Payload",
+    "robot.load": "load_robot",
+    "robot.robot": "ClosedLoop Coupling Deviations Robot",
+}
+_MODULES = {name: f"calib.{home}" for home, names in _HOMES.items() for name in names.split()}
 
 # How a fit shows itself is for the presentation room, which the fit's own room must not know; the front door may.
-_display.attach(Fit)
+_showing.shown_by("calib.presentation.display")
+
+
+if not TYPE_CHECKING:  # which would take every misspelt name for one of these
+    _submodule = _submodules_of(__name__)
+
+    def __getattr__(name: str) -> object:
+        if name not in _MODULES:
+            return _submodule(name)
+        home = _import_module(_MODULES[name])
+        globals()[name] = getattr(home, name)
+        return globals()[name]
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
 
 # fmt: off
 __all__ = [

@@ -1,12 +1,11 @@
-"""The first steps of the command ``calib``, before the package is loaded with its libraries, which takes a while.
-
-Not a part of ``calib``: whatever is imported from there loads all of it first.
-"""
+"""The first steps of the command ``calib``, before the package is loaded: streams, and how Ctrl-C ends what loads."""
 
 import contextlib
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 from types import FrameType
 
 INTERRUPTED = 130
@@ -15,20 +14,32 @@ INTERRUPTED = 130
 def main() -> None:
     """Load and run the command line; Ctrl-C meanwhile ends it with one line, as later on."""
     _open_streams()
-    # Where Ctrl-C is ignored, as by a shell for what it runs in the background, it stays so.
-    interruptible = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if interruptible:
-        signal.signal(signal.SIGINT, _leave)
     try:
-        from calib.cli import main as run  # noqa: PLC0415 - this is what takes a while
+        with loading():
+            from calib.cli import main as run  # noqa: PLC0415 - see above
     except ImportError as e:
         if not _on_windows():
             raise
         sys.stderr.write(f"Error: {e}\n")
         sys.exit(1)
-    if interruptible:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     run()
+
+
+@contextlib.contextmanager
+def loading() -> Iterator[None]:
+    """Let Ctrl-C end the process at once while the block loads libraries, which takes a while.
+
+    Where it is ignored, as by a shell for what it runs in the background, or handled by others, it stays so.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not (in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+        yield
+        return
+    signal.signal(signal.SIGINT, _leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _open_streams() -> None:

@@ -24,10 +24,11 @@ from calib.assessment.iso9283 import cycles, figures
 from calib.assessment.performance import touches
 from calib.compensation.targets import targets
 from calib.foundations.errors import CalibError
+from calib.foundations.json_text import document
 from calib.identification.observability import observability
 from calib.job.calibrate import calibrate
 from calib.job.fleet import Done, FleetJob
-from calib.job.fleet_summary import fleet_lines, summary_csv, summary_json
+from calib.job.fleet_summary import fleet_lines, summary, summary_csv
 from calib.job.inputs import load
 from calib.job.read import read_job
 from calib.job.run import run
@@ -228,7 +229,7 @@ def _result(data: bytes) -> None:
 def _fleet(data: bytes) -> None:
     out = _file("fleet/result.json", data).parent
     lines = fleet_lines([Done(FleetJob(Path("job.toml"), "job", out))])
-    json.loads(summary_json(lines))
+    document(summary(lines))
     summary_csv(lines)
     fleet_report(lines)
 

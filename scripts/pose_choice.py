@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 import calib
 from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
-from calib.assessment.design import Criterion, choose, random_values, space
+from calib.assessment.design import choose, random_values, space
 from calib.foundations import rigid
+from calib.foundations.choices import Criterion
 from calib.identification.identify import residuals_of
 from calib.identification.machine import Frames
 from calib.identification.start import start_frames

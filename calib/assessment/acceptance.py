@@ -9,7 +9,8 @@ follows chi-square with as many degrees of freedom as measured numbers, if nothi
 itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where the base is found anew, it takes six of them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,13 @@ class Judgement:
     residuals: Array
     test: ChiSquare
 
+    def contents(self) -> dict[str, Any]:
+        """Return the figures as plain data."""
+        return {
+            "metrics": {quantity: asdict(m) for quantity, m in self.metrics.items()},
+            "test": {**asdict(self.test), "passed": self.test.passed},
+        }
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verification:
@@ -87,6 +95,18 @@ class Verification:
     def passed(self) -> bool:
         """Whether the errors are within the limit, where there is one, and within the stated uncertainty."""
         return self.within_limit is not False and self.decisive.test.passed
+
+    def contents(self) -> dict[str, Any]:
+        """Return the verdict as plain data, in m and rad."""
+        return {
+            "passed": self.passed,
+            "limit": self.limit,
+            "within_limit": self.within_limit,
+            "base_refitted": self.refit,
+            "as_calibrated": self.as_calibrated.contents(),
+            "with_base_refitted": None if self.base_refitted is None else self.base_refitted.contents(),
+            "base_moved": self.base_moved,
+        }
 
 
 def verify(

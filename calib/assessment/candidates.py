@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from calib.assessment.design import Rows
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, read_only
+from calib.foundations.choices import Observed
 from calib.foundations.errors import JobError
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, values_at
@@ -19,8 +19,6 @@ from calib.robot.collision import Effort, SelfCollision
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Robot, TipModel
 from calib.robot.sampling import closing, joint_limits
-
-Observed = Literal["position", "pose"]
 
 # What kinematic models leave out comes from eccentric encoders and gears and from gravity, mostly once a turn. On a
 # real UR10 (docs/pose_choice.md) second harmonics beside the first made the choice no better.

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out, one_standard_error
+from calib.assessment.validation import HeldOut, folds, groups, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.choices import FOLDS
 from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, with_terms

@@ -17,7 +17,6 @@ import numpy as np
 
 from calib.assessment.choice import choose_terms
 from calib.assessment.validation import (
-    FOLDS,
     CrossValidation,
     HeldOut,
     Rows,
@@ -27,6 +26,7 @@ from calib.assessment.validation import (
     predict_held_out,
 )
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.choices import FOLDS
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, error_model, with_terms
 from calib.identification.fit import Fit
@@ -86,6 +86,18 @@ class ModelComparison:
     rows: int
     groups: int
     folds: int
+
+    def contents(self) -> dict[str, object]:
+        """Return the comparison as plain data, in SI units."""
+        return {
+            "rows": self.rows,
+            "groups": self.groups,
+            "folds": self.folds,
+            "unit": self.unit,
+            "recommended": self.recommended.name,
+            "models": self.records(),
+            "refused": dict(self.refused),
+        }
 
     def records(self) -> list[dict[str, object]]:
         """Return one plain record for every model, in SI units."""

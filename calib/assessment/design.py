@@ -19,16 +19,15 @@ so that all candidates are judged by matrices of m rows.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations import linear
 from calib.foundations.arrays import Array
+from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.identification import identifiability
-
-Criterion = Literal["D", "A", "I"]
 
 _MOST_PASSES = 30
 # An exchange must improve by more than this share: equal poses would change places for ever.

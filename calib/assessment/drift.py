@@ -5,7 +5,8 @@ what joint terms did shows at the tip. What one of the two did not see is no dif
 combinations that both have seen.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,17 @@ class Comparison:
         """Whether some parameter has, or all together have, moved by more than the joint uncertainty."""
         together = self.probability is not None and self.probability < 1.0 - CONFIDENCE
         return together or any(change.moved for change in self.changes)
+
+    def contents(self) -> dict[str, Any]:
+        """Return the comparison as plain data, in m and rad."""
+        return {
+            "moved": self.moved,
+            "changes": [asdict(change) for change in self.changes],
+            "statistic": self.statistic,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "probability": self.probability,
+            "tip": {"rms": self.tip_rms, "max": self.tip_max, "stated": self.stated},
+        }
 
 
 def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) -> Comparison:

@@ -10,9 +10,9 @@ frame from the commanded orientation (from the mean one, where no command is giv
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -38,6 +38,11 @@ class Figure:
     n: int
     value: float
     unit: str
+
+
+def records(figures: Sequence[Figure]) -> list[dict[str, Any]]:
+    """Return one plain record for every figure."""
+    return [asdict(figure) for figure in figures]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,9 @@ for the nominal and the calibrated arm: see :func:`probe_point`. SI throughout.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 
@@ -314,6 +314,10 @@ class Performance:
     def figures(self) -> tuple[Figure, ...]:
         """All figures, in the order of the tests."""
         return tuple(figure for result in self.results for figure in result.figures)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return one plain record for every figure."""
+        return [asdict(figure) for figure in self.figures]
 
 
 def before_and_after(

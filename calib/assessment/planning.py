@@ -1,14 +1,16 @@
 """A plan of measurements: which poses, how good they will be, and how many it takes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from calib.assessment import design
 from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
-from calib.assessment.design import Criterion, Space
+from calib.assessment.design import Space
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel
@@ -53,6 +55,17 @@ class Plan:
     enough: int | None
     floor: float
     converged: bool
+
+    def contents(self) -> dict[str, Any]:
+        """Return what is to be said of the poses as plain data, lengths in m."""
+        return {
+            "rank": self.rank,
+            "parameters": self.parameters,
+            "forecasts": [asdict(forecast) for forecast in self.forecasts],
+            "floor": self.floor,
+            "enough": self.enough,
+            "indices": {"chosen": self.indices, "random": self.random_indices},
+        }
 
 
 def plan(

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
@@ -25,7 +26,6 @@ from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements
 
-FOLDS = 10
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
 # different poses of a calibration are a tenth of a radian apart.
 _ONE_POSE = 1e-3

@@ -1,4 +1,7 @@
-"""The command line: one command for each thing a person does with an arm; a module for every group of them."""
+"""The command line: a module for every command, which loads what it needs when it runs.
+
+What this package imports is light, so that ``calib --help`` and completion are there at once.
+"""
 
 import sys
 import warnings
@@ -7,17 +10,27 @@ from typing import Annotated
 import typer
 
 import calib
-from calib.cli.options import BAD_INPUT, INTERRUPTED, app
+from calib.cli.application import BAD_INPUT, INTERRUPTED, app
 from calib.foundations.errors import CalibError
-from calib.presentation.console import show_error
 
 # In the order in which the help lists their commands.
-from calib.cli import commands as commands  # isort: skip
-from calib.cli import fleet as fleet  # isort: skip
-from calib.cli import models as models  # isort: skip
-from calib.cli import plan as plan  # isort: skip
-from calib.cli import acceptance as acceptance  # isort: skip
+from calib.cli import check as check  # isort: skip
+from calib.cli import calibrate as calibrate  # isort: skip
+from calib.cli import view as view  # isort: skip
+from calib.cli import compensate as compensate  # isort: skip
 from calib.cli import export as export  # isort: skip
+from calib.cli import demo as demo  # isort: skip
+from calib.cli import plan as plan  # isort: skip
+from calib.cli import models as models  # isort: skip
+from calib.cli import sensitivity as sensitivity  # isort: skip
+from calib.cli import verify as verify  # isort: skip
+from calib.cli import compare as compare  # isort: skip
+from calib.cli import uncertainty as uncertainty  # isort: skip
+from calib.cli import iso9283 as iso9283  # isort: skip
+from calib.cli import performance as performance  # isort: skip
+from calib.cli import fleet as fleet  # isort: skip
+from calib.cli import dh as dh  # isort: skip
+from calib.cli import cell as cell  # isort: skip
 
 
 @app.callback(invoke_without_command=True)
@@ -35,10 +48,16 @@ def main() -> None:
     try:
         app(prog_name="calib")
     except CalibError as error:
-        show_error(str(error))
+        _say(str(error))
         sys.exit(BAD_INPUT)
     except SystemExit as ending:
         # A command that has more to say of its interruption has said it.
         if ending.code == INTERRUPTED and isinstance(getattr(ending.__context__, "__cause__", None), KeyboardInterrupt):
-            show_error("interrupted.")
+            _say("interrupted.")
         raise
+
+
+def _say(error: str) -> None:
+    from calib.presentation.console import show_error
+
+    show_error(error)

@@ -1,40 +1,24 @@
-"""The command that writes what controllers take."""
+"""``calib export``: what controllers take."""
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-import numpy as np
 import typer
 
-from calib.cli.options import Json, Quiet, ResultFolder, app
-from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
-from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import refuse_taken, write_atomically
-from calib.foundations.folders import reading_folder
-from calib.machine.calibrated import CalibratedMachine
-from calib.machine.model_file import load_machine
-from calib.presentation.console import sentence, show, warning, write
-from calib.results.folder import DH_FILE
-from calib.robot import dh
+from calib.cli.application import PATH, Telling, command
+from calib.cli.options import Json, Quiet, ResultFolder
+from calib.foundations.choices import Target
+from calib_start import loading
 
-Target = Literal["ur", "offsets", "dh", "ros"]
-_EXPORTS: Mapping[Target, Callable[[CalibratedMachine], Export]] = {
-    "ur": export_ur,
-    "offsets": export_offsets,
-    "ros": export_ros,
-}
 _WORSE = (
     "The file alone is worse than no correction: what it leaves out was fitted together with what it holds. For this "
     "controller, calibrate without those parts."
 )
-_MACHINES: Mapping[Target, str] = {"ros": "the nominal URDF with this file alone"}
 
 
-@app.command(name="export")
-def export_command(
+@command("export", PATH, "calib export out/ --to ur -o kinematics.yaml")
+def export(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, joint offsets, a DH table, YAML for ROS.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
@@ -46,24 +30,30 @@ def export_command(
     The file is read back and compared before it is written. What it has no place for is named, with what that costs at
     the tip: no such file holds all that model.json does.
     """
+    with loading():
+        from calib.compensation.controllers import exported
+        from calib.foundations.errors import CalibError, OutputError
+        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.folders import reading_folder
+        from calib.machine.model_file import load_machine
+        from calib.presentation.console import sentence, warning
+        from calib.results.folder import DH_FILE
+        from calib.robot import dh
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
         corrected = results / DH_FILE
         table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:
-        found = export_dh(model, table) if to == "dh" else _EXPORTS[to](model)
+        found = exported(model, to, table)
     except CalibError as e:
         raise OutputError(f"{results}: cannot be exported to {to}: {e}") from e
     write_atomically(out, found.text)
-    if as_json:
-        left = [{"part": part.part, "cost": _known(part.cost)} for part in found.left_out]
-        contents = {"schema": 1, "file": str(out), **asdict(found), "left_out": left}
-        write(json.dumps({k: v for k, v in contents.items() if k != "text"}, indent=2, allow_nan=False) + "\n")
-    elif not quiet:
-        where = "within the joints' limits" if model.uncertainty is None else "of the identified range"
-        machine = _MACHINES.get(to, "the machine of the file")
-        show(
+    where = "within the joints' limits" if model.uncertainty is None else "of the identified range"
+    machine = "the nominal URDF with this file alone" if to == "ros" else "the machine of the file"
+    Telling(as_json, quiet).tell(
+        lambda: {"file": str(out), **found.contents()},
+        lambda: [
             *(warning(f"{part.part}: not in the file; at the tip {_said(part.cost)}.") for part in found.left_out),
             sentence(
                 f"At the tip the nominal machine is {_said(found.before)} from the calibrated one, {machine} "
@@ -71,12 +61,9 @@ def export_command(
             ),
             *([warning(_WORSE)] if found.lost > found.before else []),
             sentence(f"Read back and compared; the file is {out}."),
-        )
-
-
-def _known(cost: float) -> float | None:
-    return None if np.isnan(cost) else cost
+        ],
+    )
 
 
 def _said(cost: float) -> str:
-    return "all, as its readings are others" if np.isnan(cost) else f"{cost * 1e3:.4f} mm rms"
+    return "all, as its readings are others" if math.isnan(cost) else f"{cost * 1e3:.4f} mm rms"

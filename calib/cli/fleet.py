@@ -5,19 +5,16 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import BAD_INPUT, INTERRUPTED, NOT_TRUSTED, Json, Quiet, app
-from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
-from calib.job.fleet_summary import fleet_lines, summary_json, write_summary
-from calib.presentation.console import progress, sentence, show, show_error, warning, write
-from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
-from calib.presentation.tables import sheet_table
+from calib.cli.application import BAD_INPUT, INTERRUPTED, MORE, NOT_TRUSTED, Telling, command
+from calib.cli.options import Json, Quiet
+from calib_start import loading
 
 JobFiles = Annotated[
     list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False, readable=False)
 ]
 
 
-@app.command()
+@command("fleet", MORE, "calib fleet jobs/*.toml -o fleet/")
 def fleet(
     jobs: JobFiles,
     out: Annotated[
@@ -42,25 +39,33 @@ def fleet(
     not stop the others, and a job that was done, with the same inputs and versions, is not done again: after Ctrl-C the
     same command goes on. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
+    with loading():
+        from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
+        from calib.job.fleet_summary import fleet_lines, summary, write_summary
+        from calib.presentation.console import sentence, show_error, warning
+        from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
+        from calib.presentation.tables import sheet_table
+    telling = Telling(as_json, quiet)
     chosen = fleet_jobs(jobs, out)
     try:
-        with progress(shown=not (quiet or as_json), steps=len(chosen)) as say:
+        with telling.progress(len(chosen)) as say:
             finished = run_fleet(chosen, workers, dask, say, again=again)
     except KeyboardInterrupt:
         show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
         raise typer.Exit(INTERRUPTED) from None
     lines = fleet_lines(finished)
     write_summary(lines, out)
-    if as_json:
-        write(summary_json(lines))
-    elif not quiet:
-        earlier = sum(done.earlier for done in finished)
-        show(
+    earlier = sum(done.earlier for done in finished)
+    unchanged = f" Unchanged and not run again: {earlier}." if earlier else ""
+    telling.tell(
+        lambda: summary(lines),
+        lambda: [
             sheet_table(fleet_sheet(lines)),
             *(warning(f"{line.name}: {line.word}: {' '.join(line.why)}") for line in lines if line.word != "trusted"),
-            sentence(fleet_sentence(lines) + (f" Unchanged and not run again: {earlier}." if earlier else "")),
+            sentence(fleet_sentence(lines) + unchanged),
             sentence(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
-        )
+        ],
+    )
     words = {line.word for line in lines}
     if "failed" in words:
         raise typer.Exit(BAD_INPUT)

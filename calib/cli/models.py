@@ -1,22 +1,16 @@
-"""The command that says which error model a machine needs."""
+"""``calib models``: which error model a machine needs."""
 
-import json
 from typing import Annotated
 
 import typer
 
-from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
-from calib.assessment.validation import FOLDS
-from calib.cli.options import JobFile, Json, Quiet, app
-from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.job.calibrate import STEPS_OF_LOADING
-from calib.job.inputs import load, term_priors
-from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
-from calib.presentation.console import progress, sentence, show, warning, write
-from calib.presentation.tables import sheet_table
+from calib.cli.application import PREPARE, Telling, command
+from calib.cli.options import JobFile, Json, Quiet
+from calib.foundations.choices import FOLDS
+from calib_start import loading
 
 
-@app.command()
+@command("models", PREPARE, "calib models calibration.toml")
 def models(
     job: JobFile,
     folds: Annotated[
@@ -34,9 +28,18 @@ def models(
     that is not significantly worse than the best is recommended. Rows of one pose, one socket or one word in the
     column group stay together. Levels and solver of the job do not matter; its validation data are not looked at.
     """
+    with loading():
+        from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
+        from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.inputs import load, term_priors
+        from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
+        from calib.presentation.console import sentence, warning
+        from calib.presentation.tables import sheet_table
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
-    with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING) as say:
+    telling = Telling(as_json, quiet)
+    with telling.progress(STEPS_OF_LOADING) as say:
 
         def told(text: str, left: int) -> None:
             say.expect(left)
@@ -59,21 +62,11 @@ def models(
             )
         except (IdentificationError, JobError, MeasurementError) as e:
             raise type(e)(f"{job}: {e}") from e
-    if as_json:
-        contents = {
-            "schema": 1,
-            "rows": found.rows,
-            "groups": found.groups,
-            "folds": found.folds,
-            "unit": found.unit,
-            "recommended": found.recommended.name,
-            "models": found.records(),
-            "refused": dict(found.refused),
-        }
-        write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
-    elif not quiet:
-        show(
+    telling.tell(
+        found.contents,
+        lambda: [
             *(warning(f"{name}: {why}") for name, why in found.refused.items()),
             sheet_table(comparison_sheet(found)),
             *map(sentence, comparison_sentences(found)),
-        )
+        ],
+    )

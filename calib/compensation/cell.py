@@ -3,20 +3,19 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import MODEL_FILE, load_machine
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.cell import Cell, compose
 from calib.robot.urdf import parse_urdf, read_urdf
-
-PlacedIn = Literal["arm", "instrument"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +29,14 @@ class CalibratedCell:
     model: CalibratedMachine
     root: Array
     placement: Array
+
+    def contents(self) -> dict[str, Any]:
+        """Return what became of the names, and where the positioner stands, as plain data in m."""
+        return {
+            "links": dict(self.cell.links),
+            "joints": dict(self.cell.joints),
+            "placement": self.placement.tolist(),
+        }
 
 
 def calibrated_cell(

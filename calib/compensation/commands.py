@@ -7,12 +7,13 @@ which positions alone are asked, take the readings that change least from where 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
 from calib.machine.calibrated import CalibratedMachine
@@ -20,9 +21,6 @@ from calib.machine.grid import Frame
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, TipModel
 from calib.robot.transmission import lacking
-
-PoseFrame = Literal["base", "instrument"]
-What = Literal["pose", "position"]
 
 _MOST_STEPS = 60
 _MOST_REFINEMENTS = 40
@@ -86,6 +84,14 @@ class Corrections:
 
     def __len__(self) -> int:
         return len(self.reached)
+
+    def contents(self) -> dict[str, Any]:
+        """Return how many there are, and which rows are not reached and why, as plain data."""
+        missed = np.flatnonzero(~self.reached).tolist()
+        return {
+            "targets": len(self),
+            "not_reached": [{"row": row + 1, "reason": self.reasons[row]} for row in missed],
+        }
 
 
 def for_joint_targets(

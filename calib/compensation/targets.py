@@ -6,9 +6,10 @@ from typing import cast
 
 import numpy as np
 
-from calib.compensation.commands import Corrections, PoseFrame, What, for_joint_targets, for_poses
+from calib.compensation.commands import Corrections, for_joint_targets, for_poses
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension, Unit

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from calib.foundations.words import shown
@@ -9,6 +10,11 @@ from calib.foundations.words import shown
 
 class NotJsonError(ValueError):
     """What is wrong with a text: the end of a sentence."""
+
+
+def document(contents: Mapping[str, Any]) -> str:
+    """Return plain data as a JSON document of ours, schema 1: strict, which knows neither nan nor infinity."""
+    return json.dumps({"schema": 1, **contents}, indent=2, allow_nan=False) + "\n"
 
 
 def parse_json(source: bytes) -> Any:

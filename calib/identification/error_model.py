@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import near
@@ -21,7 +22,7 @@ from calib.identification.targets import Target
 from calib.measurement.measurements import Measurements
 from calib.robot import deviation
 from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
-from calib.robot.dh.table import NUMBERS, Convention, DhTable
+from calib.robot.dh.table import NUMBERS, DhTable
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm

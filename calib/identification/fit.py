@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.showing import shower
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
 from calib.identification.learned import LearnedPrior
@@ -106,6 +107,12 @@ class Fit:
                 self.parameters, self.values, self.sigmas, self.blind, self.weak, strict=True
             )
         ]
+
+    def __str__(self) -> str:
+        return str(shower().table(self))
+
+    def _repr_html_(self) -> str:
+        return str(shower().html(self))
 
     def __repr__(self) -> str:
         rows = sum(len(data) for data in self.measurements)

@@ -10,7 +10,6 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from scipy import integrate
 
 from calib.foundations.arrays import Array
 from calib.foundations.chance import density
@@ -44,6 +43,8 @@ def shrinkage(loss: Loss, d: int) -> float:
     """Return by how much these weights lessen the mean square of ordinary rows of d normal numbers."""
     if loss == "linear":
         return 1.0
+
+    from scipy import integrate  # noqa: PLC0415 - slow to load, and needed for robust losses alone
 
     def integrand(square: float) -> float:
         return float(scatter_weight(loss, np.array(np.sqrt(square / d))) * square / d * density(square, d))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,17 @@ class Observability:
     condition: float
     blind_directions: tuple[BlindDirection, ...]
     indices: Mapping[str, float]
+
+    def contents(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "parameters": [parameter.name for parameter in self.parameters],
+            "measured_numbers": self.numbers,
+            "rank": self.rank,
+            "condition": self.condition if self.rank else None,
+            "indices": dict(self.indices),
+            "blind_directions": [str(direction) for direction in self.blind_directions],
+        }
 
 
 def indices(singular_values: Array, poses: int) -> dict[str, float]:

@@ -3,7 +3,6 @@
 It holds neither times nor which jobs were run anew: the same jobs give the same bytes.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
+from calib.foundations.json_text import document
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
@@ -92,9 +92,9 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def summary_json(lines: Sequence[JobLine]) -> str:
-    """Return ``summary.json``, schema 1: lengths in m, angles in rad."""
-    return json.dumps({"schema": 1, "fleet": [asdict(line) for line in lines]}, indent=2, allow_nan=False) + "\n"
+def summary(lines: Sequence[JobLine]) -> dict[str, Any]:
+    """Return what ``summary.json`` holds: lengths in m, angles in rad."""
+    return {"fleet": [asdict(line) for line in lines]}
 
 
 def summary_csv(lines: Sequence[JobLine]) -> str:
@@ -121,7 +121,7 @@ def write_summary(lines: Sequence[JobLine], out: Path) -> None:
     except OSError as e:
         raise OutputError(f"{out}: cannot be made ({e.strerror}).") from e
     for name, contents in (
-        (SUMMARY_JSON, summary_json(lines)),
+        (SUMMARY_JSON, document(summary(lines))),
         (SUMMARY_CSV, summary_csv(lines)),
         (PAGE, render_page(fleet_report(lines))),
     ):

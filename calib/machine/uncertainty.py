@@ -79,6 +79,10 @@ class ToolUncertainty:
         """Whether (N, 2) position and orientation are known: ordinary unseen deviations add less than sigma."""
         return np.asarray(self.unseen <= np.stack([self.position, self.orientation], axis=1))
 
+    def shares(self) -> dict[str, float]:
+        """Return at which share of the poses the data have seen the position, and the orientation."""
+        return {name: float(np.mean(self.seen[:, k])) for k, name in enumerate(("position", "orientation"))}
+
     def inside(self, errors: Array, probability: float = 0.95) -> BoolArray:
         """Return which position errors (N, 3) are inside the region (an ellipsoid) of the given probability.
 
@@ -106,6 +110,10 @@ class UncertaintyMap:
     positions: Array
     sigmas: Array
     unseen: Array
+
+    def percentiles(self) -> dict[str, list[float]]:
+        """Return percentiles of the standard deviations of position and orientation, in m and rad."""
+        return {str(p): np.percentile(self.sigmas, p, axis=0).tolist() for p in (5, 50, 95, 100)}
 
     def __repr__(self) -> str:
         return f"<UncertaintyMap at {len(self.readings)} configurations>"

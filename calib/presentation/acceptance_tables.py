@@ -11,9 +11,12 @@ from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import Figure
 from calib.foundations.arrays import BoolArray
+from calib.foundations.csv_text import csv_text
 from calib.machine.uncertainty import UncertaintyMap
+from calib.robot.robot import Reading
 
 _SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
+_OF_READINGS = {"length": _SHOWN["m"], "angle": _SHOWN["rad"]}
 
 
 def verification_table(found: Verification) -> Table:
@@ -145,6 +148,16 @@ def map_table(found: UncertaintyMap, seen: BoolArray) -> Table:
         values = np.percentile(found.sigmas[:, k], (5, 50, 95, 100)) * factor
         out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(seen[:, k]):.0f} %")
     return out
+
+
+def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
+    """Return every sampled pose of a map as a table: joints in degrees and mm, the rest as its columns say."""
+    factors = np.array([_OF_READINGS[reading.dimension][0] for reading in readings])
+    columns = [*(f"{r.name} [{_OF_READINGS[r.dimension][1]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
+    header = [*columns, "sigma [mm]", "sigma_angle [deg]", "unseen [mm]", "unseen_angle [deg]"]
+    both = np.array([1e3, 180.0 / np.pi])
+    rows = np.hstack([found.readings * factors, found.positions * 1e3, found.sigmas * both, found.unseen * both])
+    return csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)])
 
 
 def _table(title: str, caption: str | None = None) -> Table:

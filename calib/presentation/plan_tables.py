@@ -2,6 +2,7 @@
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from calib.assessment.planning import Plan
 
@@ -33,3 +34,10 @@ def index_table(plan: Plan) -> Table:
     for who, found in (("chosen", plan.indices), ("at random", plan.random_indices)):
         out.add_row(who, *(f"{value:.4g}" for value in found.values()))
     return out
+
+
+def enough_sentence(planned: Plan, target: str, *, more: bool) -> Text:
+    """Return how many poses keep the error below a target, beside those measured already where there are ``more``."""
+    if planned.enough is None:
+        return Text(f"No number of these candidates keeps the error below {target}.")
+    return Text(f"{planned.enough}{' more' if more else ''} of the best poses keep the error below {target}.")

@@ -1,6 +1,5 @@
 """The folder of results: it stands alone, appears whole, and never takes the place of anything but older results."""
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -16,7 +15,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable, write_folder
-from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
@@ -177,15 +176,14 @@ def robot_errors(folder: Path) -> dict[str, float]:
 
 def result_json(found: Calibration) -> str:
     """Return ``result.json`` as text: strict JSON, which knows neither nan nor infinity."""
-    return json.dumps(result(found), indent=2, allow_nan=False) + "\n"
+    return document(result(found))
 
 
 def result(found: Calibration) -> dict[str, Any]:
-    """Return ``result.json``, schema 1: plain data, lengths in m and angles in rad, None for what is not known."""
+    """Return what ``result.json`` holds: plain data, lengths in m and angles in rad, None for what is not known."""
     fit = found.fit
     files = [judged.file for judged in found.sets]
     contents: dict[str, Any] = {
-        "schema": 1,
         "trusted": not found.doubts,
         "doubts": list(found.doubts),
         "findings": [finding.sentence for finding in found.findings],

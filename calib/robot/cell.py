@@ -37,6 +37,11 @@ class Cell:
     links: Mapping[str, str]
     joints: Mapping[str, str]
 
+    @property
+    def renamed(self) -> list[str]:
+        """The new names of those of the second machine that the first one uses as well."""
+        return [new for names in (self.links, self.joints) for old, new in names.items() if old != new]
+
 
 def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: str | None = None) -> Cell:
     """Return the cell in which the root link of ``second`` is fixed to link ``parent`` of ``first``.

@@ -7,8 +7,9 @@ import pytest
 
 import calib
 from calib.assessment.candidates import Setup, rows, working_rows
-from calib.assessment.design import Criterion, Rows, Space, choose, parts_of, random_values, sequence, space, value_of
+from calib.assessment.design import Rows, Space, choose, parts_of, random_values, sequence, space, value_of
 from calib.foundations import rigid
+from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
 from tests.identification import machines

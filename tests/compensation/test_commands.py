@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.compensation import commands, targets
+from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
 from calib.measurement.table import table_from_arrays
@@ -320,7 +321,7 @@ def test_no_rows() -> None:
 
 @pytest.mark.parametrize("frame", ["base", "instrument"])
 @pytest.mark.parametrize("name", ["ur10", "irb2400"])
-def test_poses(name: str, frame: commands.PoseFrame) -> None:
+def test_poses(name: str, frame: PoseFrame) -> None:
     model = model_of(robot_of(name))
     readings = well_posed(model, draw(model.robot, 30))
     poses = model.predict(readings)

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 import calib
 from calib.compensation.commands import for_poses
 from calib.job.calibrate import calibrate
-from calib.presentation import live
+from calib.presentation import display, live
 from calib.presentation.console import brief
-from calib.presentation.display import fit_html
 from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.report import report_of
@@ -267,7 +266,7 @@ def is_seen(walked: Walked, folder: Path) -> None:
     assert "positions" in answer or "does not close" in str(answer) or "cannot close" in str(answer), answer
     calib.table(fit)
     calib.plot(fit)
-    fit_html(fit)
+    display.html(fit)
     assert len(calib.data_frame(fit)) == len(fit.parameters)
 
 

@@ -21,7 +21,7 @@ from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
 from typer.main import get_command
 
 import calib
-from calib.cli.options import app
+from calib.cli.application import app
 from tests.job.cases import CASE, ROOT, TABLE, run
 
 DOCS = ROOT / "docs"

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -50,6 +50,11 @@ class Export:
     before: float
     lost: float
     left_out: tuple[LeftOut, ...]
+
+    def contents(self) -> dict[str, Any]:
+        """Return the figures as plain data, None for a cost that is not known."""
+        left = [{"part": part.part, "cost": None if np.isnan(part.cost) else part.cost} for part in self.left_out]
+        return {"before": self.before, "lost": self.lost, "left_out": left}
 
 
 def poses(model: CalibratedMachine) -> Array:

@@ -10,9 +10,10 @@ J. Denavit, R. S. Hartenberg, *A kinematic notation for lower-pair mechanisms ba
 parameter estimation*, CDC 1983 (the turn beta where neighbouring axes are parallel).
 """
 
+from calib.foundations.choices import Convention
 from calib.robot.dh.files import parse_dh, read_dh, write_dh
 from calib.robot.dh.frames import PARALLEL, DhFrames, dh_frames, dh_of
-from calib.robot.dh.table import Convention, DhRow, DhTable
+from calib.robot.dh.table import DhRow, DhTable
 from calib.robot.dh.to_urdf import dh_to_urdf
 
 __all__ = [

@@ -19,13 +19,14 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import Convention
 from calib.foundations.csv_text import csv_cell, has_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
 from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, unit_of
 from calib.foundations.words import shown
-from calib.robot.dh.table import NUMBERS, Convention, DhRow, DhTable, RowType, check_convention
+from calib.robot.dh.table import NUMBERS, DhRow, DhTable, RowType, check_convention
 from calib.robot.urdf import MOST_JOINTS
 
 _LARGEST_FILE = 1_000_000

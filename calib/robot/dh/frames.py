@@ -22,9 +22,10 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 from calib.robot import deviation
-from calib.robot.dh.table import NUMBERS, Convention, DhRow, DhTable, check_convention
+from calib.robot.dh.table import NUMBERS, DhRow, DhTable, check_convention
 from calib.robot.robot import ChainJoint, Deviations, Robot
 
 # Neighbouring axes nearer to parallel than this, in rad, have no common normal that one would build by: its foot would

@@ -10,16 +10,16 @@ steps Rz Tz, which commute with the joint, and *across* steps Tx Rx Ry from one 
 that a step across is written in, and in nothing else.
 """
 
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 
-Convention = Literal["standard", "modified"]
 RowType = Literal["revolute", "prismatic", "fixed"]
 NUMBERS = ("a", "d", "alpha", "theta", "beta")
 
@@ -78,6 +78,15 @@ class DhTable:
             R = T[:3, :3] if T.shape == (4, 4) and np.isfinite(T).all() else np.zeros((3, 3))
             if not (np.allclose(R @ R.T, np.eye(3), atol=1e-9) and np.linalg.det(R) > 0.0):
                 raise RobotError(f"DH table: the {name} is not a rigid placement (4, 4).")
+
+    def contents(self) -> dict[str, Any]:
+        """Return the table as plain data, in m and rad."""
+        return {
+            "convention": self.convention,
+            "rows": [asdict(row) for row in self.rows],
+            "base": self.base.tolist(),
+            "tool": self.tool.tolist(),
+        }
 
 
 def check_convention(convention: str) -> None:

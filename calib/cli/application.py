@@ -1,0 +1,82 @@
+"""The application: its groups of commands, its exit codes, and the one way in which commands tell what they found."""
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import typer
+from typer.core import TyperGroup
+
+from calib.foundations.json_text import document
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from calib.presentation.console import Steps
+
+BAD_INPUT = 1
+NOT_TRUSTED = 3
+# As a shell has it: 128 and the number of the signal.
+INTERRUPTED = 130
+
+# The groups in which the help lists the commands: first the way from measurements to a calibrated machine.
+PATH = "Calibrate"
+PREPARE = "Prepare"
+JUDGE = "Judge"
+MORE = "More"
+
+_Command = TypeVar("_Command", bound=Callable[..., None])
+
+
+class _Grouped(TyperGroup):
+    """Lists commands in groups also where rich, which is slow to load, does not draw the help."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """Write one list for every group, in the order of their first commands."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        room = formatter.width - 6 - max(map(len, self.commands))
+        for name, command in self.commands.items():
+            panel = str(getattr(command, "rich_help_panel", MORE))
+            panels.setdefault(panel, []).append((name, command.get_short_help_str(room)))
+        for panel, rows in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(rows)
+
+
+app = typer.Typer(
+    cls=_Grouped,
+    help="Calibrate any robot arm described by a URDF.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def command(name: str, group: str, example: str) -> Callable[[_Command], _Command]:
+    """Return the decorator of a command, with the group that lists it and the example at the end of its help."""
+    return app.command(name, rich_help_panel=group, epilog=f"Example: {example}")
+
+
+@dataclass(frozen=True, slots=True)
+class Telling:
+    """How a command tells what it does and found: for a person, as one JSON document, or not at all."""
+
+    as_json: bool
+    quiet: bool
+
+    def progress(self, steps: int) -> "contextlib.AbstractContextManager[Steps]":
+        """Give what is told every step, shown to a person at a terminal. ``steps``: how many, as far as is known."""
+        from calib.presentation.console import progress
+
+        return progress(shown=not (self.quiet or self.as_json), steps=steps)
+
+    def tell(self, contents: Callable[[], Mapping[str, Any]], shown: Callable[[], Iterable["RenderableType"]]) -> None:
+        """Print the document, or what is shown to a person."""
+        from calib.presentation.console import show, write
+
+        if self.as_json:
+            write(document(contents()))
+        elif not self.quiet:
+            show(*shown())

@@ -1,0 +1,39 @@
+"""``calib calibrate``: from a job to a folder of results."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import NOT_TRUSTED, PATH, Telling, command
+from calib.cli.options import JobFile, Json, Quiet
+from calib_start import loading
+
+OutFolder = Annotated[
+    Path,
+    typer.Option(
+        "--out", "-o", metavar="FOLDER", help="Folder of results; older results there are replaced.", readable=False
+    ),
+]
+
+
+@command("calibrate", PATH, "calib calibrate calibration.toml -o out/")
+def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Identify what deviates and write a folder of results.
+
+    The folder holds the calibrated URDF, the model, the figures, the residuals and a 3D scene. Exit codes: 0 good,
+    1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
+    """
+    with loading():
+        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.calibrate import calibrate as calibrate_job
+        from calib.presentation.console import brief, sentence
+        from calib.results.folder import result
+        from calib.results.report import report_of
+    telling = Telling(as_json, quiet)
+    with telling.progress(STEPS_OF_LOADING) as say:
+        outcome = calibrate_job(job, out, say, say.expect)
+    written = sentence(f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json.")
+    telling.tell(lambda: result(outcome), lambda: [*brief(report_of(outcome)), written])
+    if outcome.doubts:
+        raise typer.Exit(NOT_TRUSTED)

@@ -1,0 +1,69 @@
+"""``calib cell``: an arm and what it touched, in one URDF."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import MORE, Telling, command
+from calib.cli.options import Json, Quiet
+from calib.foundations.choices import PlacedIn
+from calib_start import loading
+
+
+@command("cell", MORE, "calib cell arm_out/ positioner_out/ -o cell.urdf")
+def cell(
+    arm: Annotated[
+        Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False, readable=False)
+    ],
+    positioner: Annotated[
+        Path,
+        typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False, readable=False),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
+    ],
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
+    ] = None,
+    placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
+    prefix: Annotated[
+        str | None, typer.Option("--prefix", metavar="NAME", help="Before names that both use.", show_default=False)
+    ] = None,
+    mesh_root: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False, readable=False
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put an arm and the positioner it touched into one URDF.
+
+    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
+    use. It may as well be another arm, a turntable or a track.
+    """
+    with loading():
+        from calib.compensation.cell import calibrated_cell
+        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.presentation.cell_scene import cell_scene
+        from calib.presentation.console import sentence
+        from calib.presentation.scene import render_scene
+    for file in (out, scene):
+        if file is not None:
+            refuse_taken(file)
+    found = calibrated_cell(arm, positioner, placed_in, prefix)
+    # As in a job: the URDF's own folder, and what is named.
+    roots = (arm.parent, *(mesh_root or ()))
+    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
+    write_atomically(out, found.cell.document)
+    if scene is not None and page is not None:
+        write_atomically(scene, page)
+    renamed = found.cell.renamed
+    changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
+    Telling(as_json, quiet).tell(
+        lambda: {"file": str(out), "scene": None if scene is None else str(scene), **found.contents()},
+        lambda: [sentence(f"The cell is in {out}.{changed}")],
+    )

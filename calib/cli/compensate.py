@@ -1,0 +1,74 @@
+"""``calib compensate``: commands that take the real machine where it should be."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import PATH, Telling, command
+from calib.cli.options import Json, Quiet, ResultFolder
+from calib.foundations.choices import PoseFrame, What
+from calib_start import loading
+
+TargetFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="TARGETS", help="Joint targets, poses or positions (CSV).", show_default=False, readable=False
+    ),
+]
+CommandFile = Annotated[
+    Path, typer.Option("--out", "-o", metavar="FILE", help="The corrected table, to be written.", readable=False)
+]
+
+
+@command("compensate", PATH, "calib compensate out/ targets.csv -o corrected.csv")
+def compensate(
+    results: ResultFolder,
+    targets: TargetFile,
+    out: CommandFile,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool that is to reach them.")] = "tool",
+    frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
+    what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
+    clamp: Annotated[
+        bool,
+        typer.Option(
+            "--clamp",
+            help="Outside a residual grid take its nearest edge; far from rows of a Gaussian process, nothing.",
+        ),
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Correct commands: joint targets, poses or positions.
+
+    Joint targets are corrected to take the calibrated machine where the nominal one would go; poses (x, y, z, qw, qx,
+    qy, qz) and positions are reached in the robot's base frame, or the instrument's. Rows that cannot be reached are
+    left empty, with the reason.
+    """
+    with loading():
+        from calib.compensation import targets as targets_of
+        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.machine.model_file import load_machine
+        from calib.machine.tool_uncertainty import outside_identified
+        from calib.presentation.console import sentence, warning
+    refuse_taken(out)
+    telling = Telling(as_json, quiet)
+    with telling.progress(steps=2) as say:
+        say("reading the model and the targets")
+        model = load_machine(results)
+        wanted = targets_of.read_targets(targets, model, tool)
+        say("correcting")
+        found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
+        write_atomically(out, targets_of.corrected_csv(model, wanted, found))
+    outside: tuple[str, ...] = ()
+    if model.uncertainty is not None and found.reached.any():
+        outside = tuple(outside_identified(model, found.readings[found.reached]))
+    missed = len(found) - int(found.reached.sum())
+    said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
+    telling.tell(
+        lambda: {"file": str(out), **found.contents()},
+        lambda: [
+            *map(warning, outside),
+            sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."),
+        ],
+    )

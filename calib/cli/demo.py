@@ -1,0 +1,45 @@
+"""``calib demo``: the whole path on a simulated robot."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import PATH, command
+from calib.cli.calibrate import calibrate
+from calib.cli.check import check
+from calib.cli.compensate import compensate
+from calib_start import loading
+
+
+@command("demo", PATH, "calib demo")
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", readable=False)] = Path(
+        "calib-demo"
+    ),
+) -> None:
+    """Show the whole path on a simulated IRB2400.
+
+    A job and its measurements are put into a folder; then what a person would type is done, and shown.
+    """
+    with loading():
+        from calib.job.example import copy_example
+        from calib.presentation.console import literal, sentence, show
+        from calib.results.folder import REPORT_FILE, SCENE_FILE
+    job, targets, results = copy_example(folder)
+    corrected = folder / "corrected.csv"
+
+    def typed(*words: str | Path) -> None:
+        show(literal("\n"), sentence("$ calib " + shlex.join(map(str, words))))
+
+    typed("check", job)
+    check(job)
+    typed("calibrate", job, "-o", results)
+    calibrate(job, results)
+    typed("compensate", results, targets, "-o", corrected)
+    compensate(results, targets, corrected)
+    show(
+        sentence(f"Open {results / REPORT_FILE} and {results / SCENE_FILE} in a browser, or move the arm yourself:"),
+        literal(f"    calib view {results}"),
+    )

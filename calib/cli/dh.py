@@ -1,0 +1,55 @@
+"""``calib dh``: a DH table to a URDF, and back."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import MORE, Telling, command
+from calib.cli.options import Json, Quiet
+from calib.foundations.choices import Convention
+from calib_start import loading
+
+DhSource = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help="A DH table (.csv) or a URDF (.urdf).", show_default=False, readable=False),
+]
+DhOut = Annotated[
+    Path, typer.Option("--out", "-o", metavar="FILE", help="The other one, to be written.", readable=False)
+]
+
+
+@command("dh", MORE, "calib dh table.csv -o arm.urdf")
+def dh(
+    source: DhSource,
+    out: DhOut,
+    tip: Annotated[str | None, typer.Option("--tip", metavar="LINK", help="Tip link of a URDF.")] = None,
+    base: Annotated[str | None, typer.Option("--base", metavar="LINK", help="Base link of a URDF.")] = None,
+    convention: Annotated[Convention | None, typer.Option(help="Convention of the table: standard by default.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a DH table into a URDF, or a URDF into a table.
+
+    Which way follows from the endings: table.csv to arm.urdf, or the arm of arm.urdf to table.csv.
+    """
+    with loading():
+        from calib.foundations.errors import JobError
+        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.presentation.console import sentence
+        from calib.robot import dh as dh_of
+        from calib.robot.load import load_robot
+    kinds = {source.suffix.lower(), out.suffix.lower()}
+    if kinds != {".csv", ".urdf"}:
+        raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
+    refuse_taken(out)
+    if out.suffix.lower() == ".urdf":
+        table = dh_of.read_dh(source, convention)
+        write_atomically(out, dh_of.dh_to_urdf(table, out.stem))
+    else:
+        table = dh_of.dh_of(load_robot(source, tip, base), convention or "standard")
+        write_atomically(out, dh_of.write_dh(table))
+    Telling(as_json, quiet).tell(
+        lambda: {"file": str(out), **table.contents()},
+        lambda: [sentence(f"{len(table.rows)} rows, {table.convention} convention; the file is {out}.")],
+    )

@@ -1,0 +1,28 @@
+"""``calib iso9283``: pose accuracy and repeatability from repeated cycles."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import JUDGE, Telling, command
+from calib.cli.options import Json, Quiet
+from calib_start import loading
+
+_CYCLES = typer.Argument(
+    metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False, readable=False
+)
+
+
+@command("iso9283", JUDGE, "calib iso9283 cycles.csv")
+def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quiet = False) -> None:
+    """Evaluate repeated cycles after ISO 9283.
+
+    Pose accuracy and repeatability, of distances too, from several directions, and drift: which of them, the columns
+    say (target, x, y, z; command_x, ...; qw, ...; direction; time).
+    """
+    with loading():
+        from calib.assessment.iso9283 import figures, read_cycles, records
+        from calib.presentation.acceptance_tables import iso_table
+    found = figures(read_cycles(cycles))
+    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_table(found)])

@@ -1,0 +1,44 @@
+"""``calib performance``: acceptance tests of an arm CMM."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import JUDGE, Telling, command
+from calib.cli.options import Json, Quiet, ResultFolder
+from calib_start import loading
+
+TouchFiles = Annotated[
+    list[Path], typer.Argument(metavar="TOUCHES...", help="Touched points (CSV).", show_default=False, readable=False)
+]
+ProbeFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--probe", metavar="FILE", help="A cone touched to find the probe point.", show_default=False, readable=False
+    ),
+]
+
+
+@command("performance", JUDGE, "calib performance out/ cone.csv lengths.csv")
+def performance(
+    results: ResultFolder, touches: TouchFiles, probe: ProbeFile = None, as_json: Json = False, quiet: Quiet = False
+) -> None:
+    """Evaluate acceptance tests of an arm CMM.
+
+    Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of
+    ASME B89.4.22 and ISO 10360-12. Which test a file is, its columns say.
+    """
+    with loading():
+        from calib.assessment.performance import before_and_after, read_touches
+        from calib.machine.model_file import load_machine
+        from calib.presentation.performance_tables import performance_table
+    telling = Telling(as_json, quiet)
+    with telling.progress(steps=1) as say:
+        say("reading the model and the touches")
+        model = load_machine(results)
+        tests = [read_touches(path, model.robot) for path in touches]
+        before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
+    telling.tell(
+        lambda: {"before": before.records(), "after": after.records()}, lambda: [performance_table(before, after)]
+    )

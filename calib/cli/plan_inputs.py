@@ -1,0 +1,124 @@
+"""What ``calib plan`` is told, in words and files, as the planner takes it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.assessment.candidates import Sight
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.foundations.choices import MOST_POSES, Observed
+from calib.foundations.csv_text import csv_text
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
+from calib.foundations.units import Dimension
+from calib.foundations.words import shown
+from calib.identification.error_model import ErrorModel, error_model
+from calib.job.inputs import load_arm
+from calib.measurement.columns import stacked
+from calib.measurement.table import read_table
+from calib.robot.conditions import NO_CONDITIONS
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
+from calib.robot.sources import EXAMPLE, examples_folder
+from calib.robot.transmission import lacking
+
+
+def pose_table(robot: Robot, readings: Array) -> str:
+    """Return poses (N, nr) as the beginning of a measurement table: joints in degrees and mm."""
+    unit = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
+    header = [f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings]
+    factors = [unit[reading.dimension][1] for reading in robot.readings]
+    return csv_text([header, *([f"{value:.4f}" for value in row] for row in readings * factors)])
+
+
+def arm(
+    source: str, tip: str | None, observes: Observed, roots: tuple[Path, ...]
+) -> tuple[Robot, ErrorModel, tuple[Path, ...]]:
+    """Return an arm, what is to be found of it, and the folders that may be read for its meshes."""
+    if source.endswith(".toml"):
+        arm = load_arm(Path(source))
+        if tip is not None and tip != arm.robot.tip:
+            raise JobError(f"{source}: the job's tip is {arm.robot.tip!r}; leave --tip out.")
+        return arm.robot, arm.model, (*arm.mesh_roots, *roots)
+    robot = load_robot(source, tip)
+    model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
+    own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)
+    return robot, model, (*own, *roots)
+
+
+def untold(model: ErrorModel) -> list[str]:
+    """Return what is to be said of joint terms that depend on more than the pose."""
+    names = [reading.name for reading in model.robot.readings]
+    free = [term for term in model.robot.terms if term.name in model.terms]
+    untold = [term.name for term in free if lacking([term], names, NO_CONDITIONS)]
+    if not untold:
+        return []
+    return [
+        f"{', '.join(untold)}: depend on sides of approach, temperatures or torques and not on the poses alone; the "
+        "plan is for the other parameters."
+    ]
+
+
+def count(text: str) -> int:
+    """Return a number of candidates."""
+    # A number of thousands of digits is none for Python.
+    if not 1 <= float(text) <= MOST_POSES:
+        raise JobError(f"candidates: {shown(text)} is not a number from 1 to {MOST_POSES}, nor a file.")
+    return int(text)
+
+
+def base(tracker: str | None) -> Array:
+    """Return the base in the instrument's frame, whose axes are taken to be the base's."""
+    return np.eye(4) if tracker is None else rigid.translation(-point(tracker, "tracker"))
+
+
+def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str, farthest: str | None) -> Sight | None:
+    """Return what the tracker sees; None where nothing is said of it."""
+    if tracker is None:
+        if facing is not None or farthest is not None:
+            raise JobError("facing, farthest: say with --tracker where the tracker is.")
+        return None
+    x, y, z = (0.0, 0.0, 1.0) if facing is None else map(float, _three(facing, "facing"))
+    return Sight(
+        facing=None if facing is None else (x, y, z),
+        acceptance=angle(acceptance, "acceptance"),
+        nearest=length(nearest, "nearest"),
+        farthest=float("inf") if farthest is None else length(farthest, "farthest"),
+    )
+
+
+def table(path: Path, robot: Robot) -> Array:
+    """Return the readings (N, nr) of a table, whatever else is in it."""
+    table = read_table(path)
+    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in robot.readings}
+    if missing := [name for name in dimensions if name not in table.columns]:
+        raise MeasurementError(f"{path}: there is no column {', '.join(map(repr, missing))} of a joint.")
+    return stacked(table, dimensions)
+
+
+def point(text: str, what: str) -> Array:
+    """Return a point (3,) in m of a text like ``50 0 50 mm``."""
+    *numbers, unit = text.split() or [""]
+    return np.array([length(f"{number} {unit}", what) for number in _words(numbers, text, what)])
+
+
+def _three(text: str, what: str) -> list[float]:
+    return [parse_within(f"{number} rad", OF_DIMENSION["angle"], what) for number in _words(text.split(), text, what)]
+
+
+def _words(numbers: list[str], text: str, what: str) -> list[str]:
+    if len(numbers) != 3:
+        example = "0 0 1" if what == "facing" else "50 0 50 mm"
+        raise JobError(f"{what}: {text!r} is not three numbers, like {example!r}.")
+    return numbers
+
+
+def length(text: str, what: str) -> float:
+    """Return a length in m."""
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["length"]), what)
+
+
+def angle(text: str, what: str) -> float:
+    """Return an angle in rad."""
+    return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)

@@ -1,0 +1,73 @@
+"""``calib sensitivity``: how far every parameter moves the tip."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import PREPARE, Telling, command
+from calib.cli.options import JobFile, Json, Quiet
+from calib_start import loading
+
+Errors = Annotated[
+    Path | None,
+    typer.Option(
+        "--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False, readable=False
+    ),
+]
+PlotFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False, readable=False
+    ),
+]
+
+
+@command("sensitivity", PREPARE, "calib sensitivity calibration.toml --plot sensitivity.svg")
+def sensitivity(
+    job: JobFile, errors: Errors = None, plot: PlotFile = None, as_json: Json = False, quiet: Quiet = False
+) -> None:
+    """Show how much every free parameter of a job moves the tip.
+
+    At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
+    the tip error when one kind of identified errors is ten times as large, and a tenth.
+    """
+    with loading():
+        import numpy as np
+
+        from calib.assessment.sensitivity import group_study
+        from calib.assessment.sensitivity import sensitivity as sensitivity_of
+        from calib.foundations.errors import JobError
+        from calib.foundations.files import write_atomically
+        from calib.identification.error_model import with_terms
+        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.inputs import load
+        from calib.machine.model_file import load_machine
+        from calib.presentation.plots import figure_bytes, sensitivity_figure
+        from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
+        from calib.results.folder import robot_errors
+    telling = Telling(as_json, quiet)
+    with telling.progress(STEPS_OF_LOADING + 1) as say:
+        inputs = load(job, say)
+        say("differentiating")
+        readings = np.concatenate([end.readings for data in inputs.identify for end in data.ends])
+        model = inputs.model
+        if errors is not None and inputs.job.error_model.terms == "auto":
+            model = with_terms(model, load_machine(errors).robot.terms)  # those that were chosen
+        found = sensitivity_of(model, readings)
+        study = None
+        if errors is not None:
+            try:
+                study = group_study(model, readings, robot_errors(errors))
+            except JobError as e:
+                raise JobError(f"{errors}: is no result of this job: {e}") from e
+    if plot is not None:
+        write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
+    telling.tell(
+        lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},
+        lambda: [
+            sensitivity_table(found),
+            *sensitivity_verdict(found),
+            *([] if study is None else [group_table(study)]),
+        ],
+    )

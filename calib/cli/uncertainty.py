@@ -1,0 +1,60 @@
+"""``calib uncertainty``: how sure a calibrated machine is of its tool."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import JUDGE, Telling, command
+from calib.cli.options import Json, Quiet, ResultFolder
+from calib.foundations.choices import MOST_POSES
+from calib_start import loading
+
+
+@command("uncertainty", JUDGE, "calib uncertainty out/ -o sigmas.csv")
+def uncertainty(
+    results: ResultFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
+    ] = None,
+    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show how sure a calibrated machine is of its tool.
+
+    Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
+    """
+    with loading():
+        from calib.cli.judged import sure_machine
+        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
+        from calib.presentation.acceptance_tables import map_csv, map_table
+        from calib.presentation.console import sentence
+    if out is not None:
+        refuse_taken(out)
+    telling = Telling(as_json, quiet)
+    with telling.progress(steps=1) as say:
+        machine = sure_machine(results)
+        found = uncertainty_map(
+            machine,
+            samples,
+            tool=tool,
+            limits=None if whole else machine.known_uncertainty.identified,
+            progress=lambda done, of: say(f"{done} of {of} poses"),
+        )
+        near = tool_uncertainty(machine, found.readings, tool)
+    if out is not None:
+        write_atomically(out, map_csv(found, machine.robot.readings))
+    telling.tell(
+        lambda: {"sigmas": found.percentiles(), "seen": near.shares()},
+        lambda: [
+            map_table(found, near.seen),
+            *([] if out is None else [sentence(f"Every pose is in {out}.")]),
+        ],
+    )

@@ -1,0 +1,68 @@
+"""``calib verify``: whether a calibrated machine is still what it was."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import JUDGE, NOT_TRUSTED, Telling, command
+from calib.cli.options import Json, Quiet, ResultFolder
+from calib.foundations.choices import Observed
+from calib_start import loading
+
+_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False, readable=False)
+
+
+@command("verify", JUDGE, 'calib verify out/ new.csv --limit "0.3 mm"')
+def verify(
+    results: ResultFolder,
+    measurements: Annotated[Path, _NEW],
+    observes: Annotated[Observed, typer.Option(help="What was measured.")] = "position",
+    sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="The instrument's noise.")] = None,
+    limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Of every position error.")] = None,
+    refit_base: Annotated[bool, typer.Option("--refit-base", help="The instrument was moved: find the base.")] = False,
+    in_order: Annotated[
+        bool, typer.Option("--in-order", help="Rows stand as they were measured: so joints were reached from a side.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Verify a calibrated machine by new measurements.
+
+    Ten points or more are enough. It passes when every error is within the limit, where one is given, and the errors
+    together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
+    input, 2 wrong usage, 3 failed.
+    """
+    with loading():
+        from calib.assessment.acceptance import verify as judged
+        from calib.cli.judged import sure_machine
+        from calib.foundations.ranges import RANGES, parse_within
+        from calib.machine.tool_uncertainty import outside_identified
+        from calib.measurement.read import read_measurements
+        from calib.presentation.acceptance_tables import verification_lines, verification_table
+        from calib.presentation.console import warning
+    telling = Telling(as_json, quiet)
+    with telling.progress(steps=2) as say:
+        say("reading the model and the measurements")
+        machine = sure_machine(results)
+        data = read_measurements(
+            measurements,
+            machine.robot,
+            observes,
+            sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
+            in_order=in_order,
+        )
+        say("judging")
+        found = judged(
+            machine,
+            data,
+            limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
+            refit=refit_base,
+        )
+        outside = outside_identified(machine, data.readings)
+    telling.tell(
+        lambda: {**found.contents(), "outside": list(outside)},
+        lambda: [*map(warning, outside), verification_table(found), *verification_lines(found)],
+    )
+    if not found.passed:
+        raise typer.Exit(NOT_TRUSTED)

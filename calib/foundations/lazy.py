@@ -1,0 +1,17 @@
+"""Modules that are loaded when they are first asked for (PEP 562)."""
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+
+
+def submodules_of(package: str) -> Callable[[str], ModuleType]:
+    """Return the ``__getattr__`` of a package whose modules need no import of their own: ``calib.robot.load``."""
+
+    def submodule(name: str) -> ModuleType:
+        if name.startswith("_") or find_spec(f"{package}.{name}") is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return import_module(f"{package}.{name}")
+
+    return submodule
