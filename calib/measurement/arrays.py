@@ -6,10 +6,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations import rigid
 from calib.foundations.errors import MeasurementError
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.table import QUATERNION_COLUMNS
 from calib.robot.robot import Robot
+
+# By how much rows of a rotation may miss being orthonormal.
+_ROTATION = 1e-6
 
 
 def positions(
@@ -35,8 +40,7 @@ def positions(
 def poses(
     robot: Robot,
     readings: npt.ArrayLike,
-    xyz: npt.ArrayLike,
-    quaternions: npt.ArrayLike,
+    placements: npt.ArrayLike,
     *,
     sigma: float | None = None,
     sigma_angle: float | None = None,
@@ -44,12 +48,20 @@ def poses(
 ) -> Measurements:
     """Return measured poses of a robot from plain arrays.
 
-        data = calib.poses(robot, q, xyz, quaternions, sigma=0.05e-3, sigma_angle=0.1e-3)
+        data = calib.poses(robot, q, T, sigma=0.05e-3, sigma_angle=0.1e-3)
 
-    ``quaternions`` (N, 4) in the order w, x, y, z; ``sigma_angle`` in rad; all else as :func:`positions`.
+    ``placements`` (N, 4, 4) of the tool in the instrument's frame; ``sigma_angle`` in rad; all else as
+    :func:`positions`. Raises MeasurementError for placements whose rotations are none.
     """
-    turned = _rows(quaternions, 4, "quaternions")
-    columns = _columns(robot, readings, xyz, tool) | dict(zip(("qw", "qx", "qy", "qz"), turned.T, strict=True))
+    T = np.asarray(placements, dtype=np.float64)
+    if T.ndim != 3 or T.shape[1:] != (4, 4):
+        raise MeasurementError(f"placements of shape {T.shape}: needed is (N, 4, 4).")
+    R = T[:, :3, :3]
+    bad = ~(np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < _ROTATION) | ~(np.linalg.det(R) > 0.0)
+    if bad.any():
+        raise MeasurementError(f"placements: that of row {int(np.argmax(bad)) + 1} has no rotation.")
+    turned = rigid.quaternion_of(R)
+    columns = _columns(robot, readings, T[:, :3, 3], tool) | dict(zip(QUATERNION_COLUMNS, turned.T, strict=True))
     return read_measurements(columns, robot, "pose", sigma=sigma, sigma_angle=sigma_angle)
 
 
