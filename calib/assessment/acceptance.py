@@ -17,6 +17,7 @@ import numpy as np
 from calib.assessment.metrics import Metrics, metrics
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError, PoseError
 from calib.foundations.linear import one_thread, triangle
@@ -54,6 +55,8 @@ class ChiSquare:
 class Judgement:
     """One judgement of new measurements. ``residuals`` (N, 3 or 6): measured minus predicted, in m and rad."""
 
+    __repr__ = brief
+
     metrics: dict[str, Metrics]
     residuals: Array
     test: ChiSquare
@@ -74,6 +77,8 @@ class Verification:
     too few; ``base_moved``: by how much, in m (at the base's origin) and rad. ``limit`` in m of every position error,
     or None. ``refit``: which of the two decides.
     """
+
+    __repr__ = brief
 
     as_calibrated: Judgement
     base_refitted: Judgement | None

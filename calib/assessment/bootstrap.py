@@ -17,6 +17,7 @@ import numpy.typing as npt
 from calib.assessment.validation import groups
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
@@ -34,6 +35,8 @@ class Bootstrap:
     Angles of base and tools are counted from where the fit has them. ``failed``: repetitions that had too few different
     poses to be solved.
     """
+
+    __repr__ = brief
 
     values: Array
     positions: Array

@@ -8,6 +8,7 @@ import numpy as np
 from calib.assessment.design import Rows
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import Observed
 from calib.foundations.errors import JobError
 from calib.identification.error_model import ErrorModel
@@ -41,6 +42,8 @@ class Setup:
     model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool shall be
     right; when None, the candidates.
     """
+
+    __repr__ = brief
 
     frames: Frames = field(default_factory=roughly)
     observes: Observed = "position"
@@ -143,6 +146,8 @@ class Sight:
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
     """Poses that can be measured: ``readings`` (N, nr). ``rejected``: of ``tried`` poses how many for which reason."""
+
+    __repr__ = brief
 
     readings: Array
     tried: int

@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.assessment.validation import HeldOut, folds, groups, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
@@ -75,6 +76,8 @@ class Choice:
 
     ``geometric``: the fit without terms from which they start. ``priors``: what amounts are expected to be.
     """
+
+    __repr__ = brief
 
     steps: tuple[Step, ...]
     taken: int

@@ -26,6 +26,7 @@ from calib.assessment.validation import (
     predict_held_out,
 )
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, error_model, with_terms
@@ -53,6 +54,8 @@ class JudgedModel:
     the comparison; ``difference``: how much larger it is than that of the best, and the ``standard_error`` of this.
     """
 
+    __repr__ = brief
+
     name: str
     model: ErrorModel
     parameters: int
@@ -77,6 +80,8 @@ class ModelComparison:
     ``unit``: of the judged figures, SI; "1" where there are several quantities: the root of their mean square, each in
     units of the least error that any model makes of it. ``groups`` of rows were held out together, in ``folds`` folds.
     """
+
+    __repr__ = brief
 
     models: tuple[JudgedModel, ...]
     best: JudgedModel

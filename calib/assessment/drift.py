@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
@@ -60,6 +61,8 @@ class Comparison:
     the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
     explain of that.
     """
+
+    __repr__ = brief
 
     changes: tuple[Change, ...]
     statistic: float | None

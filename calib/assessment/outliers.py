@@ -11,6 +11,7 @@ from calib.assessment.disagreement import Jump, OutlyingGroup, groups_of, jumps_
 from calib.assessment.influence import ALONE, Influence, Residue, Rows
 from calib.foundations import linear
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.brief import brief
 from calib.identification.fit import Fit
 from calib.measurement.kinds import WITH_TARGET
 
@@ -43,6 +44,8 @@ class OutlyingRow:
 @dataclass(frozen=True, slots=True)
 class Outliers:
     """Rows, jumps of targets, and groups, each the least likely first. Made by :func:`calib.outliers`."""
+
+    __repr__ = brief
 
     rows: tuple[OutlyingRow, ...]
     jumps: tuple[Jump, ...]

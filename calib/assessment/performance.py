@@ -20,6 +20,7 @@ import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
+from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.identification.pivot import pivot
@@ -65,6 +66,8 @@ class Touches:
     them; ``sizes``: the columns length, diameter, ball, each (N,) in m. ``lines`` (N): where a row stands in ``where``.
     ``conditions``: what joint terms need to be told.
     """
+
+    __repr__ = brief
 
     kind: Kind
     readings: Array
@@ -306,6 +309,8 @@ def probe_point(tips: Array, cones: Sequence[str], guess: Array) -> Array:
 @dataclass(frozen=True, slots=True, eq=False)
 class Performance:
     """What the tests say of one arm. ``probe`` (3,): the ball's centre on the tip link, in m, as it was found."""
+
+    __repr__ = brief
 
     probe: Array
     results: tuple[Result, ...]

@@ -10,6 +10,7 @@ from calib.assessment import design
 from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
 from calib.assessment.design import Space
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
@@ -44,6 +45,8 @@ class Plan:
     forecast keeps within a target; None where no target is given or nothing suffices. ``floor``: rms in m of what the
     model leaves out, which no number of poses removes.
     """
+
+    __repr__ = brief
 
     readings: Array
     chosen: tuple[int, ...]

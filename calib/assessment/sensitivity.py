@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import identifiability, system
 from calib.identification.error_model import ErrorModel
@@ -46,6 +47,8 @@ class Sensitivity:
     ``blind_directions``: those they do not.
     """
 
+    __repr__ = brief
+
     parameters: tuple[Parameter, ...]
     poses: int
     rms: Array
@@ -73,6 +76,8 @@ class GroupStudy:
     ``errors`` (N,): exact length of the tip error in m under the given parameter errors. ``scaled`` (groups, factors,
     N): the same with the errors of one group multiplied by one factor.
     """
+
+    __repr__ = brief
 
     groups: tuple[str, ...]
     factors: tuple[float, ...]

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
@@ -152,6 +153,8 @@ class CrossValidation:
 
     ``kinds``: of every set; ``group`` (all rows): as in :func:`groups`.
     """
+
+    __repr__ = brief
 
     kinds: tuple[Kind, ...]
     residuals: tuple[Array, ...]

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError
 from calib.machine.calibrated import CalibratedMachine
@@ -24,6 +25,8 @@ class CalibratedCell:
 
     ``root`` (4, 4): the document's root link. ``placement`` (4, 4): the base link of the positioner ``model``.
     """
+
+    __repr__ = brief
 
     cell: Cell
     model: CalibratedMachine

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
@@ -73,6 +74,8 @@ class Corrections:
     where positions alone are asked. ``reasons``: N texts, why a row is not reached; in a reached one a remark, or
     nothing. ``steps`` (N): Newton steps taken.
     """
+
+    __repr__ = brief
 
     readings: Array
     change: Array

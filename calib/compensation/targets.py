@@ -9,6 +9,7 @@ import numpy as np
 from calib.compensation.commands import Corrections, for_joint_targets, for_poses
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
@@ -29,6 +30,8 @@ class Targets:
     (N, 3), or None for joint targets. ``tools``: N names. ``conditions``: what joint terms need to be told. ``table``:
     as it was read.
     """
+
+    __repr__ = brief
 
     readings: Array | None
     poses: Array | None

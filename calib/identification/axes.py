@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.measurement.measurements import Measurements
 
@@ -40,6 +41,8 @@ class RevoluteAxis:
     (3, 2), then of radii and heights. ``noise``: the standard deviation of a coordinate on which it rests, given or
     estimated.
     """
+
+    __repr__ = brief
 
     direction: Array
     point: Array
@@ -84,6 +87,8 @@ class PrismaticAxis:
     point lies along its line from where the reading says, None without readings. All in m. ``covariance`` (2, 2): of
     two tilts of the direction (rad), towards the columns of ``across``. ``noise``: as in :class:`RevoluteAxis`.
     """
+
+    __repr__ = brief
 
     direction: Array
     point: Array

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
@@ -80,6 +81,8 @@ class ErrorModel:
     ``tool_poses`` are the values where base and tools are fixed.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
+
+    __repr__ = brief
 
     robot: Robot
     offsets: tuple[str, ...]

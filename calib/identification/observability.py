@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.brief import brief
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import BlindDirection
@@ -26,6 +27,8 @@ class Observability:
     ``numbers``: measured numbers. ``rank`` of ``parameters``; ``blind_directions``: what is not seen.
     ``condition``: of the seen directions, for ordinary deviations; ``indices``: O1 to O5 (:func:`indices`) of the same.
     """
+
+    __repr__ = brief
 
     parameters: tuple[Parameter, ...]
     numbers: int

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 
 # A direction of p in which the link turns by less than this (rms, rad) is not seen: readings scatter by as much.
@@ -33,6 +34,8 @@ class Pivot:
     which the tool point keeps the value of the guess. ``noise``: standard deviation of a coordinate, given or from the
     residuals.
     """
+
+    __repr__ = brief
 
     tool_point: Array
     fixed_points: Array

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.axes import (
     Axis,
@@ -82,6 +83,8 @@ class FivePoint:
     the positioner's base, which is ``B_L``; ``L_R = inv(B_L) B_R``. The z axes are the joints' axes. The table's frame
     W is R. ``findings``: what makes the result doubtful, as sentences with the expected error of an axis.
     """
+
+    __repr__ = brief
 
     B_R: Array
     B_L: Array
@@ -337,6 +340,8 @@ class TableError:
     many directions the fit kept at their nominal values, as the data hardly see them; here they count as known, so that
     any other number than 0 makes the rest too small.
     """
+
+    __repr__ = brief
 
     covariances: Array
     rms: float

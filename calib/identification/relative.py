@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, MeasurementError
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
@@ -27,6 +28,8 @@ class RelativeBase:
     ``covariance`` (6, 6): of a local twist of T_a_b, (v, w), in m and rad. ``residuals`` (N, 3): a minus predicted, in
     a's axes, in m. ``noise``: standard deviation of a coordinate's difference, given or estimated from the residuals.
     """
+
+    __repr__ = brief
 
     T_a_b: Array
     covariance: Array

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from calib.foundations.arrays import Array
+from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter, width
@@ -43,6 +44,8 @@ class Target:
     points to the side from which the plane is touched. ``height_is_known``: False where a plane's normal alone is
     known, such as an indicator's direction; its zero is then found.
     """
+
+    __repr__ = brief
 
     pose: Array
     height_is_known: bool = True

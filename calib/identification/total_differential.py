@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.units import UNITS
 from calib.identification import system
@@ -54,6 +55,8 @@ class Trace:
     ``iterations``: the start, then every estimate; the last one is the answer, and ``machine`` is ``model.robot`` with
     it. ``reason``: why it stopped.
     """
+
+    __repr__ = brief
 
     model: ErrorModel
     parameters: tuple[Parameter, ...]

@@ -19,6 +19,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.foundations.linear import one_thread
@@ -67,6 +68,8 @@ class GaussianResiduals:
     ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
     the errors.
     """
+
+    __repr__ = brief
 
     readings: tuple[tuple[str, Dimension], ...]
     joints: tuple[int, ...]

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
@@ -50,6 +51,8 @@ class SectorGrid:
     NaN for those of the grid. ``errors`` (n_1, ..., n_k, 3): in m, in the axes of ``frame``; where ``measured``
     (n_1, ..., n_k) is false, those of the nearest measured node.
     """
+
+    __repr__ = brief
 
     readings: tuple[tuple[str, Literal["angle", "length"]], ...]
     joints: tuple[int, ...]

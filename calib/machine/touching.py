@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
@@ -34,6 +35,8 @@ class TouchingArm:
 
     arm = calib.measuring.TouchingArm(calib.load_machine("arm"), point, sigma=0.03e-3)
     """
+
+    __repr__ = brief
 
     machine: CalibratedMachine
     point: Array

@@ -6,6 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
 
@@ -52,6 +53,8 @@ class Camera:
 
     Raises JobError when a number cannot be used.
     """
+
+    __repr__ = brief
 
     camera_on: CameraPlace
     fx: float

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.brief import brief
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -43,6 +44,8 @@ class Measurements:
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
     ``camera``: by which ``pixels`` were seen.
     """
+
+    __repr__ = brief
 
     kind: Kind
     reading_names: tuple[str, ...]

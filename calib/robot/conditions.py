@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+from calib.foundations.brief import brief
 
 # Lengths are stated at this temperature (ISO 1), in degC.
 REFERENCE_TEMPERATURE = 20.0
@@ -18,6 +19,8 @@ class Conditions:
     ``approach`` (N, nr): the side from which every reading was reached: +1 growing, -1 falling, 0 from neither.
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     """
+
+    __repr__ = brief
 
     approach: Array | None = None
     temperature: Array | None = None

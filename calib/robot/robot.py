@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
@@ -83,6 +84,8 @@ class Deviations:
     ``terms`` (number of the robot's terms): their amounts, in SI units.
     """
 
+    __repr__ = brief
+
     placements: Array
     offsets: Array
     terms: Array = field(default_factory=lambda: read_only(np.zeros(0)))
@@ -118,6 +121,8 @@ class Robot:
     ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
     ``gravity`` (m/s^2) in the base link; ``payload``: what the tip link carries.
     """
+
+    __repr__ = brief
 
     urdf: Urdf
     base: str

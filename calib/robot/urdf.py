@@ -17,6 +17,7 @@ from xml.parsers import expat
 import numpy as np
 
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.rigid import placement, rotation_of_rpy
@@ -80,6 +81,8 @@ class Urdf:
 
     Links and joints are in document order; ``where`` is the name of the file in messages.
     """
+
+    __repr__ = brief
 
     name: str
     root: str

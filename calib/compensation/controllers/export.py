@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.brief import brief
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.urdf import lost_in_urdf
@@ -45,6 +46,8 @@ class Export:
     ``before``: the nominal machine, and ``lost``: the machine of the file, both from the calibrated one whole. Over
     random poses of the identified range of readings, or of the joints' limits where the results do not tell it.
     """
+
+    __repr__ = brief
 
     text: str
     before: float

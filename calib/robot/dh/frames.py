@@ -22,6 +22,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 from calib.robot import deviation
@@ -53,6 +54,8 @@ class DhFrames:
     ``first`` and ``last``: numbers in ``robot.chain`` of the first and the last joint that the rows lie between.
     ``to_first`` (4, 4): from the frame that carries the first joint to frame 0 of a modified table, along z.
     """
+
+    __repr__ = brief
 
     source: Robot
     robot: Robot

@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 
@@ -56,6 +57,8 @@ class DhTable:
 
     Raises RobotError when a joint has two rows, no row moves, a number is not finite or a frame is no rigid placement.
     """
+
+    __repr__ = brief
 
     convention: Convention
     rows: tuple[DhRow, ...]
