@@ -109,9 +109,7 @@ def case(poses: int, observes: str) -> Case:
     if observes == "pose":
         turned = truth[:, :3, :3] @ rigid.exp3(rng.normal(scale=SIGMA_ANGLE, size=(poses, 3)))
         columns |= dict(zip(("qw", "qx", "qy", "qz"), rigid.quaternion_of(turned).T, strict=True))
-    data = calib.read_measurements(
-        columns, robot, observes, sigma=SIGMA, sigma_angle=SIGMA_ANGLE if observes == "pose" else None
-    )
+    data = calib.read_measurements(columns, robot, observes, sigma=(SIGMA, SIGMA_ANGLE if observes == "pose" else None))
     return Case(model, data, unseen, seen(unseen)[:, :3, 3])
 
 

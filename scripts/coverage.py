@@ -133,8 +133,7 @@ def measured(
     turns = Rotation.from_rotvec(rng.normal(scale=SIGMA_ANGLE, size=(len(poses), 3)))
     x, y, z, w = (Rotation.from_matrix(poses[:, :3, :3]) * turns).as_quat().T
     columns |= {"qw": w, "qx": x, "qy": y, "qz": z}
-    stated = {"sigma": kind.stated * SIGMA, "sigma_angle": kind.stated * SIGMA_ANGLE}
-    return calib.read_measurements(columns, robot, "pose", **stated)
+    return calib.read_measurements(columns, robot, "pose", sigma=(kind.stated * SIGMA, kind.stated * SIGMA_ANGLE))
 
 
 def true_values(fit: calib.Fit, truth: Truth) -> Array:

@@ -220,8 +220,7 @@ def tracked(which: str, seed: int, few: bool = False) -> Case:
         columns,
         robot,
         "pose" if kind == "pose" else "position",
-        sigma=sigma if stated else 0.0,
-        sigma_angle=None if kind == "position" else sigma_angle if stated else 0.0,
+        sigma=(sigma if stated else 0.0, None if kind == "position" else sigma_angle if stated else 0.0),
     )
     freedom = "fixed" if not tool_free else "pose" if kind == "pose" else "position"
     free: dict[str, Any] = {"offsets": "all", "base": "pose" if base_free else "fixed", "tool": freedom}

@@ -91,7 +91,7 @@ def from_arrays(poses: int, observes: str) -> Cost:
     pose = observes == "pose"
     model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if pose else "position")
     data = calib.read_measurements(
-        columns(robot, poses, observes), robot, observes, sigma=SIGMA, sigma_angle=1e-4 if pose else None
+        columns(robot, poses, observes), robot, observes, sigma=(SIGMA, 1e-4 if pose else None)
     )
     loaded, start = peak(), time.perf_counter()
     fit = calib.identify(model, data)

@@ -105,15 +105,14 @@ def for_joint_targets(
     what: What = "pose",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
-    tolerance: float = 1e-6,
-    tolerance_angle: float = 1e-6,
+    tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands with which the calibrated machine goes where the nominal one would at readings (N, nr).
 
     The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: the tool's whole pose,
     or its position alone, as arms of fewer than six joints need. Where the machine's residual model does not reach,
-    rows are refused, or with ``clamp`` take what is at its edge, with a remark. A row is reached within ``tolerance``
-    in m and ``tolerance_angle`` in rad. ``conditions`` of the rows: what joint terms need to be told.
+    rows are refused, or with ``clamp`` take what is at its edge, with a remark. A row is reached within
+    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need to be told.
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
@@ -123,7 +122,7 @@ def for_joint_targets(
     nominal = TipModel(model.robot)
     tips, why = _rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
-    how = _How(what, model.residual_model, clamp, (tolerance, tolerance_angle), _REMARKABLE)
+    how = _How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
     return _solve(model, _Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
 
 
@@ -136,8 +135,7 @@ def for_poses(
     frame: PoseFrame = "base",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
-    tolerance: float = 1e-6,
-    tolerance_angle: float = 1e-6,
+    tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands that bring the tool to poses (N, 4, 4), or to positions (N, 3) in any orientation.
 
@@ -161,7 +159,7 @@ def for_poses(
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses
-    n, how = len(poses), _How(what, model.residual_model, clamp, (tolerance, tolerance_angle), np.inf)
+    n, how = len(poses), _How(what, model.residual_model, clamp, tolerance, np.inf)
     tools = _tools(model, tool, n)
     if start is not None:
         start = _start(model, start)

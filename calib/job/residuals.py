@@ -51,8 +51,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
             section.joints or (),
             section.frame,
             partial=True,
-            where=sets[0].where,
-            lines=sets[0].lines if len(sets) == 1 else None,
+            where=[f"{data.where}:{line}" for data in sets for line in data.lines],
         )
         return ResidualLevel(grid, int(3 * grid.measured.sum()))
     progress("learning the Gaussian process")

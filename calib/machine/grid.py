@@ -170,37 +170,37 @@ def grid_from_residuals(
     *,
     axes: Mapping[str, npt.ArrayLike] | None = None,
     partial: bool = False,
-    where: str = "nodes",
-    lines: Sequence[int] | IntArray | None = None,
+    where: str | Sequence[str] = "nodes",
 ) -> SectorGrid:
     """Return the grid of error vectors (N, 3) in m, in the axes of ``frame``, measured at readings (N, nr).
 
     ``joints``: names, out of ``robot_readings``, of those that the grid spans; the others must stand still. The rows,
     in any order, must hold every combination once. The nodes of a joint are evenly spaced unless ``axes`` names them
-    in rad or m. ``partial``: nodes may be missing, and a cell is used where all its corners are there. ``where`` and
-    ``lines`` (N): where rows stand, for messages.
+    in rad or m. ``partial``: nodes may be missing, and a cell is used where all its corners are there. ``where``:
+    all rows stand, or each of N, as "nodes.csv:12", for messages.
 
     Raises JobError when an option cannot be used, and MeasurementError naming the first row that is not on the grid or
     is there twice, the first node that is missing, or the joint that moves and is not one of the grid's.
     """
     readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    place = where if isinstance(where, str) else where[0].rpartition(":")[0] if where else "nodes"
     given = axes or {}
     names = [reading.name for reading in robot_readings]
     numbers = _numbers(names, joints, frame, given)
     if readings.shape != (len(errors), len(names)) or errors.shape != (len(readings), 3) or not len(errors):
         raise MeasurementError(
-            f"{where}: readings {readings.shape} and errors {errors.shape} must have the shapes "
+            f"{place}: readings {readings.shape} and errors {errors.shape} must have the shapes "
             f"(N, {len(names)}) and (N, 3)."
         )
     if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
-        raise MeasurementError(f"{where}: readings and errors must be finite numbers.")
-    at = [f"{where}, row {n}" if lines is None else f"{where}:{lines[n]}" for n in range(len(readings))]
+        raise MeasurementError(f"{place}: readings and errors must be finite numbers.")
+    at = [f"{place}, row {n}" for n in range(len(readings))] if isinstance(where, str) else list(where)
     reference = _reference(readings, robot_readings, numbers, at)
     placed = [_placed(readings[:, j], robot_readings[j], at, given.get(names[j])) for j in numbers]
     nodes = tuple(read_only(axis) for axis, _ in placed)
     shape = tuple(len(axis) for axis in nodes)
     if np.prod([float(n) for n in shape]) > _MOST_NODES:
-        raise MeasurementError(f"{where}: the steps make a grid of more than {_MOST_NODES} nodes.")
+        raise MeasurementError(f"{place}: the steps make a grid of more than {_MOST_NODES} nodes.")
     index = tuple(np.asarray(i) for _, i in placed)
     row_of = np.full(shape, -1, dtype=np.intp)
     for n, node in enumerate(zip(*index, strict=True)):
@@ -214,7 +214,7 @@ def grid_from_residuals(
     if not (partial or measured.all()):
         missing = tuple(int(i) for i in np.argwhere(~measured)[0])
         raise MeasurementError(
-            f"{where}: {np.count_nonzero(~measured)} of the {measured.size} nodes of the grid are missing, the first "
+            f"{place}: {np.count_nonzero(~measured)} of the {measured.size} nodes of the grid are missing, the first "
             f"at {_node(missing, nodes, numbers, robot_readings)}."
         )
     filled = errors[row_of]

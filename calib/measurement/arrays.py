@@ -62,7 +62,7 @@ def poses(
         raise MeasurementError(f"placements: that of row {int(np.argmax(bad)) + 1} has no rotation.")
     turned = rigid.quaternion_of(R)
     columns = _columns(robot, readings, T[:, :3, 3], tool) | dict(zip(QUATERNION_COLUMNS, turned.T, strict=True))
-    return read_measurements(columns, robot, "pose", sigma=sigma, sigma_angle=sigma_angle)
+    return read_measurements(columns, robot, "pose", sigma=(sigma, sigma_angle))
 
 
 def distances(

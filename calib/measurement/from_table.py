@@ -29,14 +29,16 @@ from calib.measurement.projection import undistort
 from calib.measurement.table import Table
 from calib.robot.robot import Reading
 
+# Of a coordinate, in m; of poses also a pair, in m and rad. None: not known here.
+Sigma = float | tuple[float | None, float | None] | None
+
 
 def measurements_from_table(
     table: Table,
     readings: Sequence[Reading],
     kind: Kind,
     *,
-    sigma: float | None = None,
-    sigma_angle: float | None = None,
+    sigma: Sigma = None,
     instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
@@ -45,19 +47,20 @@ def measurements_from_table(
     """Return what a table says of a robot with these ``readings``; ``unread``: its joints that have none.
 
     The noise comes from one place: ``sigma`` in m, ``instrument``, or the table's columns ``sigma`` or ``sigma_x,
-    sigma_y, sigma_z``; that of poses likewise from ``sigma_angle`` in rad or the columns ``sigma_angle`` or
+    sigma_y, sigma_z``; that of poses likewise from a pair ``sigma`` in m and rad, or the columns ``sigma_angle`` or
     ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
     length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
     poses were taken one after the other, and the order of the rows says from which side joints were reached.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a pair has not two rows or two lengths, and when the noise is said twice or of coordinates
-    that there are not; JobError when ``sigma``, ``sigma_angle``, ``instrument`` or ``offset`` cannot be used.
+    that there are not; JobError when ``sigma``, ``instrument`` or ``offset`` cannot be used.
     """
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     require(table, dimensions, "of a joint")
     refuse_unknown(table, dimensions, unread)
-    _refuse_useless(table, kind, sigma=sigma, sigma_angle=sigma_angle, instrument=instrument, offset=offset)
+    length, angle = sigma if isinstance(sigma, tuple) else (sigma, None)
+    _refuse_useless(table, kind, sigma=length, sigma_angle=angle, instrument=instrument, offset=offset)
     seen = "position" if kind in ("position", "pose") else None
     position = None
     if seen:
@@ -74,9 +77,9 @@ def measurements_from_table(
         )
     ways = SIGMAS if width == 3 else SIGMAS[:1]
     dimension: Dimension = "length" if camera is None else "pixel"
-    noise = _noise(table, ways, dimension, {"sigma": sigma, "the instrument": promised}, width)
+    noise = _noise(table, ways, dimension, {"sigma": length, "the instrument": promised}, width)
     if kind == "pose":
-        noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": sigma_angle}, 3)])
+        noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": angle}, 3)])
     tools, tool = _numbered(words(table, "point"), "tool", len(table))
     targets, target = _numbered(words(table, "target"), "target", len(table))
     for names, column, most in ((tools, "point", MOST_POINTS), (targets, "target", MOST_TARGETS)):

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calib.measurement.from_table import measurements_from_table
+from calib.measurement.from_table import Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
@@ -17,8 +17,7 @@ def read_measurements(
     robot: Robot,
     observes: Kind = "position",
     *,
-    sigma: float | None = None,
-    sigma_angle: float | None = None,
+    sigma: Sigma = None,
     instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
@@ -26,9 +25,9 @@ def read_measurements(
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
-    Every dimensional column has its unit in its name: ``"joint_1 [deg]"``, ``"x [mm]"``. ``sigma`` (m) and
-    ``sigma_angle`` (rad) are the instrument's standard deviations of each coordinate, when no column and no
-    ``instrument`` gives them; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
+    Every dimensional column has its unit in its name: ``"joint_1 [deg]"``, ``"x [mm]"``. ``sigma`` is the
+    instrument's standard deviation of each coordinate in m, of poses a pair, in m and rad, when no column and no
+    ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
     length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
     ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``.
 
@@ -46,7 +45,6 @@ def read_measurements(
         robot.readings,
         observes,
         sigma=sigma,
-        sigma_angle=sigma_angle,
         instrument=instrument,
         offset=offset,
         in_order=in_order,

@@ -291,7 +291,7 @@ def test_a_loop_that_cannot_close_spoils_its_row_alone() -> None:
             lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), what=cast(Any, "turn")),
             "what shall be reached is 'turn'",
         ),
-        (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), tolerance=0.0), "the tolerances are"),
+        (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), tolerance=(0.0, 1e-6)), "the tolerances are"),
         (lambda m: commands.for_poses(m, np.zeros((1, 7))), "shape (1, 7)"),
         (lambda m: commands.for_poses(m, np.full((1, 3), np.inf)), "finite"),
         (lambda m: commands.for_poses(m, 2.0 * np.eye(4)[None]), "not all placements"),

@@ -102,7 +102,9 @@ class Case:
         q = near + 0.2 * (self.draw(len(points)) - near)
         told = self.conditions(q)
         for _ in range(3 if self.draft.said == "order" else 1):
-            found = for_poses(self.truth, points, q, list(tools), frame="instrument", conditions=told, tolerance=1e-8)
+            found = for_poses(
+                self.truth, points, q, list(tools), frame="instrument", conditions=told, tolerance=(1e-8, 1e-6)
+            )
             rows = np.flatnonzero(found.reached)
             q, points, tools = found.readings[rows], points[rows], [tools[k] for k in rows]
             told = told.subset(rows)

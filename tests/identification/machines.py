@@ -185,7 +185,7 @@ class Machine:
             poses[:, :3, :3] = poses[:, :3, :3] @ turns
         columns = table(self.arm, readings, poses, observes) | ({} if points is None else {"point": points})
         s, a = stated or (sigma, sigma_angle)
-        return calib.read_measurements(columns, robot, observes, sigma=s, sigma_angle=a if observes == "pose" else None)
+        return calib.read_measurements(columns, robot, observes, sigma=(s, a if observes == "pose" else None))
 
 
 def predicted(fit: calib.Fit, readings: Array, tool: int = 0) -> Array:

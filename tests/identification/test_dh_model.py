@@ -127,9 +127,7 @@ def poses(robot: calib.Robot, rng: np.random.Generator, n: int = 6, observes: st
     if observes == "pose":
         x, y, z, w = machines.Rotation.from_matrix(tips[:, :3, :3]).as_quat().T
         columns |= {"qw": w, "qx": x, "qy": y, "qz": z}
-    return calib.read_measurements(
-        columns, robot, observes, sigma=1e-4, sigma_angle=1e-4 if observes == "pose" else None
-    )
+    return calib.read_measurements(columns, robot, observes, sigma=(1e-4, 1e-4 if observes == "pose" else None))
 
 
 # ---- what is free, and how it is called

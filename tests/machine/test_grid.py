@@ -165,7 +165,7 @@ def changed(change: Callable[[Array, Array], tuple[Array, Array] | None], **opti
     lines = np.arange(len(rows)) + 2
     joints = options.pop("joints", JOINTS)
     with pytest.raises(CalibError) as caught:
-        grid_from_residuals(rows, errors, READINGS, joints, where="n.csv", lines=lines, **options)
+        grid_from_residuals(rows, errors, READINGS, joints, where=[f"n.csv:{line}" for line in lines], **options)
     said = str(caught.value)
     assert said.endswith(".")
     return said

@@ -119,7 +119,7 @@ def test_noise_of_positions(columns: Columns, noise: dict[str, object], sigma: l
 @pytest.mark.parametrize(
     ("columns", "noise", "angles"),
     [
-        ({}, {"sigma_angle": 1e-4}, [[1e-4] * 3] * 2),
+        ({}, {"sigma": (None, 1e-4)}, [[1e-4] * 3] * 2),
         ({"sigma_angle [mrad]": [1, 2]}, {}, [[1e-3] * 3, [2e-3] * 3]),
         (
             {"sigma_rx [mrad]": [1, 1], "sigma_ry [mrad]": [2, 2], "sigma_rz [mrad]": [3, 3]},
@@ -225,7 +225,7 @@ def test_a_quaternion_with_few_digits_is_accepted() -> None:
     [
         ("position", {}, {"sigma": -1.0}, JobError, "t: sigma is -1 m; allowed is 0, or 1e-06 to 1000 mm."),
         ("position", {}, {"sigma": np.inf}, JobError, "t: sigma is inf m; allowed is 0, or 1e-06 to 1000 mm."),
-        ("position", {}, {"sigma_angle": 1.0}, JobError, "t: sigma_angle is given, and only poses have angles."),
+        ("position", {}, {"sigma": (None, 1.0)}, JobError, "t: sigma_angle is given, and only poses have angles."),
         (
             "pose",
             {},
@@ -236,7 +236,7 @@ def test_a_quaternion_with_few_digits_is_accepted() -> None:
         (
             "pose",
             {"sigma_angle [deg]": [1, 1]},
-            {"sigma_angle": 1.0},
+            {"sigma": (None, 1.0)},
             MeasurementError,
             "t: the noise is given twice, by sigma_angle and by column sigma_angle; keep one.",
         ),

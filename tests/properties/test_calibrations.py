@@ -160,7 +160,7 @@ def test_the_units_of_the_table_do_not_matter(case: Case) -> None:
     assert other.keys() != columns.keys()
     angle = 2 * SIGMA if case.observes == "pose" else None
     fits = [
-        case.identified(calib.read_measurements(c, case.robot, case.observes, sigma=SIGMA, sigma_angle=angle))
+        case.identified(calib.read_measurements(c, case.robot, case.observes, sigma=(SIGMA, angle)))
         for c in (columns, other)
     ]
     same(case, *fits)

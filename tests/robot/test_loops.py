@@ -300,9 +300,7 @@ def test_the_jacobian_of_a_machine_with_loops_is_that_of_central_differences(nam
         turned = Rotation.from_matrix(R) * Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (len(readings), 3)))
         qx, qy, qz, qw = turned.as_quat().T
         columns |= {"qw": qw, "qx": qx, "qy": qy, "qz": qz}
-    data = calib.read_measurements(
-        columns, robot, observes, sigma=1e-3, sigma_angle=1e-3 if observes == "pose" else None
-    )
+    data = calib.read_measurements(columns, robot, observes, sigma=(1e-3, 1e-3 if observes == "pose" else None))
     found = Problem(model, parameters, reference, (data,))
     (J,) = system.jacobian(found, x)
     h = 1e-5
