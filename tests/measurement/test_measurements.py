@@ -119,7 +119,7 @@ def test_noise_of_positions(columns: Columns, noise: dict[str, object], sigma: l
 @pytest.mark.parametrize(
     ("columns", "noise", "angles"),
     [
-        ({}, {"sigma": (None, 1e-4)}, [[1e-4] * 3] * 2),
+        ({}, {"sigma": (1e-5, 1e-4)}, [[1e-4] * 3] * 2),
         ({"sigma_angle [mrad]": [1, 2]}, {}, [[1e-3] * 3, [2e-3] * 3]),
         (
             {"sigma_rx [mrad]": [1, 1], "sigma_ry [mrad]": [2, 2], "sigma_rz [mrad]": [3, 3]},
@@ -130,7 +130,8 @@ def test_noise_of_positions(columns: Columns, noise: dict[str, object], sigma: l
     ids=["scalar", "column", "columns"],
 )
 def test_noise_of_poses(columns: Columns, noise: dict[str, object], angles: list[list[float]]) -> None:
-    sigma = measured(POSE | columns, "pose", sigma=1e-5, **noise).sigma
+    given = {"sigma": 1e-5} | noise
+    sigma = measured(POSE | columns, "pose", **given).sigma
     np.testing.assert_allclose(sigma, np.hstack([np.full((2, 3), 1e-5), angles]), rtol=1e-15)
 
 
