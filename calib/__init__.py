@@ -24,7 +24,7 @@ from calib.foundations.lazy import submodules_of as _submodules_of
 from calib.foundations.version import __version__
 
 if TYPE_CHECKING:
-    from calib import commands, judging, measuring, planning
+    from calib import commands, judging, measuring, planning, positioner
     from calib.assessment.acceptance import verify
     from calib.assessment.advice import advice
     from calib.assessment.checking import check
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
         OutputError,
         RobotError,
     )
-    from calib.identification import positioner
     from calib.identification.error_model import ErrorModel, error_model
     from calib.identification.fit import Fit
     from calib.identification.identify import identify
@@ -72,7 +71,6 @@ _HOMES = {
     "assessment.planning": "plan",
     "assessment.validation": "hold_out",
     "foundations.errors": "CalibError IdentificationError JobError MeasurementError OutputError RobotError",
-    "identification": "positioner",
     "identification.error_model": "ErrorModel error_model",
     "identification.fit": "Fit",
     "identification.identify": "identify",

@@ -23,10 +23,10 @@ from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension, Unit, unit_of
-from calib.identification.pivot import pivot
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.conditions import conditions, refuse_lacking
 from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
+from calib.positioner.pivot import pivot
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, Robot
 

@@ -11,13 +11,13 @@ from calib.assessment.performance import read_touches
 from calib.foundations.arrays import read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import parse_quantity
-from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, residual_file
 from calib.machine.touching import TouchingArm
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking
+from calib.positioner.pivot import pivot
 from calib.robot.load import load_robot
 from calib.robot.sources import EXAMPLE, resolve
 

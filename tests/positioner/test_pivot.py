@@ -6,8 +6,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.identification.pivot import pivot
-from calib.identification.relative import relative_base
+from calib.positioner.pivot import pivot
+from calib.positioner.relative import relative_base
 from tests.identification import machines
 from tests.identification.positioners import Array, place, turn
 

@@ -1,17 +1,11 @@
-"""External axes: positioners, turntables, tracks, from touched points.
+"""A two-axis positioner from five places of one mark on its table, in closed form.
 
-A positioner is a machine like any other: a URDF, its base and its marks (tool points on the table) unknown. What
-positions of marks determine are the lines of its axes and the marks themselves, no more: for two revolute axes 4 + 4 +
-3 = 11 numbers. :func:`five_point` finds them from five points in closed form, as its inventors do; :func:`axes_robot`
-makes a URDF machine of any axes, and :func:`axes_model` frees in it what :func:`calib.identify` then fits to any number
-of points.
-
-Source of the closed form: a patent of the South China University of Technology on two-axis positioners and five points.
+Source: a patent of the South China University of Technology on two-axis positioners and five points.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -20,50 +14,28 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.identification.axes import (
-    Axis,
-    PrismaticAxis,
-    RevoluteAxis,
-    circle_axis,
-    circle_point_analysis,
-    expected_circle_error,
-    expected_line_error,
-    line_axis,
-)
-from calib.identification.error_model import ErrorModel, error_model
-from calib.identification.fit import Fit
-from calib.identification.pivot import Pivot, pivot
-from calib.identification.relative import RelativeBase, relative_base
-from calib.identification.system import Problem, blocks
 from calib.measurement.checks import Finding
-from calib.measurement.measurements import unmeasured
-from calib.robot.conditions import ordinary
-from calib.robot.load import load_robot
+from calib.measurement.columns import stacked
+from calib.measurement.table import Table, read_table
+from calib.positioner.axes import expected_circle_error
+from calib.positioner.machine import revolute_robot
 from calib.robot.robot import Robot
-from calib.robot.urdf import parse_urdf
 
-__all__ = [
-    "Axis",
-    "FivePoint",
-    "Pivot",
-    "PrismaticAxis",
-    "RelativeBase",
-    "RevoluteAxis",
-    "TableError",
-    "axes_model",
-    "axes_robot",
-    "circle_axis",
-    "circle_point_analysis",
-    "expected_circle_error",
-    "expected_line_error",
-    "five_point",
-    "line_axis",
-    "pivot",
-    "relative_base",
-    "table_error",
-    "table_points",
-]
-
+# Which of the five a row is, by the senses of its tilt and its rotary turn.
+_PLACES: Mapping[tuple[float, float], str] = {
+    (0.0, 0.0): "P1",
+    (0.0, 1.0): "P2",
+    (0.0, -1.0): "P3",
+    (1.0, 0.0): "P4",
+    (-1.0, 0.0): "P5",
+}
+_NAMES: Mapping[str, str] = {
+    "P1": "both axes at zero",
+    "P2": "rotary turned in its positive sense",
+    "P3": "rotary turned in its negative sense",
+    "P4": "tilt turned in its positive sense",
+    "P5": "tilt turned in its negative sense",
+}
 # The patent asks for more than 30 deg; below 60 deg and 100 mm the table is known ten times worse than its points.
 _SMALL_TURN = float(np.radians(60.0))
 _SMALL_RADIUS = 0.1
@@ -113,7 +85,7 @@ class FivePoint:
 
     def robot(self, names: tuple[str, str] = ("tilt", "rotary")) -> Robot:
         """Return the positioner as a URDF machine, in whose nominal geometry these axes are; its tip is the table."""
-        return _robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
+        return revolute_robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
 
 
 def five_point(
@@ -274,131 +246,32 @@ def _doubts(
     return found
 
 
-# ---- as a machine
+def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FivePoint:
+    """Find the axes from a table of the five places: columns ``tilt``, ``rotary``, ``x``, ``y``, ``z``, with units.
 
+        found = calib.positioner.five_point_of("five.csv")
 
-def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
-    """Return a URDF machine with the given axes, the one that carries all others first; its tip link is ``table``.
-
-    At readings of zero its axes are where ``axes`` say, in the frame of its base link ``base``. Raises JobError when
-    there are not as many ``names``, RobotError when they cannot be joints' names.
+    Which row is which, its readings say: one at zero, two at turns of the rotary axis alone, a positive and a negative
+    one, two of the tilt axis alone. Raises MeasurementError when there are others, and as :func:`five_point` does.
     """
-    if len(names) != len(axes) or not axes:
-        raise JobError(f"there are {len(axes)} axes and {len(names)} names; each axis needs one.")
-    placed = []
-    for axis in axes:
-        R = np.column_stack([axis.across, axis.direction])
-        placed.append((axis.kind, rigid.placement(R, axis.point)))
-    return _robot(placed, names)
-
-
-def _robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
-    """Return the machine whose joints stand at placements (4, 4) in the base, all of readings zero, along z."""
-    links = ["base", *(f"{name}_carrier" for name in names[:-1]), "table"]
-    lines = [f"<link name={quoteattr(link)}/>" for link in links]
-    carrier = np.eye(4)
-    for (kind, T), name, parent, child in zip(placed, names, links, links[1:], strict=False):
-        origin = rigid.inverse(carrier) @ T
-        carrier = T
-        xyz, rpy = (
-            " ".join(repr(float(v)) for v in values) for values in (origin[:3, 3], rigid.rpy_of(origin[:3, :3]))
-        )
-        limits = '<limit lower="-1e3" upper="1e3" effort="0" velocity="0"/>' if kind == "prismatic" else ""
-        lines.append(
-            f"<joint name={quoteattr(name)} type={quoteattr('continuous' if kind == 'revolute' else kind)}>"
-            f'<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/><origin xyz="{xyz}" rpy="{rpy}"/>'
-            f'<axis xyz="0 0 1"/>{limits}</joint>'
-        )
-    text = "\n".join(['<robot name="positioner">', *lines, "</robot>", ""])
-    return load_robot(parse_urdf(text.encode(), "positioner"), "table", "base")
-
-
-def axes_model(robot: Robot) -> ErrorModel:
-    """Return the error model whose unknowns are the lines of all axes of ``robot``, and the marks on its table.
-
-    The base's pose places the first moving joint, the placements of the others place them after it, and the marks are
-    points on the tip link (column ``point`` of the measurements). These are more names than numbers: the rank is 4 for
-    a revolute axis, 2 for a prismatic one, and 3 for every mark. The rest are the freedoms of the frames (origins slide
-    and turn on their axes); policy "nearest" leaves those nearest to the nominal machine, "minimal" frees as many
-    parameters as the rank. No predicted point depends on the choice.
-
-    No guess is asked for where base and marks are. The axes should lie to each other as in ``robot`` to some
-    centimetres and degrees; where nobody knows how, begin with :meth:`FivePoint.robot` or :func:`axes_robot`.
-    """
-    _, *others = (robot.chain[i].name for i in robot.moving)
-    return error_model(robot, placements=others or "none")
-
-
-# ---- how good it is
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TableError:
-    """Expected errors of predicted table points, to first order. Made by :func:`table_error`.
-
-    ``covariances`` (N, 3, 3), in m^2. ``rms`` and ``largest``: of the points' expected 3D errors, in m. ``held``: how
-    many directions the fit kept at their nominal values, as the data hardly see them; here they count as known, so that
-    any other number than 0 makes the rest too small.
-    """
-
-    __repr__ = brief
-
-    covariances: Array
-    rms: float
-    largest: float
-    held: int
-
-
-def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Array:
-    """Return where table points are, in the instrument's frame, at ``angles`` (N, k), by an identified positioner.
-
-    ``points`` (N, 3) or (3,): where they are, in m, while all axes read zero. ``angles``: readings in rad and m.
-    """
-    x, q = _envelope(fit, points, angles)
-    rows = np.concatenate([q, np.zeros_like(q[:1])])
-    T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations, ordinary(rows))
-    moved = T[:-1] @ rigid.inverse(T[-1])
-    return np.asarray((moved[:, :3, :3] @ x[:, :, None])[..., 0] + moved[:, :3, 3])
-
-
-def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> TableError:
-    """Return how far off table points are expected to be that an identified positioner predicts.
-
-    ``points`` and ``angles`` as in :func:`table_points`: a point known exactly at zero, such as a seam taught there, is
-    carried along by the axes, and the fit's covariance goes with it. What counts is thus how the axes lie and not where
-    the marks are. The same convention as in the table of expected errors, docs/positioner.md.
-    """
-    x, q = _envelope(fit, points, angles)
-    rows = np.concatenate([q, np.zeros_like(q[:1])])
-    p = len(fit.parameters)
-    # Twists of the table (N, 6, p) for a unit of each parameter: minus the Jacobian of poses seen as predicted.
-    tool = fit.machine.frames.tools[0]
-    usual = ordinary(rows)
-    T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations, usual) @ tool
-    names, tools = [reading.name for reading in fit.model.robot.readings], fit.measurements[0].tools
-    seen = unmeasured(names, rows, T[:, :3, 3], T[:, :3, :3], tools=tools, conditions=usual, where="predicted")
-    problem = Problem(fit.model, fit.parameters, fit.machine.frames, (seen,))
-    J = np.concatenate([block.J for block in blocks(problem, seen, fit.machine, np.ones(p))])
-    twist = -J
-    twist[:, :3] = np.swapaxes(T[:, :3, :3], -1, -2) @ twist[:, :3]
-    # x = T(q) s with s = T(0)^-1 x0: dx = R (v + w x s - v0 - w0 x s), twists local.
-    back = rigid.inverse(T[-1])
-    s = (x @ back[:3, :3].T) + back[:3, 3]
-    S = rigid.skew(s)
-    local = twist[:-1, :3] - S @ twist[:-1, 3:] - (twist[-1, :3] - S @ twist[-1, 3:])
-    change = T[:-1, :3, :3] @ local
-    covariances = change @ fit.covariance @ np.swapaxes(change, -1, -2)
-    squares = np.trace(covariances, axis1=1, axis2=2)
-    rms, largest = float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
-    return TableError(read_only(covariances), rms, largest, fit.rank - fit.usable_rank)
-
-
-def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:
-    q = np.asarray(angles, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != len(fit.model.robot.readings) or not np.isfinite(q).all():
-        names = ", ".join(reading.name for reading in fit.model.robot.readings)
-        raise MeasurementError(f"angles: must be finite numbers (N, {len(fit.model.robot.readings)}), of {names}.")
-    x = np.asarray(points, dtype=np.float64)
-    if x.shape not in ((3,), (len(q), 3)) or not np.isfinite(x).all():
-        raise MeasurementError(f"points: must be finite numbers (3,) or ({len(q)}, 3), in m.")
-    return np.broadcast_to(x, (len(q), 3)), q
+    table = source if isinstance(source, Table) else read_table(source)
+    needed = ("tilt", "rotary", "x", "y", "z")
+    if missing := [name for name in needed if name not in table.columns]:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, table.columns))
+        raise MeasurementError(f"{table.where}: there is no column {listed}; the columns are {there}.")
+    turns = stacked(table, dict.fromkeys(("tilt", "rotary"), "angle"))
+    points = stacked(table, dict.fromkeys(("x", "y", "z"), "length"))
+    rows: dict[str, int] = {}
+    for n, (tilt, rotary) in enumerate(turns):
+        place = _PLACES.get((float(np.sign(tilt)), float(np.sign(rotary))))
+        at = f"{table.where}:{table.lines[n]}: tilt {np.degrees(tilt):g} deg, rotary {np.degrees(rotary):g} deg"
+        if place is None:
+            raise MeasurementError(f"{at}: both axes are turned; of the five points, one axis at most.")
+        if place in rows:
+            raise MeasurementError(f"{at}: is there twice, as {place}; needed is one row of each sense of each axis.")
+        rows[place] = n
+    if absent := [f"{place} ({what})" for place, what in _NAMES.items() if place not in rows]:
+        raise MeasurementError(f"{table.where}: there is no {', '.join(absent)}.")
+    P1, P2, P3, P4, P5 = (points[rows[place]] for place in _NAMES)
+    angles = [float(turns[rows[place], axis]) for place, axis in (("P2", 1), ("P3", 1), ("P4", 0), ("P5", 0))]
+    return five_point(P1, P2, P3, P4, P5, angles, sigma)

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations import rigid
-from calib.identification import axes
-from calib.identification.axes import circle_axis, circle_point_analysis, expected_circle_error, line_axis
+from calib.positioner import axes
+from calib.positioner.axes import circle_axis, circle_point_analysis, expected_circle_error, line_axis
 from tests.identification import positioners
 from tests.identification.machines import load
 from tests.identification.positioners import Array, Machine, place, turn
