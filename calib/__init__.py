@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from calib.foundations import showing as _showing
 from calib.foundations import system as _system  # noqa: F401 - says where this runs
 from calib.foundations.lazy import submodules_of as _submodules_of
-from calib.foundations.version import __version__
+from calib.foundations.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from calib import commands, judging, measuring, planning, positioner
@@ -116,7 +116,7 @@ if not TYPE_CHECKING:  # which would take every misspelt name for one of these
 __all__ = [
     "CalibError", "CalibratedMachine", "Calibration", "ClosedLoop", "Coupling", "Deviations", "ErrorModel", "Fit",
     "IdentificationError", "JobError", "MeasurementError", "Measurements", "OutputError", "Payload", "Robot",
-    "RobotError", "__version__", "advice", "assess", "calibrate", "check", "commands", "compare", "data_frame", "dh",
+    "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare", "data_frame", "dh",
     "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of", "measuring",
     "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
     "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",

@@ -13,6 +13,7 @@ from calib.assessment.sensitivity import (
     exact_error,
     group_study,
     predicted_error,
+    read_errors,
     sensitivity,
 )
 from calib.assessment.validation import CrossValidation, HeldOut, cross_validate
@@ -45,6 +46,7 @@ __all__ = [
     "observability",
     "predicted_error",
     "read_cycles",
+    "read_errors",
     "read_touches",
     "sensitivity",
     "total_differential",

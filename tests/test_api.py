@@ -1,9 +1,10 @@
 """``import calib``: what it offers, what it does not load, and the five lines that it promises."""
 
+import inspect
 import subprocess
 import sys
 import textwrap
-import types
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 import pytest
 
 import calib
-from tests.job.cases import CASE, TABLE
+from tests.job.cases import CASE, TABLE, copy_case
 
 HEAVY = (
     "sklearn",
@@ -45,16 +46,27 @@ def test_help_is_as_light() -> None:
     assert done.stdout.splitlines()[-1] == "['typer']"
 
 
+MODULES = ("commands", "dh", "judging", "measuring", "planning", "positioner")
+
+
 def test_public_names_are_there_and_explained() -> None:
     assert sorted(calib.__all__) == calib.__all__
+    assert len(calib.__all__) <= 52
     for name in calib.__all__:
         assert getattr(calib, name).__doc__, name
-    found = {
-        name
-        for name, value in vars(calib).items()
-        if not name.startswith("_") and not isinstance(value, types.ModuleType)
-    } | {"commands", "dh", "positioner"}
-    assert found == set(calib.__all__)
+    for module in MODULES:
+        assert module in calib.__all__
+        for name in getattr(calib, module).__all__:
+            thing = getattr(getattr(calib, module), name)
+            assert not callable(thing) or thing.__doc__, name
+
+
+def test_no_function_takes_more_than_eight_things() -> None:
+    for module in (calib, *(getattr(calib, name) for name in MODULES)):
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if inspect.isfunction(thing):
+                assert len(inspect.signature(thing).parameters) <= 8, name
 
 
 def test_errors_are_one_family() -> None:
@@ -68,15 +80,15 @@ def test_lines_of_the_docstring_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [line for line in (calib.__doc__ or "").splitlines() if line.startswith("    ")]
-    assert len(lines) == 6  # the import, and five lines
+    assert len(lines) == 7  # the import, and six lines
     (tmp_path / "arm.urdf").write_bytes((CASE / "arm_cmm.urdf").read_bytes())
-    (tmp_path / TABLE).write_bytes((CASE / TABLE).read_bytes())
+    (tmp_path / "measured.csv").write_bytes((CASE / TABLE).read_bytes())
     monkeypatch.chdir(tmp_path)
     exec(textwrap.dedent("\n".join(lines)), {})
-    printed = capsys.readouterr().out
-    assert "Tip errors" in printed
-    assert "joint_6.offset" in printed
-    nominal, calibrated = (calib.load_robot(tmp_path / name, "probe") for name in ("arm.urdf", "calibrated.urdf"))
+    assert capsys.readouterr().out.startswith("<Calibration, to be trusted; position ")
+    nominal, calibrated = (
+        calib.load_robot(tmp_path / name, "probe") for name in ("arm.urdf", "results/calibrated.urdf")
+    )
     readings = np.zeros((1, 6))
     assert np.abs(nominal.tips(readings) - calibrated.tips(readings)).max() > 1e-3
 
@@ -102,3 +114,105 @@ def test_frame_is_not_changed() -> None:
     before = frame.copy(deep=True)
     fit_of(frame)
     pd.testing.assert_frame_equal(frame, before)
+
+
+@pytest.fixture(scope="module")
+def arm() -> calib.Robot:
+    return calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+
+
+@pytest.fixture(scope="module")
+def found(arm: calib.Robot) -> calib.Calibration:
+    data, held_out = calib.hold_out(calib.read_measurements(CASE / TABLE, arm, sigma=0.02e-3))
+    return calib.assess(calib.identify(calib.error_model(arm, offsets="all", placements="all"), data), held_out)
+
+
+def test_all_that_is_found_shows_itself_on_a_screen(found: calib.Calibration) -> None:
+    machine = found.machine
+    readings = found.sets[0].data.readings
+    things = [
+        *(found, found.fit, found.fit.model, machine, machine.robot, machine.deviations, machine.uncertainty),
+        *(found.sets[0].data, found.outliers, machine.robot.urdf, calib.verify(machine, found.sets[1].data)),
+        *(calib.compare(machine, machine), calib.tool_uncertainty(machine, readings)),
+        *(
+            calib.judging.sensitivity(found.fit.model, readings),
+            calib.judging.observability(found.fit.model, found.fit.measurements),
+        ),
+        *(calib.uncertainty_map(machine, 5), calib.commands.for_joint_targets(machine, readings[:3])),
+    ]
+    for thing in things:
+        assert len(repr(thing)) <= 1200, type(thing)
+        assert type(thing).__name__ in repr(thing)
+
+
+def test_python_writes_the_folder_of_the_command(found: calib.Calibration, tmp_path: Path) -> None:
+    out = calib.save(found, tmp_path / "out")
+    calib.calibrate(copy_case(tmp_path / "case"), tmp_path / "by_command")
+    there, by_command = ({path.name for path in folder.iterdir()} for folder in (out, tmp_path / "by_command"))
+    assert there == by_command - {"job.json"}
+    assert (out / "report.html").read_text(encoding="utf-8") == calib.report(found)
+    assert (out / "scene.html").read_text(encoding="utf-8") == calib.scene(found)
+    again = calib.load_machine(out)
+    readings = found.sets[0].data.readings
+    np.testing.assert_allclose(again.predict(readings), found.machine.predict(readings), rtol=0, atol=1e-12)
+    assert again.uncertainty is not None
+    # Older results are replaced, and nothing else is.
+    calib.save(found.fit, out)
+    (out / "mine.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(calib.OutputError, match=r"holds 'mine.txt', which is no result"):
+        calib.save(found, out)
+
+
+def test_plain_arrays_are_the_table(arm: calib.Robot) -> None:
+    data = calib.read_measurements(CASE / TABLE, arm, sigma=0.02e-3)
+    assert data.position is not None
+    plain = calib.positions(arm, data.readings, data.position, sigma=0.02e-3)
+    for name in ("readings", "position", "sigma"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(data, name))
+    poses = calib.poses(arm, data.readings, arm.tips(data.readings), sigma=1e-5, sigma_angle=1e-4)
+    assert poses.kind == "pose"
+    np.testing.assert_array_equal(poses.sigma[0], [1e-5] * 3 + [1e-4] * 3)
+    lengths = np.linalg.norm(data.position, axis=1)
+    assert calib.measuring.distances(arm, data.readings, lengths).targets == ("anchor",)
+    names = ["a", "b"] * (len(data) // 2)
+    assert calib.measuring.sockets(arm, data.readings, names).targets == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda r, q, x: calib.positions(r, q[:, :5], x), r"readings of shape \(60, 5\): needed is \(N, 6\)\."),
+        (lambda r, q, x: calib.positions(r, q, x[:, :2]), r"xyz of shape \(60, 2\): needed is \(N, 3\)\."),
+        (lambda r, q, x: calib.positions(r, [["a"] * 6], x), r"readings: are not numbers \(N, 6\)\."),
+        (lambda r, q, x: calib.positions(r, q, x, tool=["a"]), r"tool: 1 names are given for 60 rows\."),
+        (calib.poses, r"placements of shape \(60, 3\): needed is \(N, 4, 4\)\."),
+        (lambda r, q, x: calib.poses(r, q, np.ones((60, 4, 4))), r"placements: that of row 1 has no rotation\."),
+        (calib.measuring.distances, r"lengths of shape \(60, 3\): needed is \(N,\)\."),
+        (
+            lambda r, q, x: calib.hold_out(calib.positions(r, q, x), places=["nowhere"]),
+            r"there is no target or group 'nowhere'; there are none\.",
+        ),
+    ],
+)
+def test_wrong_arrays_are_refused(arm: calib.Robot, wrong: Callable[..., object], said: str) -> None:
+    data = calib.read_measurements(CASE / TABLE, arm)
+    with pytest.raises(calib.MeasurementError, match=said):
+        wrong(arm, data.readings, data.position)
+
+
+def test_check_finds_what_is_wrong_and_nothing_else(arm: calib.Robot) -> None:
+    model = calib.error_model(arm, offsets="all", placements="all")
+    data = calib.read_measurements(CASE / TABLE, arm)
+    assert calib.check(model, data) == ()
+    assert data.position is not None
+    wrong = calib.positions(arm, data.readings * [1, 1, -1, 1, 1, 1], data.position)
+    assert any("joint_3" in finding.sentence for finding in calib.check(model, wrong))
+
+
+def test_places_are_held_out_whole(arm: calib.Robot) -> None:
+    q = calib.read_measurements(CASE / TABLE, arm).readings
+    data = calib.measuring.sockets(arm, q, ["a", "b", "c"] * 20)
+    some, rest = calib.hold_out(data, places=["b"])
+    assert (some.targets, rest.targets, len(rest)) == (("a", "c"), ("b",), 20)
+    with pytest.raises(calib.JobError, match=r"share: 1\.5 is not between 0 and 1"):
+        calib.hold_out(data, 1.5)

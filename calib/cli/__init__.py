@@ -31,6 +31,7 @@ from calib.cli import performance as performance  # isort: skip
 from calib.cli import fleet as fleet  # isort: skip
 from calib.cli import dh as dh  # isort: skip
 from calib.cli import cell as cell  # isort: skip
+from calib.cli import five_point as five_point  # isort: skip
 
 
 @app.callback(invoke_without_command=True)

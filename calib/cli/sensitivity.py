@@ -12,7 +12,11 @@ from calib_start import loading
 Errors = Annotated[
     Path | None,
     typer.Option(
-        "--errors", metavar="FOLDER", help="Results of calib calibrate on this job.", show_default=False, readable=False
+        "--errors",
+        metavar="FOLDER|FILE",
+        help="Results of calib calibrate on this job, or assumed errors (CSV: parameter, error).",
+        show_default=False,
+        readable=False,
     ),
 ]
 PlotFile = Annotated[
@@ -30,12 +34,12 @@ def sensitivity(
     """Show how much every free parameter of a job moves the tip.
 
     At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
-    the tip error when one kind of identified errors is ten times as large, and a tenth.
+    the tip error when one kind of errors, identified or assumed, is ten times as large, and a tenth.
     """
     with loading():
         import numpy as np
 
-        from calib.assessment.sensitivity import group_study
+        from calib.assessment.sensitivity import group_study, read_errors
         from calib.assessment.sensitivity import sensitivity as sensitivity_of
         from calib.foundations.errors import JobError
         from calib.foundations.files import write_atomically
@@ -52,13 +56,15 @@ def sensitivity(
         say("differentiating")
         readings = np.concatenate([end.readings for data in inputs.identify for end in data.ends])
         model = inputs.model
-        if errors is not None and inputs.job.error_model.terms == "auto":
+        assumed = errors is not None and errors.suffix.lower() == ".csv"
+        if errors is not None and not assumed and inputs.job.error_model.terms == "auto":
             model = with_terms(model, load_machine(errors).robot.terms)  # those that were chosen
         found = sensitivity_of(model, readings)
         study = None
         if errors is not None:
+            given = read_errors(errors, model) if assumed else robot_errors(errors)
             try:
-                study = group_study(model, readings, robot_errors(errors))
+                study = group_study(model, readings, given)
             except JobError as e:
                 raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:

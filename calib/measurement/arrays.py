@@ -78,7 +78,7 @@ def distances(
     found = np.asarray(lengths, dtype=np.float64)
     if found.ndim != 1:
         raise MeasurementError(f"lengths of shape {found.shape}: needed is (N,).")
-    columns = _columns(robot, readings, None, tool) | {"distance [m]": found}
+    columns = _columns(robot, readings, None, tool) | {"length [m]": found}
     return read_measurements(columns | {"target": _names(anchor, len(found), "anchor")}, robot, "distance", sigma=sigma)
 
 

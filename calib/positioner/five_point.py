@@ -6,6 +6,7 @@ Source: a patent of the South China University of Technology on two-axis positio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +83,17 @@ class FivePoint:
     def frames(self, tilt: npt.ArrayLike, rotary: npt.ArrayLike, zero: npt.ArrayLike | None = None) -> Array:
         """Return where a table frame, W unless it is given as it is at ``zero`` (4, 4), is at readings (...)."""
         return np.asarray(self.motion(tilt, rotary) @ (self.B_R if zero is None else np.asarray(zero)))
+
+    def contents(self) -> dict[str, Any]:
+        """Return what was found as plain data, in m: both axes by a point and a direction, frames, findings."""
+        return {
+            "axes": {
+                name: {"point": T[:3, 3].tolist(), "direction": T[:3, 2].tolist()}
+                for name, T in (("tilt", self.B_L), ("rotary", self.B_R))
+            },
+            "frames": {name: getattr(self, name).tolist() for name in ("B_R", "B_L", "B_P", "L_R")},
+            "findings": [finding.sentence for finding in self.findings],
+        }
 
     def robot(self, names: tuple[str, str] = ("tilt", "rotary")) -> Robot:
         """Return the positioner as a URDF machine, in whose nominal geometry these axes are; its tip is the table."""

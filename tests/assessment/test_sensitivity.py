@@ -1,5 +1,8 @@
 """The error model's coefficients against finite differences, and what is made of them."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from calib.assessment.sensitivity import (
     group_of,
     group_study,
     predicted_error,
+    read_errors,
     sensitivity,
 )
 from calib.foundations.errors import JobError, MeasurementError
@@ -198,3 +202,38 @@ def test_library_loads_no_matplotlib_for_tables() -> None:
 
     code = "import sys, calib.presentation.plots; sys.exit(any(m.startswith('matplotlib') for m in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# ---- assumed errors
+
+
+def written(folder: Path, *rows: str, head: str = "parameter,error") -> Path:
+    path = folder / "errors.csv"
+    path.write_text("\n".join(["# assumed", head, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_assumed_errors_are_read_with_their_units(tmp_path: Path) -> None:
+    model, q, _ = case()
+    path = written(tmp_path, "elbow_joint.offset, 0.06 deg", "elbow_joint.tx,-0.12 mm")
+    errors = read_errors(path, model)
+    assert errors == {"elbow_joint.offset": pytest.approx(np.radians(0.06)), "elbow_joint.tx": pytest.approx(-0.12e-3)}
+    study = group_study(model, q, errors)
+    assert set(study.groups) == {"offset", "tx"}
+
+
+@pytest.mark.parametrize(
+    ("rows", "head", "said"),
+    [
+        (["elbow_joint.offset,0.06 mm"], "parameter,error", "unit 'mm' is not a unit of"),
+        (["elbow_joint.offset,0.06"], "parameter,error", "has no unit"),
+        (["elbow.offset,0.06 deg"], "parameter,error", "row 1: 'elbow.offset' is not a free parameter of the model"),
+        (["elbow_joint.offset,0.06 deg"] * 2, "parameter,error", "row 2: 'elbow_joint.offset' is there twice"),
+        (["elbow_joint.offset"], "parameter,error", "row 1 has 1 cells"),
+        ([], "name,value", "begins with the columns 'parameter,error'"),
+    ],
+)
+def test_wrong_errors_are_refused(tmp_path: Path, rows: list[str], head: str, said: str) -> None:
+    model, _, _ = case()
+    with pytest.raises(JobError, match=re.escape(said)):
+        read_errors(written(tmp_path, *rows, head=head), model)
