@@ -40,7 +40,7 @@ def measured(
 
 @pytest.mark.parametrize(("n", "observes"), [(60, "position"), (150, "position"), (60, "pose")])
 def test_a_machine_without_terms_is_given_none(n: int, observes: str) -> None:
-    """At least 95 of 100 are asked for; scripts/ur10_terms.py counts."""
+    """At least 95 of 100 are asked for; scripts/studies/ur10_terms.py counts."""
     for seed in range(4):
         model, data, _ = measured(seed, n, {}, observes)
         choice = choose_terms(model, data)

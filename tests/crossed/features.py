@@ -80,7 +80,8 @@ class Draft:
 class Feature:
     """One level of one axis: the keys of a job that it stands for, and what it makes of a draft.
 
-    ``twin``: a feature that goes the same way through the program; this one is met by scripts/cross_features.py alone.
+    ``twin``: a feature that goes the same way through the program; scripts/development/cross_features.py alone meets
+    this one.
     """
 
     axis: str

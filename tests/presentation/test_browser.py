@@ -15,7 +15,7 @@ from calib.job.results import write_results
 from calib.job.run import Outcome, run
 from calib.job.scene import scene_of
 from calib.presentation.arm import link_placements
-from scripts.browser import CHROMIUM, Page, browser
+from scripts.development.browser import CHROMIUM, Page, browser
 from tests.job.cases import CASE, JOB
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")

@@ -24,7 +24,7 @@ from calib.job.results import write_results
 from calib.job.run import run as identify
 from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
-from scripts.browser import CHROMIUM, browser
+from scripts.development.browser import CHROMIUM, browser
 from tests.job.cases import CASE, JOB, run
 
 # Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.

@@ -19,7 +19,7 @@ FILES = ("calibration.toml", "identification.csv", "validation.csv")
 
 
 def test_script_reproduces_the_committed_files(tmp_path: Path) -> None:
-    script = ROOT / "scripts" / "simulate_hand_eye.py"
+    script = ROOT / "scripts/simulate/hand_eye.py"
     subprocess.run([sys.executable, str(script), str(tmp_path)], check=True, capture_output=True)
     for name in ("identification.csv", "validation.csv", "truth.toml"):
         assert (tmp_path / name).read_bytes() == (CASE / name).read_bytes(), name
