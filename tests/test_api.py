@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import calib
-from tests.job.cases import CASE, TABLE
+from tests.support.cases import CASE, TABLE
 
 HEAVY = (
     "sklearn",

@@ -14,7 +14,7 @@ from calib.job.inputs import load
 from calib.job.results import steps_after_loading, write_results
 from calib.job.run import run as identify
 from calib.presentation.console import Steps, progress, time_left
-from tests.job.cases import CASE, JOB, ROOT, copy_case, run, tree
+from tests.support.cases import CASE, JOB, ROOT, copy_case, run, tree
 
 MAIN = "from calib.cli import main; main()"
 IRB = CASE.parent / "irb2400"

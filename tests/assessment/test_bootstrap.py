@@ -9,8 +9,8 @@ import calib
 from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
 from calib.assessment.uncertainty import tool_uncertainty, uncertainty_of
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 REPETITIONS = 40

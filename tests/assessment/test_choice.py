@@ -10,8 +10,8 @@ from calib.assessment.choice import ORDERS, Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
 from calib.identification.error_model import TermPriors, with_terms
 from calib.identification.joint_terms import harmonic
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10, geared
+from tests.support import machines
+from tests.support.gears import UR10, geared
 
 Array = np.ndarray
 SIGMA = 5e-5

@@ -27,8 +27,8 @@ from calib.identification.identify import residuals_of
 from calib.identification.joint_terms import harmonic
 from calib.identification.targets import Target
 from scripts.studies import model_comparison as script
-from tests.identification import machines, touching
-from tests.identification.test_joint_terms import geared
+from tests.support import machines, touching
+from tests.support.gears import geared
 
 Array = np.ndarray
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")

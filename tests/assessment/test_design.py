@@ -11,7 +11,7 @@ from calib.assessment.design import Criterion, Rows, Space, choose, parts_of, ra
 from calib.foundations import rigid
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
-from tests.identification import machines
+from tests.support import machines
 
 CRITERIA: tuple[Criterion, ...] = ("D", "A", "I")
 Array = np.ndarray

@@ -12,7 +12,7 @@ from calib.assessment.iso9283 import Figure, cycles, figures, read_cycles
 from calib.foundations.errors import MeasurementError
 from calib.measurement.table import table_from_arrays
 from scripts.simulate import irb2400 as simulation
-from tests.job.cases import run
+from tests.support.cases import run
 
 RNG = np.random.default_rng
 

@@ -23,8 +23,8 @@ from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
 from calib.robot.sampling import joint_limits
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 

@@ -15,7 +15,7 @@ from calib.compensation.gaussian import GaussianResiduals, bought, gaussian_from
 from calib.foundations import rigid
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.robot.robot import Reading
-from tests.identification import machines
+from tests.support import machines
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import pytest
 import calib
 from calib.compensation.model_file import model_json
 from calib.foundations.errors import OutputError
-from tests.foundations.swaps import left
-from tests.identification import machines
-from tests.job.cases import tree
+from tests.support import machines
+from tests.support.cases import tree
+from tests.support.swaps import left
 
 TOOLS = {"left": machines.pose((0.05, 0.02, 0.15)), "right": machines.pose((-0.05, 0.01, 0.1))}
 

@@ -23,7 +23,7 @@ from calib.presentation.console import brief
 from calib.presentation.display import fit_html
 from calib.presentation.tables import plain
 from tests.crossed.simulate import SIGMA, Case, write
-from tests.job.cases import Said, run
+from tests.support.cases import Said, run
 
 Array = NDArray[np.float64]
 

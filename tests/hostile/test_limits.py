@@ -20,7 +20,7 @@ from calib.presentation.meshes import read_mesh, simplified
 from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.load import load_robot
 from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
-from scripts import hostile_files
+from scripts.development import hostile_files
 from scripts.development.hostile_files import HOSTILE, fill
 
 GREY = (0.5, 0.5, 0.5)

@@ -16,7 +16,7 @@ from calib.job.results import residual_table, result_json
 from calib.job.run import run as calibrate
 from calib.measurement.table import Table, read_table
 from calib.robot import dh
-from tests.job.cases import CASE, JOB, ROOT
+from tests.support.cases import CASE, JOB, ROOT
 
 HEADER = "joint_1 [deg], x [mm], point\n"
 

@@ -20,8 +20,8 @@ from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10, geared
+from tests.support import machines
+from tests.support.gears import UR10, geared
 
 Array = np.ndarray
 SIGMA = 5e-5

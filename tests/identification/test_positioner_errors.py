@@ -9,7 +9,7 @@ import pytest
 
 from scripts.examples import positioner_camera_job as camera
 from scripts.studies import positioner_errors as script
-from tests.job.cases import run
+from tests.support.cases import run
 
 ROOT = Path(__file__).resolve().parents[2]
 DATASETS = os.environ.get("CALIB_DATASETS")

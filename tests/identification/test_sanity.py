@@ -15,8 +15,8 @@ from calib.identification import sanity
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding
 from scripts.examples import ur10_leica_job as job
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")

@@ -14,7 +14,7 @@ from calib.foundations.errors import JobError
 from calib.job.inputs import load
 from calib.job.results import steps_after_loading, write_results
 from calib.job.run import Outcome, run
-from tests.job import cases
+from tests.support import cases
 
 IRB = Path(__file__).parents[2] / "robots" / "irb2400"
 GRID = 'kind = "grid"'

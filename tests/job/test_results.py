@@ -18,10 +18,10 @@ from calib.job.inputs import load
 from calib.job.results import write_results
 from calib.job.run import Outcome
 from calib.job.run import run as identify
-from tests.foundations.swaps import left
-from tests.identification import machines
-from tests.identification.machines import Array
-from tests.job.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
+from tests.support import machines
+from tests.support.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
+from tests.support.machines import Array
+from tests.support.swaps import left
 
 FILES = [
     *("calibrated.urdf", "job.json", "model.json", "nominal.urdf"),

@@ -14,7 +14,7 @@ from calib.job.results import write_results
 from calib.job.run import Outcome, run
 from calib.presentation.sheets import choice_sheet
 from calib.presentation.tables import plain, sheet_table
-from tests.job import cases
+from tests.support import cases
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
 JOB = "calibration_harmonics.toml"

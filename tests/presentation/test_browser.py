@@ -16,7 +16,7 @@ from calib.job.run import Outcome, run
 from calib.job.scene import scene_of
 from calib.presentation.arm import link_placements
 from scripts.development.browser import CHROMIUM, Page, browser
-from tests.job.cases import CASE, JOB
+from tests.support.cases import CASE, JOB
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
 

@@ -11,7 +11,7 @@ from calib.presentation.scene import render_scene
 from scripts.benchmarks import first_picture
 from scripts.development import screenshots as script
 from scripts.development.browser import CHROMIUM
-from tests.job.cases import CASE, JOB, ROOT
+from tests.support.cases import CASE, JOB, ROOT
 
 
 def test_every_case_has_its_pictures_and_the_page_shows_them() -> None:

@@ -25,7 +25,7 @@ from calib.job.run import run as identify
 from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
 from scripts.development.browser import CHROMIUM, browser
-from tests.job.cases import CASE, JOB, run
+from tests.support.cases import CASE, JOB, run
 
 # Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.
 MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"

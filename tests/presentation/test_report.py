@@ -20,7 +20,7 @@ from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.report.sections import correlations
 from calib.presentation.tables import plain
-from tests.job.cases import CASE, JOB
+from tests.support.cases import CASE, JOB
 
 UNIT = Axis("u", 0.0, 1.0)
 NASTY = 'a|b <script>alert(1)</script> & "q" `x` *y*'

@@ -16,7 +16,7 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import inertials, parse_urdf
 from scripts.simulate import irb2400 as simulation
-from tests.identification import machines
+from tests.support import machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.job.cases import ROOT, Edit, append, edit, run
+from tests.support.cases import ROOT, Edit, append, edit, run
 
 CASE = ROOT / "robots" / "hand_eye"
 FILES = ("calibration.toml", "identification.csv", "validation.csv")

@@ -14,8 +14,8 @@ import calib
 from calib import positioner
 from calib.job.inputs import load
 from scripts.simulate import positioner as simulation
-from tests.job.cases import ROOT, run
-from tests.presentation.test_scene import commands_of
+from tests.support.cases import ROOT, run
+from tests.support.scenes import commands_of
 
 CASE = ROOT / "robots" / "positioner"
 SCRIPT = ROOT / "scripts/simulate/positioner.py"

@@ -13,8 +13,8 @@ import calib
 from calib.identification.relations import Relation
 from calib.identification.targets import Target
 from calib.robot.deviation import axis_frame
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, Rng, pose
+from tests.support import machines
+from tests.support.machines import Array, Machine, Rng, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 POINT = (0.02, 0.03, 0.12)

@@ -10,7 +10,12 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
+import numpy as np
+
 from calib import cli
+from calib.job.inputs import load
+from calib.job.run import run as identify
+from tests.support import machines
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT / "robots" / "arm_cmm"
@@ -120,3 +125,15 @@ def tree(folder: Path) -> dict[str, str]:
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
         for path in sorted(folder.rglob("*"))
     }
+
+
+def by_another_machine(folder: Path) -> None:
+    """Write a validation table by a machine that is just as its URDF says: calibration makes that one worse."""
+    fit = identify(load(folder / JOB)).fit
+    arm = machines.arm(str(folder / "arm_cmm.urdf"), "probe")
+    machine = machines.Machine(arm, fit.nominal.frames.base, {"tool": fit.nominal.frames.tools[0]})
+    readings = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 6))
+    columns = machines.table(arm, readings, machine.see(readings), "position")
+    rows = np.column_stack([np.asarray(column) for column in columns.values()])
+    lines = [", ".join(columns), *(", ".join(map(repr, map(float, row))) for row in rows)]
+    write("validation.csv", "\n".join(lines) + "\n")(folder)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from tests.identification import machines
+from tests.support import machines
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
