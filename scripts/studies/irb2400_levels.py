@@ -2,7 +2,7 @@
 
     python scripts/studies/irb2400_levels.py [--seeds 10] [--intervals 100] [--markdown FILE]
 
-The machines come from simulate_irb2400.py, which shares no code with the toolkit; the job is robots/irb2400's own. All
+The machines come from simulate/irb2400.py, which shares no code with the toolkit; the job is robots/irb2400's own. All
 errors are of 284 poses that no level has seen, measured minus predicted, as mean and maximum in mm, averaged over the
 machines.
 """

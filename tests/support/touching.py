@@ -1,6 +1,6 @@
 """Touching and measuring with a simulated machine of known truth: sockets, bars, gauges, planes, balls, indicators.
 
-None of calib's kinematics: :mod:`tests.identification.machines` says where the tool is, and Newton's method with
+None of calib's kinematics: :mod:`tests.support.machines` says where the tool is, and Newton's method with
 numeric derivatives finds readings at which it touches.
 """
 
