@@ -26,7 +26,14 @@ extensions = [
     "commands",
 ]
 root_doc = "docs/index"
-include_patterns = ["docs/**", "robots/*/README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"]
+include_patterns = [
+    "docs/**",
+    "robots/*/README.md",
+    "scripts/README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+]
 exclude_patterns = ["docs/_*", ".*", "out", "dist", "build", "tests", "calib"]
 
 myst_enable_extensions = ["dollarmath"]

@@ -1,4 +1,4 @@
-# Sourced by demo.sh and test.sh: makes .venv beside this folder, with the exact versions of constraints.txt.
+# Sourced by the other scripts of this folder: makes .venv beside this folder, with the exact versions of constraints.txt.
 set -eu
 cd "$(dirname "$0")/.."
 PYTHON=${PYTHON:-python3}

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import calib
-from tests.job.cases import CASE, TABLE, copy_case
+from tests.support.cases import CASE, TABLE, copy_case
 
 HEAVY = (
     "sklearn",

@@ -7,14 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import calib
-from calib.job.inputs import load
-from calib.job.run import run as identify
-from tests.identification import machines
-from tests.job.cases import CASE, JOB, TABLE, copy_case, edit, job, run, tree, write
+from tests.support.cases import CASE, JOB, TABLE, by_another_machine, copy_case, edit, job, run, tree
 
 MAIN = "from calib.cli import main; main()"
 
@@ -175,18 +171,6 @@ def test_validation_by_the_same_rows_warns(folder: Path) -> None:
 
 
 # Finished, and not to be trusted. ---------------------------------------------------------------------------------
-
-
-def by_another_machine(folder: Path) -> None:
-    """Write a validation table by a machine that is just as its URDF says: calibration makes that one worse."""
-    fit = identify(load(folder / JOB)).fit
-    arm = machines.arm(str(folder / "arm_cmm.urdf"), "probe")
-    machine = machines.Machine(arm, fit.nominal.frames.base, {"tool": fit.nominal.frames.tools[0]})
-    readings = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 6))
-    columns = machines.table(arm, readings, machine.see(readings), "position")
-    rows = np.column_stack([np.asarray(column) for column in columns.values()])
-    lines = [", ".join(columns), *(", ".join(map(repr, map(float, row))) for row in rows)]
-    write("validation.csv", "\n".join(lines) + "\n")(folder)
 
 
 def test_validation_by_another_machine_is_not_trusted(folder: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from calib.robot import dh
-from tests.job.cases import JOB, copy_case, edit, run, tree
+from tests.support.cases import JOB, copy_case, edit, run, tree
 
 DOCS = (Path(__file__).resolve().parents[1] / "docs" / "controllers.md").read_text(encoding="utf-8")
 

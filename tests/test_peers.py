@@ -1,6 +1,5 @@
-"""What scripts/benchmark_peers.py computes by itself: the simulated machine, the judge, medians, ratios, the page."""
+"""What scripts/benchmarks/benchmark_peers.py computes by itself: the machine, the judge, medians, ratios, the page."""
 
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -9,42 +8,35 @@ import pytest
 
 import calib
 from calib.robot.sources import resolve
-
-ROOT = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    return importlib.import_module("benchmark_peers")
+from scripts.benchmarks import benchmark_peers as script
 
 
 @pytest.fixture
-def chain(script: Any) -> Any:
+def chain() -> Any:
     return script.chain_of(resolve(script.URDF).read_text(encoding="utf-8"), script.BASE_LINK, script.exchange.TIP)
 
 
-def line(script: Any, program: str, *runs: tuple[float, float], converged: bool = True, extra: bool = False) -> Any:
+def line(program: str, *runs: tuple[float, float], converged: bool = True, extra: bool = False) -> Any:
     """A line whose runs took so many seconds and missed by so many mm."""
     entry = script.Entry(program, "default", "`solve()`", extra)
     made = [
-        script.Run(2.0 * cpu, cpu, error, 27, converged, "4 steps", {"numpy": "1.2.3"}) if cpu > 0.0 else failed(script)
+        script.Run(2.0 * cpu, cpu, error, 27, converged, "4 steps", {"numpy": "1.2.3"}) if cpu > 0.0 else failed()
         for cpu, error in runs
     ]
     return script.Line(entry, tuple(made))
 
 
-def failed(script: Any) -> Any:
+def failed() -> Any:
     return script.Run(failure="stopped after 10 min")
 
 
-def test_its_kinematics_are_those_of_the_robot(script: Any, chain: Any) -> None:
+def test_its_kinematics_are_those_of_the_robot(chain: Any) -> None:
     robot = calib.load_robot(script.URDF, tip=script.exchange.TIP)
     readings = np.random.default_rng(3).uniform(-3.0, 3.0, (20, 6))
     assert np.allclose(script.tips(chain, readings), robot.tips(readings), atol=1e-12)
 
 
-def test_the_axes_turn_the_home_pose_as_the_chain_does(script: Any, chain: Any) -> None:
+def test_the_axes_turn_the_home_pose_as_the_chain_does(chain: Any) -> None:
     """Product of exponentials: every peer's own kinematics are built on these axes."""
     points, directions, home = script.axes(chain)
     readings = np.random.default_rng(4).uniform(-3.0, 3.0, 6)
@@ -55,7 +47,7 @@ def test_the_axes_turn_the_home_pose_as_the_chain_does(script: Any, chain: Any) 
     assert np.allclose(T @ home, script.tips(chain, readings[None])[0], atol=1e-12)
 
 
-def test_the_guess_finds_base_and_tool_of_a_nominal_machine(script: Any, chain: Any) -> None:
+def test_the_guess_finds_base_and_tool_of_a_nominal_machine(chain: Any) -> None:
     rng = np.random.default_rng(5)
     base = script.pose(script.Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix(), np.array([2.0, -1.0, 0.5]))
     tool = np.array([0.05, 0.02, 0.15])
@@ -65,7 +57,7 @@ def test_the_guess_finds_base_and_tool_of_a_nominal_machine(script: Any, chain: 
     assert np.allclose(found_tool, tool, atol=1e-5)
 
 
-def test_the_simulated_case_has_a_known_floor_and_keeps_what_the_judge_knows(script: Any, chain: Any) -> None:
+def test_the_simulated_case_has_a_known_floor_and_keeps_what_the_judge_knows(chain: Any) -> None:
     race = script.simulated(chain)
     assert race.floor == pytest.approx(1e3 * script.NOISE * np.sqrt(3.0), rel=0.05)
     assert race.measured.shape == (len(race.case.unseen), 3)
@@ -79,7 +71,7 @@ def test_the_simulated_case_has_a_known_floor_and_keeps_what_the_judge_knows(scr
         assert told.shape != race.measured.shape or not np.allclose(told, race.measured, atol=1e-2)
 
 
-def test_the_judge_takes_the_3d_rms_in_mm(script: Any) -> None:
+def test_the_judge_takes_the_3d_rms_in_mm() -> None:
     measured = np.zeros((4, 3))
     predicted = np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 5e-3]])
     assert script.held_out(predicted, measured) == pytest.approx(5.0 / np.sqrt(2.0))
@@ -89,23 +81,23 @@ def test_the_judge_takes_the_3d_rms_in_mm(script: Any) -> None:
         script.held_out(predicted[:3], measured)
 
 
-def test_a_line_is_the_median_of_the_runs_that_ended(script: Any) -> None:
-    found = line(script, "figaroh", (4.0, 0.3), (-1.0, 0.0), (2.0, 0.1), (3.0, 0.2))
+def test_a_line_is_the_median_of_the_runs_that_ended() -> None:
+    found = line("figaroh", (4.0, 0.3), (-1.0, 0.0), (2.0, 0.1), (3.0, 0.2))
     assert (found.cpu, found.wall, found.error) == (3.0, 6.0, 0.2)
-    assert not script.Line(found.entry, (failed(script),)).done
+    assert not script.Line(found.entry, (failed(),)).done
 
 
-def test_the_ratio_pairs_runs_that_were_made_in_turn(script: Any) -> None:
-    ours = line(script, script.OURS, (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
-    peer = line(script, "figaroh", (3.0, 0.1), (8.0, 0.1), (20.0, 0.1))
+def test_the_ratio_pairs_runs_that_were_made_in_turn() -> None:
+    ours = line(script.OURS, (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
+    peer = line("figaroh", (3.0, 0.1), (8.0, 0.1), (20.0, 0.1))
     assert script.ratio(peer, ours) == pytest.approx(40.0)
-    assert script.ratio(line(script, "pybotics", (50.0, 0.1)), ours) == pytest.approx(500.0)
+    assert script.ratio(line("pybotics", (50.0, 0.1)), ours) == pytest.approx(500.0)
 
 
-def test_the_fastest_peer_counts_only_if_it_converged_at_the_floor(script: Any) -> None:
-    ours = line(script, script.OURS, (0.01, 0.0855))
-    good, better = line(script, "figaroh", (5.0, 0.0856)), line(script, "robotkinecal", (2.0, 0.0857))
-    off, early = line(script, "pybotics", (1.0, 0.3)), line(script, "robotkinecal", (1.0, 0.0856), converged=False)
+def test_the_fastest_peer_counts_only_if_it_converged_at_the_floor() -> None:
+    ours = line(script.OURS, (0.01, 0.0855))
+    good, better = line("figaroh", (5.0, 0.0856)), line("robotkinecal", (2.0, 0.0857))
+    off, early = line("pybotics", (1.0, 0.3)), line("robotkinecal", (1.0, 0.0856), converged=False)
     assert script.fastest_peer([ours, good, off, early, better], 0.085) is better
     assert script.fastest_peer([ours, off, early], 0.085) is None
     # Where no floor is known, the best of the peers stands for it.
@@ -114,14 +106,14 @@ def test_the_fastest_peer_counts_only_if_it_converged_at_the_floor(script: Any) 
     assert script.fastest_peer([ours], None) is None
 
 
-def test_the_page_says_who_is_at_the_floor_how_many_times_longer_and_what_failed(script: Any, chain: Any) -> None:
+def test_the_page_says_who_is_at_the_floor_how_many_times_longer_and_what_failed(chain: Any) -> None:
     race = script.simulated(chain)
     race = script.Race(race.name, race.title, race.case, race.measured, 0.085)
     lines = [
-        line(script, script.OURS, (0.02, 0.0855)),
-        line(script, "robotkinecal", (1.0, 0.0856)),
-        line(script, "pybotics", (4.0, 0.3), converged=False),
-        line(script, "figaroh", (-1.0, 0.0)),
+        line(script.OURS, (0.02, 0.0855)),
+        line("robotkinecal", (1.0, 0.0856)),
+        line("pybotics", (4.0, 0.3), converged=False),
+        line("figaroh", (-1.0, 0.0)),
     ]
     text = script.page([(race, lines)], "a machine", 1, "figures/peers.svg")
     assert "| calib | `solve()` | **0.0855** | 0.020 | 0.040 |  | 27 | 1 |" in text
@@ -138,8 +130,8 @@ def test_the_page_says_who_is_at_the_floor_how_many_times_longer_and_what_failed
     assert "No peer reaches the floor; calib is at 0.0855 mm." in without
 
 
-def test_runs_that_are_kept_are_read_again_from_several_files(script: Any, tmp_path: Path) -> None:
-    one, two = line(script, "figaroh", (2.0, 0.1), (3.0, 0.2)).runs, line(script, "pybotics", (-1.0, 0.0)).runs
+def test_runs_that_are_kept_are_read_again_from_several_files(tmp_path: Path) -> None:
+    one, two = line("figaroh", (2.0, 0.1), (3.0, 0.2)).runs, line("pybotics", (-1.0, 0.0)).runs
     script.keep(tmp_path / "a.json", {"real, figaroh, map": list(one), "real, figaroh, none": []})
     script.keep(tmp_path / "b.json", {"real, pybotics, distances": list(two)})
     files = [tmp_path / "a.json", tmp_path / "b.json", tmp_path / "missing.json"]

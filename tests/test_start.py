@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.job.cases import JOB, copy_case
+from tests.support.cases import JOB, copy_case
 
 # Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.
 TERMINAL = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"

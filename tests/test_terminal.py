@@ -15,7 +15,7 @@ from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.presentation.console import Steps, progress, time_left
 from calib.results.folder import write_results
-from tests.job.cases import CASE, JOB, ROOT, copy_case, run, tree
+from tests.support.cases import CASE, JOB, ROOT, copy_case, run, tree
 
 MAIN = "from calib.cli import main; main()"
 IRB = CASE.parent / "irb2400"

@@ -12,9 +12,9 @@ from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.calibrated import machine_of
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, pose
-from tests.job.cases import copy_case, run
+from tests.support import machines
+from tests.support.cases import copy_case, run
+from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 SIGMA = 5e-5

@@ -10,8 +10,8 @@ import calib
 from calib.assessment.advice import advice, blind_advice
 from calib.identification.observability import indices, observability
 from calib.robot.robot import Robot
-from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 POINTS = {"a": (0.05, 0.02, 0.15), "b": (-0.1, 0.0, 0.1), "c": (0.0, 0.1, 0.05), "axis": (0.0, 0.0, 0.15)}

@@ -10,8 +10,8 @@ from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.machine.calibrated import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
-from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 REPETITIONS = 40

@@ -10,8 +10,8 @@ from calib.assessment.choice import ORDERS, Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
 from calib.identification.error_model import TermPriors, with_terms
 from calib.identification.joint_terms import harmonic
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10, geared
+from tests.support import machines
+from tests.support.gears import UR10, geared
 
 Array = np.ndarray
 SIGMA = 5e-5
@@ -40,7 +40,7 @@ def measured(
 
 @pytest.mark.parametrize(("n", "observes"), [(60, "position"), (150, "position"), (60, "pose")])
 def test_a_machine_without_terms_is_given_none(n: int, observes: str) -> None:
-    """At least 95 of 100 are asked for; scripts/ur10_terms.py counts."""
+    """At least 95 of 100 are asked for; scripts/studies/ur10_terms.py counts."""
     for seed in range(4):
         model, data, _ = measured(seed, n, {}, observes)
         choice = choose_terms(model, data)

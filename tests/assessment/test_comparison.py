@@ -1,6 +1,5 @@
 """Nested models by held-out error: what is there is recommended and no more, and nobody sees what he is judged by."""
 
-import importlib
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -27,14 +26,14 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.identification.identify import residuals_of
 from calib.identification.joint_terms import harmonic
 from calib.identification.targets import Target
-from tests.identification import machines, touching
-from tests.identification.test_joint_terms import geared
+from scripts.studies import model_comparison as script
+from tests.support import machines, touching
+from tests.support.gears import geared
 
 Array = np.ndarray
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 SIGMA = 5e-5
 DATASETS = os.environ.get("CALIB_DATASETS")
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def measured(seed: int, n: int, *, placed: bool, waves: bool = False, observes: str = "position") -> calib.Measurements:
@@ -340,8 +339,6 @@ def test_progress_tells_every_fit_and_how_many_are_left() -> None:
 def test_on_a_real_ur10_the_recommended_model_has_the_lowest_error_within_one_standard_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    script = importlib.import_module("model_comparison")
     found = script.compared(Path(str(DATASETS)) / "ur10_leica", 5)
     lowest = min(found.models, key=lambda judged: judged.held_out.rms)
     assert found.recommended.held_out.rms <= lowest.held_out.rms + lowest.held_out.standard_error

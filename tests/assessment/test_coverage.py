@@ -1,37 +1,25 @@
 """Stated 95 % regions hold the truth as often as they say; the page of docs/ has it with a thousand calibrations."""
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from scripts.studies import coverage
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def coverage() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("coverage_script", ROOT / "scripts" / "coverage.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("number", range(4))
-def test_regions_hold_the_truth(coverage: ModuleType, number: int) -> None:
+def test_regions_hold_the_truth(number: int) -> None:
     counts = coverage.cover(coverage.KINDS[number], 60, seed=5)
     # Parameters of one calibration err together: 60 of them see the share to about two in a hundred.
     assert 0.92 < counts.parameters / counts.of_parameters < 0.98
     assert 0.90 < counts.poses / counts.of_poses < 0.99
 
 
-def test_the_page_is_what_the_script_writes_and_within_bounds(coverage: ModuleType) -> None:
+def test_the_page_is_what_the_script_writes_and_within_bounds() -> None:
     text = (ROOT / "docs/coverage.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (.*?) \| ([\d.]+) % \| ([\d.]+) % \|$", text, re.MULTILINE)
     assert [row[0] for row in rows] == [kind.title for kind in coverage.KINDS]

@@ -12,7 +12,7 @@ from calib.foundations import rigid
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
-from tests.identification import machines
+from tests.support import machines
 
 CRITERIA: tuple[Criterion, ...] = ("D", "A", "I")
 Array = np.ndarray
@@ -137,7 +137,7 @@ def spaced(criterion: Criterion, n: int, misfit: float = 0.0) -> Space:
 @pytest.mark.parametrize("misfit", [0.0, 0.3e-3])
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_thirty_of_three_hundred_beat_random_designs(criterion: Criterion, misfit: float) -> None:
-    """Against 500 here; scripts/pose_choice.py takes 10 000."""
+    """Against 500 here; scripts/studies/pose_choice.py takes 10 000."""
     s = spaced(criterion, 300, misfit)
     assert s.seen == 27
     found, random = choose(s, 30), random_values(s, 30, 500)

@@ -1,8 +1,6 @@
 """Figures of ISO 9283 against cases worked out by hand, an independent formula, and what must not change."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,9 @@ from calib.assessment import iso9283
 from calib.assessment.iso9283 import Figure, cycles, figures, read_cycles
 from calib.foundations.errors import MeasurementError
 from calib.measurement.table import table_from_arrays
-from tests.job.cases import run
+from scripts.simulate import irb2400 as simulation
+from tests.support.cases import run
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "simulate_irb2400.py"
 RNG = np.random.default_rng
 
 
@@ -53,13 +51,7 @@ def test_four_points_by_hand() -> None:
 
 
 def test_repeatability_is_that_of_the_simulated_irb2400() -> None:
-    spec = importlib.util.spec_from_file_location("simulate_irb2400_for_iso", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    assert iso9283.position_repeatability(cloud()) == pytest.approx(module.repeatability(cloud()), rel=1e-12)
+    assert iso9283.position_repeatability(cloud()) == pytest.approx(simulation.repeatability(cloud()), rel=1e-12)
 
 
 def test_distances_by_hand() -> None:

@@ -1,11 +1,7 @@
 """Outliers: one-step influence against refits, what is wrong found, and no alarm where nothing is."""
 
-import importlib.util
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,27 +10,15 @@ from numpy.typing import NDArray
 import calib
 from calib.assessment.outliers import LEVEL
 from calib.identification.relations import Relation
+from scripts.simulate import panda_sockets as simulation
 
 Array = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parents[2]
 PANDA = "example:panda_description/urdf/panda.urdf"
 PLAY = 1e-4
 
 
 @pytest.fixture(scope="module")
-def simulation() -> ModuleType:
-    path = ROOT / "scripts" / "simulate_panda_sockets.py"
-    spec = importlib.util.spec_from_file_location("simulate_panda_sockets_for_outliers", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def recorded(simulation: ModuleType) -> tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]]:
+def recorded() -> tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]]:
     return simulation.recordings(7)
 
 
@@ -197,7 +181,7 @@ def test_a_groups_gain_is_that_of_machines_of_its_own(robot: calib.Robot) -> Non
     assert group.gain == pytest.approx(gain / scatter, rel=1e-2)
 
 
-def test_a_target_that_moved_is_found(simulation: ModuleType, robot: calib.Robot) -> None:
+def test_a_target_that_moved_is_found(robot: calib.Robot) -> None:
     _, _, rows = simulation.recordings(7)
     place, hole, after = simulation.PUSHED
     for sigma in (None, 5e-4):
@@ -208,7 +192,7 @@ def test_a_target_that_moved_is_found(simulation: ModuleType, robot: calib.Robot
         assert np.allclose(jump.shift, simulation.PUSH, atol=1.5e-4)
 
 
-def test_a_jump_is_what_a_second_target_would_say(simulation: ModuleType, robot: calib.Robot) -> None:
+def test_a_jump_is_what_a_second_target_would_say(robot: calib.Robot) -> None:
     _, _, rows = simulation.recordings(7)
     place, hole, after = simulation.PUSHED
     sets = measured(robot, rows, PLAY)
@@ -223,7 +207,6 @@ def test_a_jump_is_what_a_second_target_would_say(simulation: ModuleType, robot:
 
 
 def test_one_gross_row_is_no_jump(
-    simulation: ModuleType,
     robot: calib.Robot,
     recorded: tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]],
 ) -> None:

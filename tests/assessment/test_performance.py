@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT / "robots" / "arm_cmm"
-SCRIPT = ROOT / "scripts" / "arm_cmm_performance.py"
+SCRIPT = ROOT / "scripts/studies/arm_cmm_performance.py"
 TESTS = ("cone.csv", "lengths.csv", "sphere.csv", "articulations.csv")
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
@@ -221,7 +221,7 @@ def test_the_order_of_files_only_orders_the_figures(model: calib.CalibratedMachi
 def test_the_page_shows_what_the_script_prints() -> None:
     printed = subprocess.run([sys.executable, str(SCRIPT), "--markdown"], check=True, capture_output=True, text=True)
     page = (ROOT / "docs" / "arm_cmm_performance.md").read_text(encoding="utf-8")
-    start, _, rest = page.partition("<!-- scripts/arm_cmm_performance.py --markdown -->\n")
+    start, _, rest = page.partition("<!-- scripts/studies/arm_cmm_performance.py --markdown -->\n")
     shown = rest.partition("<!-- end -->")[0]
     assert start
     assert rows(shown) == rows(printed.stdout)

@@ -15,10 +15,10 @@ from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
 from calib.robot.sampling import joint_limits
 from calib.robot.urdf import parse_urdf
-from tests.identification import machines
-from tests.identification.machines import anywhere, pose
-from tests.job.cases import CASE, copy_case, run
-from tests.robot.test_collision import ARM, BALLS, ball, with_shapes
+from tests.support import machines
+from tests.support.cases import CASE, copy_case, run
+from tests.support.collisions import ARM, BALLS, ball, with_shapes
+from tests.support.machines import anywhere, pose
 
 NAME = (machines.INLINE["negative"], "tip")
 FRAMES = Frames(anywhere(np.random.default_rng(3)), pose((0.05, 0.0, 0.1))[None])

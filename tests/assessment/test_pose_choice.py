@@ -1,9 +1,7 @@
-"""Chosen poses of a real UR10 against random ones; scripts/pose_choice.py has it for twenty splits."""
+"""Chosen poses of a real UR10 against random ones; scripts/studies/pose_choice.py has it for twenty splits."""
 
-import importlib.util
 import os
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,8 @@ import calib
 from calib.assessment.candidates import Setup, rows, working_rows
 from calib.assessment.design import choose, space
 from calib.identification.start import start_frames
+from scripts.examples import ur10_leica_job
+from scripts.studies import pose_choice as script
 
 ROOT = Path(__file__).resolve().parents[2]
 DATASETS = os.environ.get("CALIB_DATASETS")
@@ -20,16 +20,8 @@ DATASETS = os.environ.get("CALIB_DATASETS")
 
 @pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder of real measurements (ur10_leica)")
 def test_thirty_chosen_poses_are_as_good_as_random_ones_and_their_largest_error_that_of_forty_five() -> None:
-    spec = importlib.util.spec_from_file_location("pose_choice_script", ROOT / "scripts" / "pose_choice.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = script
-    spec.loader.exec_module(script)
     robot = calib.load_robot("example:ur_description/urdf/ur10_robot.urdf", tip="tool0")
-    columns = script.ur10_leica_job.table_columns(
-        script.ur10_leica_job.read(Path(str(DATASETS)) / "ur10_leica"), "position"
-    )
+    columns = ur10_leica_job.table_columns(ur10_leica_job.read(Path(str(DATASETS)) / "ur10_leica"), "position")
     model, data = script.model_of(robot), calib.read_measurements(columns, robot)
     order = np.random.default_rng(0).permutation(len(data))
     pool, test = order[len(order) // 3 :], data.subset(order[: len(order) // 3])

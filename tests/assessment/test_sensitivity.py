@@ -20,7 +20,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.presentation.plots import sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import plain
-from tests.identification import machines
+from tests.support import machines
 
 Array = machines.Array
 

@@ -9,7 +9,7 @@ import calib
 from calib.assessment.metrics import Metrics
 from calib.assessment.trust import doubts, remarks
 from calib.identification.identify import with_values
-from tests.identification import machines
+from tests.support import machines
 
 
 def figures(rms: float, quantity: str = "position") -> dict[str, Metrics]:

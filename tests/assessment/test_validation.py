@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.assessment.validation import HeldOut, cross_validate, folds, groups, held_out, one_standard_error
 from calib.foundations.errors import JobError, MeasurementError
-from tests.identification import machines
+from tests.support import machines
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 

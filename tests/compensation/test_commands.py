@@ -19,7 +19,8 @@ from calib.machine import grid
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import TipModel
 from calib.robot.transmission import JointTerm
-from tests.identification import machines
+from tests.support import machines
+from tests.support.reach import apart, well_posed
 
 Array = NDArray[np.float64]
 
@@ -73,17 +74,6 @@ def draw(robot: calib.Robot, n: int, seed: int = 2, share: float = 0.6) -> Array
         readings[:, 2] = np.clip(readings[:, 2], readings[:, 1] - 0.9, readings[:, 1] + 0.9)
         readings[:, 2] = np.clip(readings[:, 2], -1.0, 1.0)
     return readings
-
-
-def apart(a: Array, b: Array) -> tuple[float, float]:
-    """Largest distance in m and turn in rad between placements (N, 4, 4), by scipy."""
-    turn = Rotation.from_matrix(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3]).magnitude()
-    return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max()), float(turn.max())
-
-
-def well_posed(model: calib.CalibratedMachine, readings: Array) -> Array:
-    J = TipModel(model.robot, model.deviations).driven(readings)[1]
-    return readings[np.linalg.svd(J, compute_uv=False)[:, -1] > 0.03]
 
 
 # ---- the Jacobian

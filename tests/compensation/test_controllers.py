@@ -18,8 +18,8 @@ from calib.machine.grid import SectorGrid
 from calib.robot import dh
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import JointTerm
-from tests.identification import machines
-from tests.identification.machines import Array
+from tests.support import machines
+from tests.support.machines import Array
 
 UR10 = "example:ur_description/urdf/ur10_robot.urdf"
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

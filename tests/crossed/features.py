@@ -10,7 +10,8 @@ from functools import cached_property
 from typing import Any, get_args
 
 from calib.measurement.kinds import Kind
-from tests.identification import machines
+from tests.support import machines
+from tests.support.loops import four_bar_urdf
 
 # A six-axis arm whose links weigh something, from ``base`` to ``tip``.
 _JOINTS = (
@@ -40,8 +41,6 @@ def _urdf(changes: Mapping[str, tuple[str, str, str]] | None = None, more: Mappi
 
 # A parallelogram on a turret, its rod and crank as heavy as the rest.
 def _four_bar() -> str:
-    from tests.robot.test_loops import four_bar_urdf
-
     mass = '<inertial><origin xyz="0.05 0 0.1"/><mass value="4"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'  # noqa: E501
     text = four_bar_urdf()
     for link in ("turret", "lower", "elbow", "roll", "tip"):
@@ -80,7 +79,8 @@ class Draft:
 class Feature:
     """One level of one axis: the keys of a job that it stands for, and what it makes of a draft.
 
-    ``twin``: a feature that goes the same way through the program; this one is met by scripts/cross_features.py alone.
+    ``twin``: a feature that goes the same way through the program; scripts/development/cross_features.py alone meets
+    this one.
     """
 
     axis: str

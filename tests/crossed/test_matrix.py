@@ -1,7 +1,7 @@
 """Every two features of a job together, through every command: what one of them carries, nothing may lose.
 
 A row ends as the simulated machine has it, or with a sentence that is expected of it: never with a traceback, a warning
-or another sentence. All rows through all commands: ``python scripts/cross_features.py``.
+or another sentence. All rows through all commands: ``python scripts/development/cross_features.py``.
 """
 
 import functools

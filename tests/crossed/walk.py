@@ -22,7 +22,7 @@ from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.report import report_of
 from tests.crossed.simulate import SIGMA, Case, write
-from tests.job.cases import Said, run
+from tests.support.cases import Said, run
 
 Array = NDArray[np.float64]
 

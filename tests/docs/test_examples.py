@@ -22,7 +22,7 @@ from typer.main import get_command
 
 import calib
 from calib.cli.application import app
-from tests.job.cases import CASE, ROOT, TABLE, run
+from tests.support.cases import CASE, ROOT, TABLE, run
 
 DOCS = ROOT / "docs"
 # Their examples need more than an empty folder, and have tests of their own.

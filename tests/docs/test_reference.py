@@ -8,7 +8,7 @@ import tomllib
 import yaml
 
 import calib
-from tests.job.cases import ROOT
+from tests.support.cases import ROOT
 
 DIRECTIVE = re.compile(r"\.\. auto(?:function|class|exception|module):: ([\w.]+)")
 DESCRIBED = {

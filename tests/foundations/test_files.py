@@ -11,7 +11,7 @@ import pytest
 
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import read_bytes, read_inside, sha256, write_atomically
-from tests.foundations.swaps import at_operation, swap
+from tests.support.swaps import at_operation, swap
 
 as_root = os.geteuid() == 0
 

@@ -12,7 +12,7 @@ import pytest
 from calib.foundations import folders
 from calib.foundations.errors import OutputError
 from calib.foundations.folders import reading_folder, write_folder
-from tests.foundations.swaps import OURS, at_operation, fill, left, swap
+from tests.support.swaps import OURS, at_operation, fill, left, swap
 
 OLD = dict.fromkeys(OURS, "old")
 NEW = dict.fromkeys(OURS[:2], "new")

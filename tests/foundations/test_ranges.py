@@ -14,7 +14,7 @@ from calib.foundations.ranges import COUNTS, MOST_NAMES, OF_DIMENSION, RANGES, r
 from calib.job.fields import number, quantity
 from calib.job.schema import CouplingSection
 from calib.robot.gravity import Payload
-from tests.job.cases import CASE, Edit, append, copy_case, job, run, tree
+from tests.support.cases import CASE, Edit, append, copy_case, job, run, tree
 
 FORMATS = Path(__file__).resolve().parents[2] / "docs" / "formats.md"
 TRACKER = '[instruments.leica]\nkind = "laser_tracker"\nsigma = "15 um"\nstation = ["{}", "0 m", "0 m"]\n'

@@ -67,7 +67,7 @@ def as_published(model: calib.ErrorModel, simulation: dict[str, Any]) -> Trace:
 
 
 def test_urdf_is_what_the_script_makes_and_the_dh_product(model: calib.ErrorModel, tmp_path: Path) -> None:
-    script = ROOT / "scripts" / "arm_cmm_tables.py"
+    script = ROOT / "scripts/studies/arm_cmm_tables.py"
     subprocess.run([sys.executable, str(script), "--urdf", str(tmp_path / "x.urdf")], check=True, capture_output=True)
     assert (tmp_path / "x.urdf").read_bytes() == (PAPERS / "zero_offsets.urdf").read_bytes()
     q = np.random.default_rng(0).uniform(-180.0, 180.0, (50, 6))

@@ -1,14 +1,15 @@
 """The committed page of the two papers is what the script makes."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from scripts.studies import arm_cmm_tables as script
+
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPT = ROOT / "scripts" / "arm_cmm_tables.py"
+SCRIPT = ROOT / "scripts/studies/arm_cmm_tables.py"
 PAGE = ROOT / "docs" / "arm_cmm_papers.md"
 FIGURE = Path("figures") / "arm_cmm_sensitivity.svg"
 
@@ -24,11 +25,6 @@ def test_page_is_what_the_script_makes(tmp_path: Path) -> None:
 
 
 def test_tables_on_a_terminal_are_whole(capsys: pytest.CaptureFixture[str]) -> None:
-    spec = importlib.util.spec_from_file_location("arm_cmm_tables", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     paper = script.read("zero_offsets.toml")
     found = script.simulations(paper, script.arm(paper))
     script.show([script.touched_sheet(found), script.step_sheet(found), script.step_remarks(found)])

@@ -11,7 +11,7 @@ import pytest
 from calib.foundations.errors import CalibError, JobError
 from calib.foundations.files import encoded, read_bytes, sha256, write_atomically
 from calib.job.inputs import load
-from tests.job.cases import JOB, TABLE, URDF, copy_case, run, write
+from tests.support.cases import JOB, TABLE, URDF, copy_case, run, write
 
 NO_FILE = "is not a regular file."
 

@@ -1,4 +1,4 @@
-"""Small files made to take long or to swell: what bounds them, without a clock; scripts/hostile_files.py measures."""
+"""Small files made to take long or to swell: what bounds them; scripts/development/hostile_files.py measures."""
 
 from pathlib import Path
 
@@ -20,8 +20,8 @@ from calib.presentation.meshes import read_mesh, simplified
 from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.load import load_robot
 from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
-from scripts import hostile_files
-from scripts.hostile_files import HOSTILE, fill
+from scripts.development import hostile_files
+from scripts.development.hostile_files import HOSTILE, fill
 
 GREY = (0.5, 0.5, 0.5)
 # For a file of each kind how many bytes are beyond its limit.

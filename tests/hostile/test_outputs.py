@@ -13,7 +13,7 @@ from calib.foundations.csv_text import csv_text, has_formula
 from calib.foundations.errors import RobotError
 from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
-from tests.job.cases import JOB, TABLE, URDF, Said, copy_case, edit, run
+from tests.support.cases import JOB, TABLE, URDF, Said, copy_case, edit, run
 
 SCRIPT = "<script>alert(1)</script><img src=x onerror=alert(2)>"
 # The terminal's own codes: red, clear, a link, a title, a line overwritten, text turned round.

@@ -1,6 +1,6 @@
 """Any bytes give a value or one of our errors: what the fuzzer found, and a fixed number of seeded mutations.
 
-scripts/fuzz.py searches longer, and stores what it finds where this replays it.
+scripts/development/fuzz.py searches longer, and stores what it finds where this replays it.
 """
 
 import random
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from scripts.fuzz import minimised
-from scripts.fuzz_readers import READERS, judge, mutated, packed, unpacked
+from scripts.development.fuzz import minimised
+from scripts.development.fuzz_readers import READERS, judge, mutated, packed, unpacked
 
 CORPUS = Path(__file__).resolve().parents[1] / "corpus"
 FOUND = sorted(path.relative_to(CORPUS).as_posix() for path in CORPUS.glob("*/*"))

@@ -16,7 +16,7 @@ from calib.job.run import run as calibrate
 from calib.measurement.table import Table, read_table
 from calib.results.folder import residual_table, result_json
 from calib.robot import dh
-from tests.job.cases import CASE, JOB, ROOT
+from tests.support.cases import CASE, JOB, ROOT
 
 HEADER = "joint_1 [deg], x [mm], point\n"
 
@@ -128,7 +128,7 @@ def test_lines_are_counted_over_blocks_and_their_ends(
 
 
 def test_memory_is_the_file_and_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the rows, twice the numbers, and the same memory beside: scripts/large_table.py reads ten million."""
+    """Twice the rows, twice the numbers, the same memory beside; scripts/benchmarks/large_table.py reads more."""
 
     monkeypatch.setattr("calib.measurement.cells._BLOCK", 50_000)
 

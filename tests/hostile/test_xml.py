@@ -45,7 +45,7 @@ def test_document_types_are_refused_before_anything_grows_or_is_fetched(
     doctype: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket, "socket", None)
-    assert said(arm("&l9;&x;", doctype)) == "arm.urdf:1: a DOCTYPE is not allowed in a URDF; remove it."
+    assert said(arm("&l9;&x;", doctype)).startswith("arm.urdf:1: a DOCTYPE is not allowed")
 
 
 def test_an_entity_that_nobody_declared() -> None:

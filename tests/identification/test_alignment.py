@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.identification.alignment import Known, Rows, align
-from tests.identification.machines import Array, anywhere, pose
+from tests.support.machines import Array, anywhere, pose
 
 NOTHING = Known(None, None, None)
 

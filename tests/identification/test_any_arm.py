@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, miss, pose
-from tests.identification.test_jacobian import check, problem
+from tests.support import machines
+from tests.support.jacobians import check, problem
+from tests.support.machines import Machine, anywhere, miss, pose
 
 SIGMA = 0.05e-3
 ROWS = 300

@@ -21,8 +21,8 @@ from calib.machine.model_file import model_json
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10, geared
+from tests.support import machines
+from tests.support.gears import UR10, geared
 
 Array = np.ndarray
 SIGMA = 5e-5

@@ -17,8 +17,8 @@ from calib.machine.urdf import calibrated_urdf
 from calib.robot import dh
 from calib.robot.dh import DhRow, DhTable
 from calib.robot.urdf import parse_urdf
-from tests.identification import machines
-from tests.robot.test_dh import CONVENTIONS, product, random_table, robot_of
+from tests.support import machines
+from tests.support.dh_tables import CONVENTIONS, product, random_table, robot_of
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 PANDA = ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp")

@@ -5,8 +5,8 @@ import pytest
 
 import calib
 from calib.foundations.errors import JobError
-from tests.identification import machines
-from tests.identification.machines import urdf
+from tests.support import machines
+from tests.support.machines import urdf
 
 GANTRY = machines.load(machines.INLINE["gantry"], "tip")
 T, R = ("tx", "ty", "tz"), ("rx", "ry", "rz")

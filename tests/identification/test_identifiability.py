@@ -9,8 +9,8 @@ from calib.foundations.errors import IdentificationError
 from calib.identification.identifiability import blind_directions, directions, gauge, minimal_set, preference
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, jacobian
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, miss, pose, predicted
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, miss, pose, predicted
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 SIGMA = 0.05e-3

@@ -9,8 +9,8 @@ import pytest
 import calib
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.parameters import scales
-from tests.identification import machines
-from tests.identification.machines import Machine, anywhere, miss, pose, predicted
+from tests.support import machines
+from tests.support.machines import Machine, anywhere, miss, pose, predicted
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 ARMS = {"ur10": UR10} | {name: (text, "tip") for name, text in machines.INLINE.items()}

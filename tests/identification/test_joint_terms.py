@@ -1,7 +1,7 @@
 """Joint terms of machines whose truth is known: found again, within their intervals, in any frame."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,35 +15,11 @@ from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.identification.total_differential import total_differential
 from calib.robot.transmission import JointTerm
-from tests.identification import machines
+from tests.support import machines
+from tests.support.gears import UR10, geared, wavy
 
 Array = np.ndarray
-UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 SIGMA = 0.05e-3
-
-
-@dataclass(frozen=True)
-class Geared(machines.Arm):
-    """An arm whose joints do not stand where its readings (N, k) say, but ``extra`` (N, k) farther on."""
-
-    extra: Callable[[Array], Array]
-
-    def tips(self, readings: Array) -> Array:
-        return machines.Arm.tips(self, readings + self.extra(readings))
-
-
-def geared(arm: machines.Arm, extra: Callable[[Array], Array]) -> Geared:
-    return Geared(arm.joints, arm.ranges, extra)
-
-
-def wavy(gains: Array, cosines: dict[int, Array], sines: dict[int, Array]) -> Callable[[Array], Array]:
-    def extra(u: Array) -> Array:
-        waves = [
-            a * np.cos(k * u) + b * np.sin(k * u) for (k, a), b in zip(cosines.items(), sines.values(), strict=True)
-        ]
-        return np.asarray(gains * u + sum(waves))
-
-    return extra
 
 
 class Lab:

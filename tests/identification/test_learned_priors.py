@@ -10,8 +10,8 @@ import calib
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
 from calib.identification.widths import Rows, likeliest, likelihood
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10, geared, wavy
+from tests.support import machines
+from tests.support.gears import UR10, geared, wavy
 
 Array = np.ndarray
 ORDERS = tuple(range(1, 9))

@@ -24,8 +24,8 @@ from calib.robot.gravity import Payload
 from calib.robot.sources import resolve
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import parse_urdf
-from tests.identification import machines
-from tests.identification.test_joint_terms import UR10
+from tests.support import machines
+from tests.support.gears import UR10
 
 Array = np.ndarray
 SIGMA = 3e-5

@@ -1,10 +1,7 @@
 """A machine with a parallelogram: how much of it positions see, and a truth that is found again."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,6 +11,7 @@ import calib
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from scripts.simulate import irb2400 as simulation
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,18 +19,6 @@ URDF = ROOT / "robots" / "irb2400" / "irb2400.urdf"
 LOOP = calib.ClosedLoop("parallelogram", ("rod_end", "rear_lever_pin"), ("x", "z"), ("elbow", "rod"))
 LINKS = ("rod_length.tz", "rear_lever_length.tx")
 CRANK = ("joint_3.tx", "joint_3.ty")
-
-
-@pytest.fixture(scope="module")
-def simulation() -> ModuleType:
-    path = ROOT / "scripts" / "simulate_irb2400.py"
-    spec = importlib.util.spec_from_file_location("simulate_irb2400_for_loops", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def commands_deg(n: int, seed: int) -> Array:
@@ -96,7 +82,7 @@ def test_the_jobs_selection_sees_all_of_it(reflector: tuple[float, ...], serial:
 
 
 @pytest.mark.parametrize("planar", [True, False])
-def test_a_truth_that_the_model_can_express_is_found(simulation: ModuleType, planar: bool) -> None:
+def test_a_truth_that_the_model_can_express_is_found(planar: bool) -> None:
     """Where axes 2 and 3 are tilted, the script's four-bar stays planar and the URDF's does not: 0.01 um at most."""
     true = simulation.Machine(7, wind_up=False, harmonics=False)
     if planar:

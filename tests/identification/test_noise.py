@@ -6,8 +6,8 @@ from scipy.special import chdtri
 
 import calib
 from calib.identification.noise import RARELY, model_variance, noise_of
-from tests.identification import machines
-from tests.identification.machines import Machine
+from tests.support import machines
+from tests.support.machines import Machine
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 

@@ -17,9 +17,9 @@ from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
-from tests.identification import machines
-from tests.identification.machines import Array, anywhere, pose
-from tests.identification.touching import NORMALS, RADIUS, SOCKETS, UR10, Lab, between, lab
+from tests.support import machines
+from tests.support.machines import Array, anywhere, pose
+from tests.support.touching import NORMALS, RADIUS, SOCKETS, UR10, Lab, between, lab
 
 # ---- (a) derivatives
 

@@ -6,8 +6,8 @@ import pytest
 import calib
 from calib.foundations import rigid
 from calib.identification.observability import unseen
-from tests.identification import machines
-from tests.identification.machines import Array
+from tests.support import machines
+from tests.support.machines import Array
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 

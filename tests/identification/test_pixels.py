@@ -17,8 +17,8 @@ from calib.identification.observability import observability
 from calib.identification.posing import posed
 from calib.identification.system import Problem
 from calib.identification.targets import Target
-from tests.identification import cameras, machines
-from tests.identification.cameras import BLOCK, BOARD, MARK, TIP, UR5, Array, Scene, scene
+from tests.support import cameras, machines
+from tests.support.cameras import BLOCK, BOARD, MARK, TIP, UR5, Array, Scene, scene
 
 ROBOT, NOMINAL = machines.load(UR5, TIP), machines.arm(UR5, TIP)
 SEEN = {"board": BOARD, "block": BLOCK, "mark": MARK}

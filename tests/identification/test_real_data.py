@@ -14,7 +14,7 @@ import pytest
 import calib
 from calib.identification.identify import residuals_of
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "ur10_leica_job.py"
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts/examples/ur10_leica_job.py"
 DATASETS = os.environ.get("CALIB_DATASETS")
 
 pytestmark = pytest.mark.skipif(

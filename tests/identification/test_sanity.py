@@ -1,6 +1,5 @@
 """Mistakes made on independently simulated machines are named; sound machines, badly made ones too, are left alone."""
 
-import importlib.util
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,8 +14,9 @@ from calib.foundations.errors import MeasurementError
 from calib.identification import sanity
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, pose
+from scripts.examples import ur10_leica_job as job
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
@@ -357,12 +357,6 @@ def test_a_wrong_base_is_asked_for(seed: int) -> None:
 @pytest.mark.skipif("CALIB_DATASETS" not in os.environ, reason="CALIB_DATASETS names no folder of real measurements")
 @pytest.mark.parametrize("observes", ["position", "pose"])
 def test_a_real_ur10(observes: str) -> None:
-    script = Path(__file__).resolve().parents[2] / "scripts" / "ur10_leica_job.py"
-    spec = importlib.util.spec_from_file_location("ur10_leica_job", script)
-    assert spec is not None
-    assert spec.loader is not None
-    job = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(job)
     columns = job.table_columns(job.read(Path(os.environ["CALIB_DATASETS"]) / "ur10_leica"), observes)
     robot = machines.load(*UR10)
     data = calib.read_measurements(columns, robot, observes)

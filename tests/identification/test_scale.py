@@ -9,7 +9,7 @@ import calib
 from calib.identification import system
 from calib.identification.posing import posed
 from calib.identification.start import start_frames
-from tests.identification import machines
+from tests.support import machines
 
 URDF, TIP = "example:ur_description/urdf/ur10_robot.urdf", "tool0"
 ROWS = 12_000

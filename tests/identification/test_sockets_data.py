@@ -3,16 +3,14 @@
 The data are not part of the project; CALIB_DATASETS names the folder that holds ``sockets``.
 """
 
-import importlib
 import os
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 import calib
+from scripts.studies import sockets_figures as figures
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 DATASETS = os.environ.get("CALIB_DATASETS")
 
 pytestmark = pytest.mark.skipif(
@@ -20,37 +18,30 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def figures() -> ModuleType:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        return importlib.import_module("sockets_figures")
-
-
-def loaded(figures: ModuleType, name: str) -> tuple[object, calib.Robot, dict[str, calib.Measurements]]:
+def loaded(name: str) -> tuple[object, calib.Robot, dict[str, calib.Measurements]]:
     case = next(case for case in figures.CASES if case.name == name)
     return case, *figures.load(Path(str(DATASETS)) / "sockets" / name, case.arm)
 
 
 @pytest.mark.parametrize("name", ["panda_1", "panda_3", "kuka_14"])
-def test_identified_at_one_place(figures: ModuleType, name: str) -> None:
-    case, robot, sets = loaded(figures, name)
+def test_identified_at_one_place(name: str) -> None:
+    case, robot, sets = loaded(name)
     found = figures.at_one_place(case, robot, sets, elastic=False)
     assert found.after <= case.one  # type: ignore[attr-defined]
     assert found.before > 1.8 * found.after
 
 
 @pytest.mark.parametrize("name", ["panda_3", "kuka_14"])
-def test_each_place_left_out(figures: ModuleType, name: str) -> None:
-    case, robot, sets = loaded(figures, name)
+def test_each_place_left_out(name: str) -> None:
+    case, robot, sets = loaded(name)
     found = figures.mean(figures.each_left_out(robot, sets, elastic=False))
     assert found.after <= case.each  # type: ignore[attr-defined]
     # A smaller arm would scatter less, and have its sockets closer.
     assert found.distance <= 0.1e-3
 
 
-def test_what_moves_in_panda_1(figures: ModuleType) -> None:
-    _, robot, sets = loaded(figures, "panda_1")
+def test_what_moves_in_panda_1() -> None:
+    _, robot, sets = loaded("panda_1")
     found = calib.outliers(figures.fit(robot, sets, elastic=False)[0])
     (first, *_) = found.disagreeing
     assert (first.kind, first.name) == ("file", "back-high.csv")
@@ -62,15 +53,15 @@ def test_what_moves_in_panda_1(figures: ModuleType) -> None:
     assert not found.disagreeing
 
 
-def test_panda_3_stood_still(figures: ModuleType) -> None:
-    _, robot, sets = loaded(figures, "panda_3")
+def test_panda_3_stood_still() -> None:
+    _, robot, sets = loaded("panda_3")
     found = calib.outliers(figures.fit(robot, sets, elastic=False)[0])
     assert not found.moved
     assert not found.disagreeing
 
 
-def test_joints_that_give_way_explain_what_back_high_asks_for(figures: ModuleType) -> None:
-    _, robot, sets = loaded(figures, "panda_1")
+def test_joints_that_give_way_explain_what_back_high_asks_for() -> None:
+    _, robot, sets = loaded("panda_1")
     assert not calib.outliers(figures.fit(robot, sets, elastic=True)[0]).disagreeing
     found = figures.mean(figures.each_left_out(robot, sets, elastic=True))
     assert found.after <= 0.65e-3

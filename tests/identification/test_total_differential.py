@@ -10,7 +10,7 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.identification.identify import with_values
 from calib.identification.machine import machine
 from calib.identification.total_differential import Trace, total_differential
-from tests.identification import machines
+from tests.support import machines
 
 OFFSETS = np.array([0.04, -0.03, 0.02, -0.05, 0.03, 0.01])
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")

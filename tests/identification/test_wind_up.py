@@ -1,10 +1,7 @@
 """Drives that give way, on the simulated IRB2400 whose script has its own mechanics: found alone and among others."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,6 +16,7 @@ from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
 from calib.robot.gravity import Payload
 from calib.robot.transmission import JointTerm
+from scripts.simulate import irb2400 as simulation
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,17 +32,6 @@ ORDERS = (1, 2, 5, 11)
 
 
 @pytest.fixture(scope="module")
-def simulation() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("simulate_irb2400_for_wind_up", ROOT / "scripts/simulate_irb2400.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
 def robot() -> calib.Robot:
     return calib.load_robot(URDF, "tool0", loops=[LOOP], gravity=(0.0, 0.0, -9.81))
 
@@ -56,7 +43,7 @@ def measurements(robot: calib.Robot, commands_deg: Array, positions_mm: Array) -
 
 
 @pytest.mark.parametrize("gears", [False, True])
-def test_compliances_lie_within_their_intervals(simulation: ModuleType, robot: calib.Robot, gears: bool) -> None:
+def test_compliances_lie_within_their_intervals(robot: calib.Robot, gears: bool) -> None:
     """Axis 1 lifts nothing; harmonics of the first order imitate what the lower arm holds, and intervals know it."""
     harmonics = {"harmonics": "all", "harmonic_orders": ORDERS} if gears else {}
     model = calib.error_model(robot, **GEOMETRY, **harmonics, elastic=["joint_[2-6]"])
@@ -79,7 +66,7 @@ def test_compliances_lie_within_their_intervals(simulation: ModuleType, robot: c
         assert max(sigmas) < 0.1e-6
 
 
-def test_ignoring_it_costs_what_it_does_to_the_tip(simulation: ModuleType, robot: calib.Robot) -> None:
+def test_ignoring_it_costs_what_it_does_to_the_tip(robot: calib.Robot) -> None:
     machine, commands = simulation.Machine(3, harmonics=False), simulation.poses(3)
     data = measurements(robot, commands["harmonics"], machine.tcp(commands["harmonics"]))
     test = measurements(robot, commands["test"], machine.tcp(commands["test"]))
@@ -116,7 +103,7 @@ def test_columns_match_central_differences(robot: calib.Robot) -> None:
         assert np.abs(J[:, k] - numeric).max() <= 2e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
 
 
-def test_it_is_chosen_where_it_is(simulation: ModuleType, robot: calib.Robot) -> None:
+def test_it_is_chosen_where_it_is(robot: calib.Robot) -> None:
     machine, commands = simulation.Machine(7, harmonics=False), simulation.poses(7)["harmonics"]
     data = measurements(robot, commands, machine.measure(commands, np.random.default_rng(0)))
     offered = [Candidate((JointTerm(f"joint_{k}", "elastic"),)) for k in range(1, 7)]
@@ -143,7 +130,7 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
     np.testing.assert_allclose(model.tips(found.readings), loaded.tips(u), rtol=0, atol=2e-6)
 
 
-def test_gaps_lie_within_their_intervals(simulation: ModuleType, robot: calib.Robot) -> None:
+def test_gaps_lie_within_their_intervals(robot: calib.Robot) -> None:
     """The script's axes stand two half gaps back where they were reached from the other side."""
     model = calib.error_model(robot, **GEOMETRY, backlash="all")
     inside = 0

@@ -19,8 +19,8 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.transmission import JointTerm
-from tests.job.cases import CASE as ARM_CASE
-from tests.job.cases import ROOT, Edit, edit, run, tree, write
+from tests.support.cases import CASE as ARM_CASE
+from tests.support.cases import ROOT, Edit, edit, run, tree, write
 
 CASE = ROOT / "robots" / "positioner"
 JOB = "calibration.toml"

@@ -5,7 +5,22 @@ from pathlib import Path
 
 import pytest
 
-from tests.job.cases import CASE, JOB, TABLE, URDF, Edit, append, copy_case, cut, edit, job, keep_rows, run, tree, write
+from tests.support.cases import (
+    CASE,
+    JOB,
+    TABLE,
+    URDF,
+    Edit,
+    append,
+    copy_case,
+    cut,
+    edit,
+    job,
+    keep_rows,
+    run,
+    tree,
+    write,
+)
 
 ENTITY_BOMB = (
     '<?xml version="1.0"?><!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;">]>'

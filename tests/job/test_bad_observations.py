@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.job.cases import CASE, Edit, edit, run, tree
+from tests.support.cases import CASE, Edit, edit, run, tree
 
 JOB = "calibration_gauges.toml"
 TABLES = ("cone.csv", "lengths.csv", "sphere.csv", "probe.csv", "articulations.csv")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.foundations.swaps import left
-from tests.job.cases import JOB, copy_case, run, tree
+from tests.support.cases import JOB, copy_case, run, tree
+from tests.support.swaps import left
 
 MAIN = "from calib.cli import main; main()"
 

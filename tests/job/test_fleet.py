@@ -22,8 +22,7 @@ from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.tables import plain, sheet_table
-from tests.job.cases import JOB, TABLE, copy_case, edit, run, tree
-from tests.test_cli import by_another_machine
+from tests.support.cases import JOB, TABLE, by_another_machine, copy_case, edit, run, tree
 
 MAIN = "from calib.cli import main; main()"
 QUIET = {"dashboard_address": None, "silence_logs": 50}

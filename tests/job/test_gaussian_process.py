@@ -16,7 +16,7 @@ from calib.job.run import run
 from calib.machine.gaussian import GaussianResiduals
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
-from tests.job import cases
+from tests.support import cases
 
 IRB = Path(__file__).parents[2] / "robots" / "irb2400"
 GRID = 'kind = "grid"'

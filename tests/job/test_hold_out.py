@@ -8,7 +8,7 @@ import pytest
 
 from calib.foundations.errors import MeasurementError
 from calib.job.inputs import load
-from tests.job.cases import JOB, TABLE, copy_case, edit, keep_rows, run
+from tests.support.cases import JOB, TABLE, copy_case, edit, keep_rows, run
 
 BEGIN = f'file = "{TABLE}"\n'
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.job.cases import CASE, JOB, TABLE, append, copy_case, job, keep_rows, run, tree
+from tests.support.cases import CASE, JOB, TABLE, append, copy_case, job, keep_rows, run, tree
 
 
 @pytest.fixture

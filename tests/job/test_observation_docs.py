@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.job.inputs import load
 from calib.job.run import run
-from tests.identification import machines, touching
-from tests.identification.machines import Array
+from tests.support import machines, touching
+from tests.support.machines import Array
 
 DOCS = (Path(__file__).resolve().parents[2] / "docs" / "observations.md").read_text(encoding="utf-8")
 HEADER, *EXAMPLES = re.findall(r"```toml\n(.*?)```", DOCS, re.DOTALL)

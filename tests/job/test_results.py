@@ -15,13 +15,14 @@ import calib
 from calib.foundations.errors import OutputError
 from calib.job.inputs import load
 from calib.job.run import run as identify
-from calib.results import results, versions
+from calib.results import folder as results
+from calib.results import versions
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
-from tests.foundations.swaps import left
-from tests.identification import machines
-from tests.identification.machines import Array
-from tests.job.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
+from tests.support import machines
+from tests.support.cases import JOB, TABLE, URDF, copy_case, edit, keep_rows, run, tree, write
+from tests.support.machines import Array
+from tests.support.swaps import left
 
 FILES = [
     *("calibrated.urdf", "job.json", "model.json", "nominal.urdf"),

@@ -10,7 +10,7 @@ import pytest
 
 from calib.foundations.errors import JobError
 from calib.job.read import parse_job, read_job
-from tests.job.cases import CASE, JOB
+from tests.support.cases import CASE, JOB
 
 FRAME: dict[str, Any] = {"position": ["1 mm", "2 cm", "-3 m"], "quaternion": [0.0, 1, 0, 0]}
 EVERYTHING: dict[str, Any] = {

@@ -15,7 +15,7 @@ from calib.presentation.sheets import choice_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
-from tests.job import cases
+from tests.support import cases
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
 JOB = "calibration_harmonics.toml"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.job.cases import CASE, copy_case, edit, run
+from tests.support.cases import CASE, copy_case, edit, run
 
 
 def test_dh_parameters_come_back_as_a_table(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.machine import gaussian
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals, load_gaussian, save_gaussian
 from calib.robot.robot import Reading
-from tests.identification import machines
+from tests.support import machines
 
 Array = NDArray[np.float64]
 

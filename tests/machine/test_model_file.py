@@ -12,9 +12,9 @@ import calib
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
-from tests.foundations.swaps import left
-from tests.identification import machines
-from tests.job.cases import tree
+from tests.support import machines
+from tests.support.cases import tree
+from tests.support.swaps import left
 
 TOOLS = {"left": machines.pose((0.05, 0.02, 0.15)), "right": machines.pose((-0.05, 0.01, 0.1))}
 

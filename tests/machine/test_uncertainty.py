@@ -18,8 +18,8 @@ from calib.machine.tool_uncertainty import common_errors, outside_identified, to
 from calib.machine.uncertainty import squared_bound
 from calib.machine.uncertainty_file import uncertainty_json
 from calib.robot.sampling import joint_limits
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, anywhere, pose
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 

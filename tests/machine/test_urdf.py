@@ -13,7 +13,7 @@ from calib.machine.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf
 from calib.robot.load import load_robot
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import parse_urdf
-from tests.identification import machines
+from tests.support import machines
 
 ARMS = {
     **{name: (text, "tip") for name, text in machines.INLINE.items()},

@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.foundations.errors import JobError
 from calib.measurement.projection import distort, project, undistort
-from tests.identification.cameras import BENT, eye, see
+from tests.support.cameras import BENT, eye, see
 
 CAMERA = eye("tip")
 

@@ -7,14 +7,12 @@ import pandas as pd
 import pytest
 
 from calib.foundations.errors import MeasurementError
+from calib.foundations.units import UNITS
 from calib.measurement.table import Table, read_table, table_from_arrays, table_from_frame
 
 HEADER = "j1 [deg], x [mm], qw, point"
 ROWS = "90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n"
-UNITS = (
-    "m, cm, mm, um, inch, rad, mrad, urad, deg, Nm, kg, m/s2, s, ms, degC, px, "
-    "rad/Nm, mrad/Nm, urad/Nm, m/N, mm/N, um/N, 1"
-)
+ALLOWED = ", ".join(UNITS)
 
 
 def write(folder: Path, content: str | bytes) -> Path:
@@ -142,11 +140,11 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ("", ": is empty; a table starts with a header line."),
         ("# only\n\n", ": is empty; a table starts with a header line."),
         ("x [m]\n# none\n", ": has a header and no rows."),
-        ("x\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {UNITS}."),
-        ("x []\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {UNITS}."),
-        ("x (mm)\n1\n", f":1: column 'x (mm)' has no unit; write one in brackets, like 'x (mm) [mm]': {UNITS}."),
-        ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {UNITS}."),
-        ("x [MM]\n1\n", f":1: column 'x': unit 'MM' is not known; allowed are {UNITS}."),
+        ("x\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {ALLOWED}."),
+        ("x []\n1\n", f":1: column 'x' has no unit; write one in brackets, like 'x [mm]': {ALLOWED}."),
+        ("x (mm)\n1\n", f":1: column 'x (mm)' has no unit; write one in brackets, like 'x (mm) [mm]': {ALLOWED}."),
+        ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {ALLOWED}."),
+        ("x [MM]\n1\n", f":1: column 'x': unit 'MM' is not known; allowed are {ALLOWED}."),
         ("point [mm]\na\n", ":1: column 'point' holds words and takes no unit, but has [mm]."),
         ("x [m\n1\n", ":1: the header 'x [m' is not a name with a unit, like 'x [mm]'."),
         ("x [m] [m]\n1\n", ":1: the header 'x [m] [m]' is not a name with a unit, like 'x [mm]'."),

@@ -9,9 +9,9 @@ import calib
 from calib.foundations import rigid
 from calib.positioner import axes
 from calib.positioner.axes import circle_axis, circle_point_analysis, expected_circle_error, line_axis
-from tests.identification import positioners
-from tests.identification.machines import load
-from tests.identification.positioners import Array, Machine, place, turn
+from tests.support import positioners
+from tests.support.machines import load
+from tests.support.positioners import Array, Machine, place, turn
 
 
 def circle(rng: np.random.Generator, angles: Array, radius: float = 0.3) -> tuple[Array, Array, Array]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from tests.job.cases import run
 from tests.positioner.test_positioner import points
+from tests.support.cases import run
 
 HEAD = "tilt [deg],rotary [deg],x [mm],y [mm],z [mm]"
 TURNS = ((0, 0), (0, 60), (0, -60), (60, 0), (-60, 0))

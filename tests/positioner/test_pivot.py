@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.positioner.pivot import pivot
 from calib.positioner.relative import relative_base
-from tests.identification import machines
-from tests.identification.positioners import Array, place, turn
+from tests.support import machines
+from tests.support.positioners import Array, place, turn
 
 TIP = np.array([0.02, -0.03, 0.25])
 

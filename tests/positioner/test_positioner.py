@@ -9,9 +9,9 @@ import calib
 from calib import positioner
 from calib.foundations import rigid
 from calib.identification.system import Problem
-from tests.identification import positioners
-from tests.identification.machines import load
-from tests.identification.positioners import MARK, TWENTY, TWO_AXES, Array, Machine, five, place, turn
+from tests.support import positioners
+from tests.support.machines import load
+from tests.support.positioners import MARK, TWENTY, TWO_AXES, Array, Machine, five, place, turn
 
 SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
 

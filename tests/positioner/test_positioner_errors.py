@@ -1,28 +1,22 @@
 """The table of expected errors is reproduced, its page holds what the script found, a real positioner gets better."""
 
-import importlib
 import os
 import re
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from tests.job.cases import run
+from scripts.examples import positioner_camera_job as camera
+from scripts.studies import positioner_errors as script
+from tests.support.cases import run
 
 ROOT = Path(__file__).resolve().parents[2]
 DATASETS = os.environ.get("CALIB_DATASETS")
 
 
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(ROOT / "scripts")
-    return importlib.import_module("positioner_errors")
-
-
 @pytest.mark.parametrize("k", range(8))
-def test_row_of_the_table(script: ModuleType, k: int) -> None:
+def test_row_of_the_table(k: int) -> None:
     row = script.ROWS[k]
     fitted = row.evaluate is script.fitted
     rms, foretold = script.study(row, 100 if fitted else 1000)
@@ -31,7 +25,7 @@ def test_row_of_the_table(script: ModuleType, k: int) -> None:
         assert foretold == pytest.approx(row.published, rel=0.1)
 
 
-def test_page_holds_a_thousand_trials_a_row(script: ModuleType) -> None:
+def test_page_holds_a_thousand_trials_a_row() -> None:
     page = (ROOT / "docs" / "positioner.md").read_text(encoding="utf-8")
     assert "1000 simulated" in re.sub(r"\s+", " ", page)
     for row in script.ROWS:
@@ -41,7 +35,7 @@ def test_page_holds_a_thousand_trials_a_row(script: ModuleType) -> None:
 
 
 @pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder with positioner_camera")
-def test_real_positioner_over_ten_splits(script: ModuleType) -> None:
+def test_real_positioner_over_ten_splits() -> None:
     found = script.splits(Path(str(DATASETS)) / "positioner_camera")
     assert found.shape == (10, 4)
     _, _, rms, degrees = found.mean(axis=0)
@@ -52,8 +46,6 @@ def test_real_positioner_over_ten_splits(script: ModuleType) -> None:
 
 @pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder with positioner_camera")
 def test_job_of_a_real_positioner_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "scripts")
-    camera = importlib.import_module("positioner_camera_job")
     folder = tmp_path / "job"
     monkeypatch.setattr("sys.argv", ["job", str(Path(str(DATASETS)) / "positioner_camera"), str(folder)])
     assert camera.main() == 0
@@ -64,8 +56,6 @@ def test_job_of_a_real_positioner_runs(tmp_path: Path, monkeypatch: pytest.Monke
 def test_other_folders_are_no_dataset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(ROOT / "scripts")
-    camera = importlib.import_module("positioner_camera_job")
     monkeypatch.setattr("sys.argv", ["job", str(tmp_path), str(tmp_path / "job")])
     assert camera.main() == 1
     assert "it has no measurements.yaml" in capsys.readouterr().err

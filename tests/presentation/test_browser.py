@@ -16,8 +16,8 @@ from calib.presentation.arm import link_placements
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
 from calib.results.scene import scene_of
-from scripts.browser import CHROMIUM, Page, browser
-from tests.job.cases import CASE, JOB
+from scripts.development.browser import CHROMIUM, Page, browser
+from tests.support.cases import CASE, JOB
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
 

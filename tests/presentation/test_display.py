@@ -11,7 +11,7 @@ import pytest
 
 import calib
 from calib.identification.fit import Fit
-from tests.job.cases import CASE, TABLE
+from tests.support.cases import CASE, TABLE
 
 
 def fit_of(**changes: Any) -> Fit:

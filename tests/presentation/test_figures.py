@@ -1,37 +1,20 @@
 """The pictures of the docs: every shipped case has them, the page shows them, and the script makes them."""
 
-import importlib.util
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from calib.presentation.scene import render_scene
-from scripts.browser import CHROMIUM
-from tests.job.cases import CASE, JOB, ROOT
-
-SCRIPTS = ROOT / "scripts"
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return load("screenshots", monkeypatch)
+from scripts.benchmarks import first_picture
+from scripts.development import screenshots as script
+from scripts.development.browser import CHROMIUM
+from tests.support.cases import CASE, JOB, ROOT
 
 
-def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_case_has_its_pictures_and_the_page_shows_them(script: ModuleType) -> None:
+def test_every_case_has_its_pictures_and_the_page_shows_them() -> None:
     page = (ROOT / "docs" / "seeing.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"\(figures/(\w+\.png)\)", page))
     made = {
@@ -47,16 +30,15 @@ def test_every_case_has_its_pictures_and_the_page_shows_them(script: ModuleType)
     assert sum(file.stat().st_size for file in (ROOT / "docs/figures").glob("*.png")) < 3_000_000
 
 
-def test_a_thousand_poses_of_a_robot_with_meshes_stay_below_fifteen_megabytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    script = load("first_picture", monkeypatch)
-    text = render_scene(script.scene(1000))
+def test_a_thousand_poses_of_a_robot_with_meshes_stay_below_fifteen_megabytes() -> None:
+    text = render_scene(first_picture.scene(1000))
     assert "1000 points" in text
     assert "not found" not in text.partition('<div id="legend">')[2].partition("<script")[0]
-    assert len(text) < script.MOST_BYTES == 15_000_000
+    assert len(text) < first_picture.MOST_BYTES == 15_000_000
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
-def test_script_makes_them(script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_script_makes_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 
     monkeypatch.setattr(sys, "argv", ["screenshots", str(CASE / JOB), "--to", str(tmp_path)])

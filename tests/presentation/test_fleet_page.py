@@ -6,7 +6,7 @@ import pytest
 
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
-from scripts.browser import CHROMIUM, browser
+from scripts.development.browser import CHROMIUM, browser
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
 

@@ -24,8 +24,8 @@ from calib.machine.model_file import load_machine
 from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
 from calib.results.folder import write_results
-from scripts.browser import CHROMIUM, browser
-from tests.job.cases import CASE, JOB, run
+from scripts.development.browser import CHROMIUM, browser
+from tests.support.cases import CASE, JOB, run
 
 # Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.
 MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"

@@ -21,7 +21,7 @@ from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.folder import result
 from calib.results.report import report_of
-from tests.job.cases import CASE, JOB
+from tests.support.cases import CASE, JOB
 
 UNIT = Axis("u", 0.0, 1.0)
 NASTY = 'a|b <script>alert(1)</script> & "q" `x` *y*'

@@ -1,8 +1,6 @@
 """The scene: its arms, its numbers, its meshes and its commands."""
 
-import base64
 import io
-import json
 import re
 import subprocess
 import sys
@@ -25,7 +23,8 @@ from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import parse_urdf
-from tests.job.cases import CASE, JOB
+from tests.support.cases import CASE, JOB
+from tests.support.scenes import commands_of, page_of
 
 IRB = CASE.parent / "irb2400"
 RED = (1.0, 0.0, 0.0)
@@ -73,23 +72,10 @@ def scene(n: int = 20, shape: str = BOX, **changes: Any) -> Scene:
     return replace(known, **changes)
 
 
-def page_of(text: str) -> dict[str, Any]:
-    match = re.search(r'<script type="application/json" id="page">(.*?)</script>', text, re.DOTALL)
-    assert match is not None
-    page: dict[str, Any] = json.loads(match[1])
-    return page
-
-
 def legend_of(text: str) -> str:
     match = re.search(r'<div id="legend">(.*?)<script', text, re.DOTALL)
     assert match is not None
     return match[1]
-
-
-def commands_of(text: str) -> list[dict[str, Any]]:
-    import umsgpack
-
-    return [umsgpack.unpackb(base64.b64decode(command)) for command in page_of(text)["commands"]]
 
 
 def transforms(commands: list[dict[str, Any]]) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from hypothesis import strategies as st
 
-from tests.identification import machines
-from tests.identification.machines import Array, pose
+from tests.support import machines
+from tests.support.machines import Array, pose
 
 AXES = ("1 0 0", "0 1 0", "0 0 1", "0 0 -1", "0 -1 0", "-1 0 0", "1 2 -2", "0.6 0 0.8", "0.001 1 0")
 

@@ -9,11 +9,11 @@ import calib
 from calib.compensation import commands
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.sampling import joint_limits
-from tests.compensation.test_commands import apart, well_posed
-from tests.identification import machines
-from tests.identification.machines import Array, Rng
-from tests.identification.test_jacobian import check, problem
 from tests.properties.strategies import arms
+from tests.support import machines
+from tests.support.jacobians import check, problem
+from tests.support.machines import Array, Rng
+from tests.support.reach import apart, well_posed
 
 MANY = settings(max_examples=25)
 seeds = st.integers(0, 1000).map(np.random.default_rng)

@@ -9,9 +9,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import calib
-from tests.identification import machines
-from tests.identification.machines import Array, Machine, pose, predicted
 from tests.properties.strategies import arms, poses
+from tests.support import machines
+from tests.support.machines import Array, Machine, pose, predicted
 
 ROWS, SIGMA = 80, 5e-5
 KNOWN = {"position": [0.0], "pose": [0.0, 0.0]}

@@ -1,6 +1,7 @@
 """Sessions of few rows and large errors: the machine that is found is the one that an independent search finds.
 
-Truth, residuals and minimum are made without calib; scripts/judge_solver.py judges as many sessions as one likes.
+Truth, residuals and minimum are made without calib; scripts/development/judge_solver.py judges as many sessions as one
+likes.
 """
 
 import os
@@ -8,9 +9,9 @@ import os
 import numpy as np
 import pytest
 
-from scripts.judge_cases import FAMILIES, case
-from scripts.judge_machines import minimise
-from scripts.judge_verdict import judge, stated
+from scripts.development.judge_cases import FAMILIES, case
+from scripts.development.judge_machines import minimise
+from scripts.development.judge_verdict import judge, stated
 
 # Of every family; others with CALIB_EXAMPLES, which counts them.
 COUNT = int(os.environ.get("CALIB_EXAMPLES", "0"))

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.foundations import rigid
-from tests.identification.machines import Array
 from tests.properties.strategies import poses, triples
+from tests.support.machines import Array
 
 SIZES = (1e-12, 1e-6, 1e-2, 1.0, 1.8)
 turns = st.builds(lambda v, size: size * np.array(v), triples(1.0), st.sampled_from(SIZES))

@@ -10,7 +10,7 @@ import yourdfpy
 import calib
 from calib.robot.cell import compose
 from calib.robot.urdf import parse_urdf
-from tests.identification.positioners import place, turn
+from tests.support.positioners import place, turn
 
 FIRST = """<?xml version="1.0"?>
 <!-- an arm: first & foremost -->

@@ -13,29 +13,9 @@ from calib.foundations.errors import JobError, RobotError
 from calib.identification.machine import Frames
 from calib.robot.collision import MOST_SHAPES, _Poses, _without_materials, self_collision
 from calib.robot.urdf import parse_urdf
-from scripts import hostile_files
-from tests.identification import machines
-
-RADIUS = 0.12
-# One ball a link: where it is in the link. The base is a link too.
-BALLS = {"base": (0, 0, 0), "link_a": (0, 0, 0.1), "link_b": (0.2, 0, 0), "link_c": (0.15, 0, 0), "tip": (0.1, 0, 0)}
-ARM = machines.urdf(
-    ("a", "revolute", "0 0 0.3", "0 0 0", "0 0 1"),
-    ("b", "revolute", "0 0 0.2", "0 0 0", "0 1 0"),
-    ("c", "revolute", "0.4 0 0", "0.3 0 0", "0 1 0"),
-    ("d", "revolute", "0.35 0 0", "0 0.2 0", "0 0 1"),
-)
-
-
-def with_shapes(urdf: str, shapes: dict[str, str]) -> str:
-    for link, shape in shapes.items():
-        urdf = urdf.replace(f'<link name="{link}"/>', f'<link name="{link}">{shape}</link>')
-    return urdf
-
-
-def ball(xyz: tuple[float, ...], radius: float = RADIUS, *, origin_first: bool = True) -> str:
-    parts = [f'<origin xyz="{" ".join(map(str, xyz))}"/>', f'<geometry><sphere radius="{radius}"/></geometry>']
-    return f"<collision>{''.join(parts if origin_first else parts[::-1])}</collision>"
+from scripts.development import hostile_files
+from tests.support import machines
+from tests.support.collisions import ARM, BALLS, RADIUS, ball, with_shapes
 
 
 def robot_of(urdf: str, tip: str = "tip") -> calib.Robot:

@@ -15,8 +15,8 @@ from calib.robot.joint_terms import is_term_of, moments, weights_of, with_joint_
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
 from calib.robot.transmission import JointTerm
-from tests.identification import machines
 from tests.robot.test_gravity import DOWN, LOOP, PANDA, UR10, potential
+from tests.support import machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,7 +1,5 @@
 """What readings hold against gravity: the slope of a potential energy that shares no code with the toolkit."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +15,8 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot
 from calib.robot.transmission import JointTerm
 from calib.robot.urdf import inertials, parse_urdf
-from tests.identification import machines
+from scripts.simulate import irb2400 as simulation
+from tests.support import machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]
@@ -120,16 +119,6 @@ def test_unless_told_otherwise_gravity_is_standard_and_a_payload_sits_in_the_tip
     assert Payload(2.0).position == (0.0, 0.0, 0.0)
 
 
-def simulation() -> object:
-    spec = importlib.util.spec_from_file_location("simulate_irb2400_for_gravity", ROOT / "scripts/simulate_irb2400.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def irb2400(**options: object) -> Robot:
     return calib.load_robot(IRB, "tool0", loops=[LOOP], **options)
 
@@ -137,7 +126,7 @@ def irb2400(**options: object) -> Robot:
 def test_on_the_parallelogram_the_loop_carries_its_share() -> None:
     """The script's own energy; the tree's torques alone would be wrong, which is shown."""
     u = np.random.default_rng(1).uniform(-0.4, 0.4, (30, 6)) * [5, 1, 1, 5, 3, 5]
-    expected = simulation().gravity_torques(u)
+    expected = simulation.gravity_torques(u)
     torques = Holding(weights_of(irb2400(gravity=(0.0, 0.0, -9.81))))(u)
     np.testing.assert_allclose(torques, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     assert np.abs(expected[:, 1:3]).min(axis=0).max() > 1.0

@@ -13,7 +13,7 @@ from calib.robot.robot import Deviations, Robot, segments
 from calib.robot.skeleton import end_frame, skeleton
 from calib.robot.sources import examples
 from calib.robot.urdf import parse_urdf, read_urdf
-from tests.identification import machines
+from tests.support import machines
 
 UNREADABLE = {
     "example:alex_description/urdf/alex_psyonic_hands.urdf",

@@ -12,7 +12,7 @@ from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
 from calib.robot.transmission import Flexures, JointTerm, TermKind, Transmission
-from tests.identification import machines
+from tests.support import machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]

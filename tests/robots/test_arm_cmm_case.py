@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT / "robots" / "arm_cmm"
-SCRIPT = ROOT / "scripts" / "simulate_arm_cmm.py"
+SCRIPT = ROOT / "scripts/simulate/arm_cmm.py"
 TRACKED = ("identification.csv", "validation.csv", "identification_realistic.csv")
 TOUCHED = ("probe.csv", "cone.csv", "lengths.csv", "sphere.csv", "articulations.csv")
 

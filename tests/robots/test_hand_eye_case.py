@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.job.cases import ROOT, Edit, append, edit, run
+from tests.support.cases import ROOT, Edit, append, edit, run
 
 CASE = ROOT / "robots" / "hand_eye"
 FILES = ("calibration.toml", "identification.csv", "validation.csv")
 
 
 def test_script_reproduces_the_committed_files(tmp_path: Path) -> None:
-    script = ROOT / "scripts" / "simulate_hand_eye.py"
+    script = ROOT / "scripts/simulate/hand_eye.py"
     subprocess.run([sys.executable, str(script), str(tmp_path)], check=True, capture_output=True)
     for name in ("identification.csv", "validation.csv", "truth.toml"):
         assert (tmp_path / name).read_bytes() == (CASE / name).read_bytes(), name

@@ -1,11 +1,9 @@
 """The case robots/irb2400: its URDF is the robot and closes; its data is what the script makes and the truth says."""
 
-import importlib.util
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,27 +14,17 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
+from scripts.simulate import irb2400 as simulation
 
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT / "robots" / "irb2400"
-SCRIPT = ROOT / "scripts" / "simulate_irb2400.py"
+SCRIPT = ROOT / "scripts/simulate/irb2400.py"
 AXES = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS_DEG = ((-180, 180), (-100, 110), (-60, 65), (-200, 200), (-120, 120), (-400, 400))
 ROWS = {"base_fit": 10, "level1": 138, "level2": 60, "harmonics": 300, "nodes": 600, "test": 284}
 REFLECTOR = np.array([0.025, 0.0, 0.04955])
-
-
-@pytest.fixture(scope="module")
-def simulation() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("simulate_irb2400", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look for their module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +139,7 @@ def test_the_ideal_parallelogram_closes_in_plain_trigonometry() -> None:
     assert np.abs(np.add(crank, rod) - np.add(rod, lever)).max() < 1e-15
 
 
-def test_masses_are_those_of_the_simulation_and_add_up(simulation: ModuleType, robot: yourdfpy.URDF) -> None:
+def test_masses_are_those_of_the_simulation_and_add_up(robot: yourdfpy.URDF) -> None:
     masses = {name: body.inertial for name, body in robot.link_map.items() if body.inertial is not None}
     assert sum(inertial.mass for inertial in masses.values()) == pytest.approx(380.0)
     for name, (mass, centre) in simulation.MASSES.items():
@@ -164,7 +152,7 @@ def test_masses_are_those_of_the_simulation_and_add_up(simulation: ModuleType, r
         assert 2.0 * moments.max() < moments.sum()
 
 
-def test_gravity_torques_are_the_slope_of_the_urdf_s_potential(simulation: ModuleType, robot: yourdfpy.URDF) -> None:
+def test_gravity_torques_are_the_slope_of_the_urdf_s_potential(robot: yourdfpy.URDF) -> None:
     bodies = {name: body.inertial for name, body in robot.link_map.items() if body.inertial is not None}
 
     def potential(q: Array) -> float:
@@ -195,7 +183,7 @@ def assembled(count: int, seed: int) -> tuple[Array, Array]:
     return phi2, phi2 + np.radians(rng.uniform(25.0, 155.0, count))
 
 
-def test_the_four_bar_closes(simulation: ModuleType) -> None:
+def test_the_four_bar_closes() -> None:
     phi2, psi = assembled(1000, 0)
     for mirrored in (1.0, -1.0):
         phi, gamma = simulation.four_bar(mirrored * phi2, mirrored * psi, **LENGTHS, dx=0.07, dy=-0.04)
@@ -206,14 +194,14 @@ def test_the_four_bar_closes(simulation: ModuleType) -> None:
         assert np.abs(phi - mirrored * psi).max() < 0.02
 
 
-def test_an_ideal_four_bar_is_a_parallelogram(simulation: ModuleType) -> None:
+def test_an_ideal_four_bar_is_a_parallelogram() -> None:
     phi2, psi = assembled(1000, 1)
     phi, gamma = simulation.four_bar(phi2, psi, 705.0, 180.0, 705.0, 180.0)
     np.testing.assert_allclose(phi, psi, atol=1e-13)
     np.testing.assert_allclose(np.exp(1j * gamma), np.exp(1j * phi2), atol=1e-13)
 
 
-def test_partial_derivatives_of_the_four_bar(simulation: ModuleType) -> None:
+def test_partial_derivatives_of_the_four_bar() -> None:
     phi2, psi = assembled(200, 2)
     values = {"phi2": phi2, "psi": psi, **LENGTHS}
     phi, gamma = simulation.four_bar(**values)
@@ -234,7 +222,7 @@ def test_partial_derivatives_of_the_four_bar(simulation: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(("largest_mrad", "wrong_mrad"), [(2.8, 0.007), (27.0, 0.66)])
-def test_first_order_form_of_the_four_bar(simulation: ModuleType, largest_mrad: float, wrong_mrad: float) -> None:
+def test_first_order_form_of_the_four_bar(largest_mrad: float, wrong_mrad: float) -> None:
     """phi - psi = k0 + k1 csc(alpha) + k2 cot(alpha), k1 = (dL2 - dc) / r, k2 = (de - db) / r, alpha 25 to 155 deg.
 
     How wrong it is depends on the links: the stated value is a usual one where k0 = 0 and k1, k2 are those of the
@@ -258,7 +246,7 @@ def test_first_order_form_of_the_four_bar(simulation: ModuleType, largest_mrad: 
     assert max(fitted) < wrong_mrad
 
 
-def test_a_crank_beside_the_shaft_of_the_lower_arm(simulation: ModuleType) -> None:
+def test_a_crank_beside_the_shaft_of_the_lower_arm() -> None:
     phi2, psi = assembled(500, 4)
     dx, dy = 0.03, -0.05
     phi, _ = simulation.four_bar(phi2, psi, 705.0, 180.0, 705.0, 180.0, dx, dy)
@@ -269,7 +257,7 @@ def test_a_crank_beside_the_shaft_of_the_lower_arm(simulation: ModuleType) -> No
 # ---- repeatability
 
 
-def test_repeatability_from_one_side_is_that_of_iso_9283(simulation: ModuleType) -> None:
+def test_repeatability_from_one_side_is_that_of_iso_9283() -> None:
     assert simulation.scatter_sigma() == pytest.approx(16.6e-3, abs=0.05e-3)
     pose = simulation.poses(7)["test"][:1]
     cloud = simulation.Machine().tcp(np.repeat(pose, 40_000, axis=0), np.random.default_rng(0))
@@ -279,14 +267,14 @@ def test_repeatability_from_one_side_is_that_of_iso_9283(simulation: ModuleType)
     assert simulation.repeatability(cloud) == pytest.approx(rp, rel=1e-12)
 
 
-def test_repeatability_from_both_sides_is_that_of_iso_9283(simulation: ModuleType) -> None:
+def test_repeatability_from_both_sides_is_that_of_iso_9283() -> None:
     machine, poses, rng = simulation.Machine(), simulation.poses(7)["test"], np.random.default_rng(1)
     sides = np.stack([machine.tcp(poses), machine.tcp(poses, direction=-1.0)], axis=1)
     clouds = np.repeat(sides, 1000, axis=1) + simulation.scatter_sigma() * rng.standard_normal((len(poses), 2000, 3))
     assert np.mean([simulation.repeatability(cloud) for cloud in clouds]) == pytest.approx(0.157, rel=0.005)
 
 
-def test_approach_from_the_usual_side_is_the_default(simulation: ModuleType) -> None:
+def test_approach_from_the_usual_side_is_the_default() -> None:
     machine, poses = simulation.Machine(), simulation.poses(7)["test"]
     np.testing.assert_array_equal(machine.tcp(poses), machine.tcp(poses, direction=1.0))
     per_axis = machine.tcp(poses, direction=-np.ones((284, 6)))
@@ -294,7 +282,7 @@ def test_approach_from_the_usual_side_is_the_default(simulation: ModuleType) -> 
     assert np.linalg.norm(per_axis - machine.tcp(poses), axis=1).mean() > 0.15
 
 
-def test_tracker_noise_is_half_of_the_data_sheet_s(simulation: ModuleType) -> None:
+def test_tracker_noise_is_half_of_the_data_sheet_s() -> None:
     np.testing.assert_allclose(simulation.tracker_sigma(np.array([[3000.0, 0, 0], [0, 1000.0, 0]])), [0.0165, 0.0105])
 
 
@@ -332,7 +320,7 @@ def test_every_random_pose_is_inside_a_cell_of_nodes() -> None:
             assert {tuple(row) for row in (low + 20 * np.array(corner)).tolist()} <= nodes
 
 
-def true_reflector(truth: dict[str, Any], simulation: ModuleType, commands: Array) -> Array:
+def true_reflector(truth: dict[str, Any], commands: Array) -> Array:
     """Position (m) in the tracker's frame that the truth file predicts, written out again.
 
     The four-bar is solved numerically, gravity torques are taken from the script: they are held against the URDF above.
@@ -369,15 +357,15 @@ def true_reflector(truth: dict[str, Any], simulation: ModuleType, commands: Arra
     return frame[:3, :3] @ np.array(truth["reflector_in_flange_mm"]) * 1e-3 + frame[:3, 3]
 
 
-def test_truth_file_predicts_the_true_positions(truth: dict[str, Any], simulation: ModuleType) -> None:
+def test_truth_file_predicts_the_true_positions(truth: dict[str, Any]) -> None:
     commands, positions = numbers("test_truth.csv")
-    predicted = [true_reflector(truth, simulation, q) for q in commands]
+    predicted = [true_reflector(truth, q) for q in commands]
     # The file's last digit is 0.1 um.
     assert np.abs(predicted - positions).max() < 0.07e-6
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_measurements_are_the_truth_and_the_noise(simulation: ModuleType, name: str) -> None:
+def test_measurements_are_the_truth_and_the_noise(name: str) -> None:
     commands, positions = numbers(f"{name}.csv")
     true = simulation.Machine().tcp(np.degrees(commands))
     sigma = np.hypot(simulation.scatter_sigma(), simulation.tracker_sigma(true))[:, None]
@@ -387,7 +375,7 @@ def test_measurements_are_the_truth_and_the_noise(simulation: ModuleType, name: 
     assert np.abs(deviates).max() < 4.5
 
 
-def test_both_sides(simulation: ModuleType) -> None:
+def test_both_sides() -> None:
     header, rows = read_table("test_both_sides.csv")
     assert header[-1] == "direction"
     commands, positions = numbers("test_both_sides.csv")
@@ -420,13 +408,13 @@ def test_the_nominal_robot_starts_where_the_paper_s_did() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_every_seed_is_another_robot_with_the_same_start(simulation: ModuleType, seed: int) -> None:
+def test_every_seed_is_another_robot_with_the_same_start(seed: int) -> None:
     commands = simulation.poses(seed)["test"]
     errors = fitted_errors(np.radians(commands), simulation.Machine(seed).tcp(commands) * 1e-3)
     assert errors.mean() == pytest.approx(0.42e-3, rel=2e-4)
 
 
-def test_effects_can_be_switched_off(simulation: ModuleType) -> None:
+def test_effects_can_be_switched_off() -> None:
     commands = simulation.poses(7)["test"]
     full, plain = simulation.Machine(), simulation.Machine(wind_up=False, harmonics=False)
     assert not plain.truth.compliances.any()

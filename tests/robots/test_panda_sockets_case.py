@@ -57,7 +57,7 @@ def fit() -> calib.Fit:
 
 
 def test_the_script_makes_these_bytes(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, ROOT / "scripts" / "simulate_panda_sockets.py", tmp_path], check=True)
+    subprocess.run([sys.executable, ROOT / "scripts/simulate/panda_sockets.py", tmp_path], check=True)
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*.*"))
     assert made == sorted(path.relative_to(CASE) for path in CASE.rglob("*.*") if path.name != "README.md")
     for path in made:
@@ -65,7 +65,8 @@ def test_the_script_makes_these_bytes(tmp_path: Path) -> None:
 
 
 def test_joints_may_give_way(tmp_path: Path) -> None:
-    arguments = [sys.executable, ROOT / "scripts" / "sockets_job.py", CASE / "recordings", tmp_path, "--robot", "panda"]
+    script = ROOT / "scripts/examples/sockets_job.py"
+    arguments = [sys.executable, script, CASE / "recordings", tmp_path, "--robot", "panda"]
     subprocess.run([*arguments, "--identify", "front", "left", "--wind-up"], check=True, capture_output=True)
     joints = [f"panda_joint{k}.elastic" for k in range(2, 7)]
     assert load(tmp_path / "calibration.toml").model.term_priors == pytest.approx(dict.fromkeys(joints, 1e-4))

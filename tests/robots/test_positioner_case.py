@@ -1,12 +1,10 @@
 """The case robots/positioner: its data is what the script makes, its URDFs are the script's machines."""
 
-import importlib.util
 import io
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,22 +13,13 @@ import yourdfpy
 import calib
 from calib import positioner
 from calib.job.inputs import load
-from tests.job.cases import ROOT, run
-from tests.presentation.test_scene import commands_of
+from scripts.simulate import positioner as simulation
+from tests.support.cases import ROOT, run
+from tests.support.scenes import commands_of
 
 CASE = ROOT / "robots" / "positioner"
-SCRIPT = ROOT / "scripts" / "simulate_positioner.py"
+SCRIPT = ROOT / "scripts/simulate/positioner.py"
 FILES = ("pivot.csv", "touched.csv", "validation.csv", "truth.toml")
-
-
-@pytest.fixture(scope="module")
-def simulation() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("simulate_positioner", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +38,14 @@ def test_tables_are_what_the_script_makes(tmp_path: Path) -> None:
             assert (CASE / name).read_text(encoding="utf-8").startswith("# Simulated, not measured on a real machine")
 
 
-def test_truth_is_the_scripts(simulation: ModuleType) -> None:
+def test_truth_is_the_scripts() -> None:
     truth = tomllib.loads((CASE / "truth.toml").read_text(encoding="utf-8"))
     assert truth["spike_on_flange_mm"] == list(simulation.SPIKE)
     assert truth["rotary"]["translation_mm"] == list(simulation.ROTARY_PLACE)
     assert truth["marks_on_table_mm"] == {name: list(mark) for name, mark in simulation.MARKS.items()}
 
 
-def test_welder_is_the_scripts_robot(simulation: ModuleType) -> None:
+def test_welder_is_the_scripts_robot() -> None:
     urdf = yourdfpy.URDF.load(str(CASE / "welder.urdf"))
     names = [f"joint_{k}" for k in range(1, 7)]
     rng = np.random.default_rng(0)
@@ -70,7 +59,7 @@ def test_welder_is_the_scripts_robot(simulation: ModuleType) -> None:
         np.testing.assert_allclose(T[:3, 2], pointing, atol=1e-12)
 
 
-def test_positioner_is_nearly_the_scripts_one(simulation: ModuleType) -> None:
+def test_positioner_is_nearly_the_scripts_one() -> None:
     """As designed, the axes are at right angles and 58 mm apart; the one made is 5 mrad and 2 mm off."""
     urdf = yourdfpy.URDF.load(str(CASE / "positioner.urdf"))
     urdf.update_cfg({"tilt": 0.0, "rotary": 0.0})
@@ -89,7 +78,7 @@ def test_positioner_is_nearly_the_scripts_one(simulation: ModuleType) -> None:
         assert np.abs(designed - stands.T @ R @ R0.T @ stands).max() < 0.01
 
 
-def test_calibration_finds_the_axes(results: Path, simulation: ModuleType) -> None:
+def test_calibration_finds_the_axes(results: Path) -> None:
     model = calib.load_machine(results)
     rng = np.random.default_rng(1)
     q = np.column_stack([rng.uniform(-90, 90, 300), rng.uniform(-180, 180, 300)])

@@ -1,0 +1,193 @@
+"""What do many poses cost? Time and memory of identifications of a 7-joint arm, each in a process of its own.
+
+    python scripts/benchmarks/scale.py [--check] [--markdown FILE] [--largest 1000000]
+
+Memory is the peak resident set of the whole process, libraries and data included. `--check` exits with 1 when a million
+poses take more than 2 GiB, or when the memory of identification grows with poses times parameters.
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import calib
+from calib.foundations import rigid
+
+SIZES = (1_000, 10_000, 100_000, 1_000_000)
+SIGMA = 0.05e-3
+LIMIT_MIB = 2048.0
+AT_ONCE = 10_000
+
+JOB = """schema = 1
+[robot]
+urdf = "example:panda_description/urdf/panda.urdf"
+tip = "panda_link8"
+[error_model]
+offsets = "all"
+placements = "all"
+base = "pose"
+tool = "{tool}"
+[[measurements]]
+file = "poses.csv"
+observes = "{observes}"
+sigma = "0.05 mm"
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Seconds and MiB of one run; ``loaded`` is the peak before anything is identified, the data in memory."""
+
+    what: str
+    poses: int
+    seconds: float
+    loaded: float
+    peak: float
+
+
+def peak() -> float:
+    """Peak resident set of this process so far, in MiB."""
+    found = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return found / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def columns(robot: calib.Robot, poses: int, observes: str) -> dict[str, np.ndarray]:
+    """A Panda of which every placement is off by 0.5 mm and 1 mrad and every zero by 5 mrad, seen by a tracker."""
+    rng = np.random.default_rng(1)
+    deviations = calib.Deviations(
+        rng.normal(scale=np.repeat((0.5e-3, 1e-3), 3), size=(len(robot.chain), 6)),
+        rng.normal(scale=5e-3, size=len(robot.moving)),
+    )
+    tool = rigid.translation(np.array([0.05, 0.02, 0.15]))
+    readings = np.stack([rng.uniform(r.lower or 0.0, r.upper or 0.0, poses) for r in robot.readings], axis=1)
+    position, quaternion = np.empty((poses, 3)), np.empty((poses, 4))
+    for start in range(0, poses, AT_ONCE):
+        rows = slice(start, start + AT_ONCE)
+        placed = robot.tips(readings[rows], deviations) @ tool
+        turned = placed[:, :3, :3] @ rigid.exp3(rng.normal(scale=1e-4, size=(len(placed), 3)))
+        position[rows], quaternion[rows] = placed[:, :3, 3], rigid.quaternion_of(turned)
+    position += rng.normal(scale=SIGMA, size=position.shape)
+    found = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    found |= {f"{axis} [m]": position[:, k] for k, axis in enumerate("xyz")}
+    if observes == "pose":
+        found |= dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True))
+    return found
+
+
+def from_arrays(poses: int, observes: str) -> Cost:
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    pose = observes == "pose"
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if pose else "position")
+    data = calib.read_measurements(
+        columns(robot, poses, observes), robot, observes, sigma=(SIGMA, 1e-4 if pose else None)
+    )
+    loaded, start = peak(), time.perf_counter()
+    fit = calib.identify(model, data)
+    seconds = time.perf_counter() - start
+    if not fit.converged:
+        raise SystemExit(f"{poses} {observes}s did not converge")
+    return Cost(f"identify {observes}s", poses, seconds, loaded, peak())
+
+
+def by_command(poses: int, observes: str) -> Cost:
+    """The whole job, from the table on disk to report, scene and residuals."""
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        table = columns(robot, poses, observes)
+        with (folder / "poses.csv").open("w", encoding="utf-8") as file:
+            file.write(",".join(table) + "\n")
+            for start in range(0, poses, AT_ONCE):
+                np.savetxt(file, np.column_stack([c[start : start + AT_ONCE] for c in table.values()]), "%.9f", ",")
+        del table
+        tool = "pose" if observes == "pose" else "position"
+        (folder / "job.toml").write_text(JOB.format(tool=tool, observes=observes), encoding="utf-8")
+        start = time.perf_counter()
+        command = "import sys; from calib.cli import main; sys.exit(main())"
+        arguments = ["calibrate", "job.toml", "-o", "out"]
+        subprocess.run([sys.executable, "-c", command, *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        seconds = time.perf_counter() - start
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    return Cost(
+        "calib calibrate, all files", poses, seconds, np.nan, largest / (2**20 if sys.platform == "darwin" else 2**10)
+    )
+
+
+def measured(what: str, poses: int, observes: str) -> Cost:
+    """One cost, found in a process of its own."""
+    arguments = [sys.executable, __file__, "--one", what, str(poses), observes]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    text = subprocess.run(arguments, env=environment, capture_output=True, check=True, text=True).stdout
+    return Cost(**json.loads(text.splitlines()[-1]))
+
+
+def cells(cost: Cost) -> tuple[str, ...]:
+    loaded = "" if np.isnan(cost.loaded) else f"{cost.loaded:,.0f}"
+    return (cost.what, f"{cost.poses:,}", f"{cost.seconds:,.1f}", loaded, f"{cost.peak:,.0f}")
+
+
+HEADINGS = ("what", "poses", "s", "MiB before", "MiB at most")
+
+PAGE = """# Many poses
+
+Made by `python scripts/benchmarks/scale.py --markdown docs/benchmark_scale.md`, one BLAS thread, on {machine}.
+
+A Panda of 7 joints, every placement, zero, base and tool free, each run in a process of its own. Memory is the peak of
+the whole process: libraries, data and all; before: with the data in memory and nothing identified. Residuals and
+Jacobians exist for a few hundred rows at a time and are reduced to a triangle by QR decompositions, so that what is
+added grows with the numbers measured, not with poses times parameters. The whole command also reads the table from
+disk, judges every row, and writes report, scene and residuals.
+
+"""
+
+
+def markdown(costs: list[Cost]) -> str:
+    machine = f"{os.cpu_count()} cores of {platform.machine()}, Python {platform.python_version()}"
+    rows = [f"| {' | '.join(HEADINGS)} |", "|---|--:|--:|--:|--:|", *(f"| {' | '.join(cells(c))} |" for c in costs)]
+    return PAGE.format(machine=machine) + "\n".join([*rows, ""])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a limit is exceeded")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the table to FILE")
+    parser.add_argument("--largest", type=int, default=SIZES[-1], help="the largest problem (default: 1000000 poses)")
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        what, poses, observes = arguments.one
+        print(json.dumps(asdict({"identify": from_arrays, "command": by_command}[what](int(poses), observes))))
+        return 0
+    costs: list[Cost] = []
+    table = Table(title="Panda, every placement, zero, base and tool free")
+    for heading in HEADINGS:
+        table.add_column(heading, justify="left" if heading == "what" else "right")
+    for what, observes in (("identify", "position"), ("identify", "pose"), ("command", "position")):
+        for poses in SIZES:
+            if poses <= arguments.largest:
+                costs.append(measured(what, poses, observes))
+                table.add_row(*cells(costs[-1]))
+                print(", ".join(cells(costs[-1])), file=sys.stderr)
+    Console().print(table)
+    if arguments.markdown is not None:
+        arguments.markdown.write_text(markdown(costs), encoding="utf-8")
+    exceeded = [cost for cost in costs if cost.peak > LIMIT_MIB]
+    for cost in exceeded:
+        print(f"Beyond {LIMIT_MIB:,.0f} MiB: {', '.join(cells(cost))}.", file=sys.stderr)
+    return 1 if arguments.check and exceeded else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,735 @@
+"""Small files made to take long or to swell: every command refuses or serves them in 10 s of processor time and 1 GiB.
+
+    python scripts/development/hostile_files.py                    every file, at three sizes up to 1 MB
+    python scripts/development/hostile_files.py --only spheres     one of them
+    python scripts/development/hostile_files.py --write FOLDER     write them all, and run nothing
+
+Every file is filled by repeating what stands in it to a size in bytes. Each is read by a command in a process of its
+own, of which processor time and the largest memory are printed with what it said; where one of them is above its limit
+the script returns 1.
+"""
+
+import argparse
+import io
+import itertools
+import json
+import os
+import resource
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+CASE = ROOT / "robots" / "arm_cmm"
+SIZES = (20_000, 150_000, 990_000)
+SECONDS = 10.0
+MEGABYTES = 1024.0
+_PATIENCE = 15  # s of processor time after which a process is ended
+_FILES = ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv")
+_PLAN = ("plan", "calibration.toml", "-o", "plan.csv", "-n", "20")
+_CALIBRATE = ("calibrate", "calibration.toml", "-o", "out")
+_COMMAND = "import sys; sys.argv[0] = 'calib'; from calib.cli import main; main()"
+# A folder of results for the commands that read one; made once.
+_RESULTS = "results"
+
+
+class Hostile(NamedTuple):
+    """``write`` fills files of a folder with the shipped case to about so many bytes; ``run`` reads them."""
+
+    write: Callable[[Path, int], None]
+    run: tuple[str, ...] = _CALIBRATE
+
+
+class Measured(NamedTuple):
+    """What a command took and said, and how it ended."""
+
+    seconds: float
+    megabytes: float
+    code: int
+    said: str
+
+
+def repeated(piece: Callable[[int], str], size: int) -> str:
+    """Return so many pieces, each made of its number, as go into ``size`` bytes, and one at least."""
+    found: list[str] = []
+    length = 0
+    for k in itertools.count():
+        text = piece(k)
+        length += len(text.encode())
+        if found and length > size:
+            return "".join(found)
+        found.append(text)
+    raise AssertionError
+
+
+# Of the robot. ---------------------------------------------------------------------------------------------------
+
+
+def _urdf(piece: Callable[[int], str], before: str = "</robot>") -> Hostile:
+    def write(folder: Path, size: int) -> None:
+        path = folder / "arm_cmm.urdf"
+        text = path.read_text(encoding="utf-8")
+        many = repeated(piece, size - len(text))
+        path.write_text(text.replace(before, many + before, 1), encoding="utf-8")
+
+    return Hostile(write)
+
+
+def _shape(shape: str) -> Hostile:
+    return _urdf(
+        lambda k: f'<link name="l{k}"/>' if not shape else f"<visual><geometry><{shape}/></geometry></visual>",
+        "</link>",
+    )
+
+
+def _branches(k: int) -> str:
+    return f'<link name="b{k}"/><joint name="f{k}" type="fixed"><parent link="base_link"/><child link="b{k}"/></joint>'
+
+
+def _tail(k: int) -> str:
+    parent = "base_link" if not k else f"t{k - 1}"
+    return (
+        f'<link name="t{k}"/><joint name="g{k}" type="revolute"><parent link="{parent}"/><child link="t{k}"/></joint>'
+    )
+
+
+def _collisions(k: int) -> str:
+    return f'<collision><origin xyz="{k} 0 0"/><geometry><sphere radius=".1"/></geometry></collision>'
+
+
+def _crossing(folder: Path, size: int) -> None:
+    """Write thin long shapes on all links: their balls overlap, and they hardly touch."""
+    path = folder / "arm_cmm.urdf"
+    text = path.read_text(encoding="utf-8")
+    shape = '<collision><origin xyz="0 0 {:.4f}"/><geometry><box size="1e-4 1e-4 1"/></geometry></collision>'
+    links = text.count("</link>")
+    many = repeated(lambda k: shape.format(k * 1e-3), (size - len(text)) // links)
+    path.write_text(text.replace("</link>", many + "</link>"), encoding="utf-8")
+
+
+def _chain(n: int) -> str:
+    links = "".join(f'<link name="l{k}"/>' for k in range(n + 1))
+    return (
+        f'<robot name="r">{links}'
+        + "".join(
+            f'<joint name="j{k}" type="revolute"><origin xyz=".1 0 .1" rpy="1 .5 0"/><parent link="l{k}"/>'
+            f'<child link="l{k + 1}"/></joint>'
+            for k in range(n)
+        )
+        + "</robot>"
+    )
+
+
+def _long_arm(folder: Path, size: int) -> None:
+    """Write an arm of so many joints that its table, of three rows for a joint, has the size; all of them free."""
+    n = max(2, round((size / 16) ** 0.5))
+    (folder / "arm_cmm.urdf").write_text(_chain(n), encoding="utf-8")
+    chance = np.random.default_rng(0)
+    header = ",".join([f"j{k} [rad]" for k in range(n)] + ["x [m]", "y [m]", "z [m]"])
+    for name in ("identification.csv", "validation.csv"):
+        rows = repeated(lambda _: ",".join(f"{v:.2f}" for v in chance.uniform(-3, 3, n + 3)) + "\n", size)
+        (folder / name).write_text(f"{header}\n{rows}", encoding="utf-8")
+    _edited(folder / "calibration.toml", 'tip = "probe"', f'tip = "l{n}"')
+
+
+# Of meshes. ------------------------------------------------------------------------------------------------------
+
+
+def _mesh(name: str, data: Callable[[int], bytes], times: int = 1) -> Hostile:
+    def write(folder: Path, size: int) -> None:
+        (folder / name).write_bytes(data(size))
+        visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+        _edited(folder / "arm_cmm.urdf", "</link>", visual * times + "</link>")
+
+    return Hostile(write)
+
+
+_TRIANGLE = (
+    '<geometry id="g"><mesh><source id="p"><float_array id="a" count="9">0 0 0 1 0 0 0 1 0</float_array>'
+    '<technique_common><accessor source="#a" count="3" stride="3"><param name="X" type="float"/><param name="Y" '
+    'type="float"/><param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input '
+    'semantic="POSITION" source="#p"/></vertices><triangles count="{n}"><input semantic="VERTEX" source="#v" '
+    'offset="0"/><p>{p}</p></triangles></mesh></geometry>'
+)
+
+
+def _dae(geometry: str, nodes: str, library: str = "") -> bytes:
+    return (
+        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
+        '<unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>'
+        f"<library_geometries>{geometry}</library_geometries>{library}<library_visual_scenes><visual_scene "
+        f'id="s">{nodes}</visual_scene></library_visual_scenes><scene>'
+        '<instance_visual_scene url="#s"/></scene></COLLADA>'
+    ).encode()
+
+
+_ONE = '<instance_geometry url="#g"/>'
+
+
+def _doubling(size: int) -> bytes:
+    """Return a COLLADA file whose nodes have each other twice: two to the power of how many there are."""
+    nodes = repeated(
+        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>",
+        min(size, 4000),
+    )
+    last = nodes.count("<node ") - 1
+    inside = f"<library_nodes>{nodes}</library_nodes>"
+    return _dae(_TRIANGLE.format(n=1, p="0 1 2"), f'<node id="t"><instance_node url="#n{last}"/></node>', inside)
+
+
+def _doubling_inline(size: int) -> bytes:
+    """Return the same with nodes that stand in the scene, and point to those before them."""
+    nodes = repeated(
+        lambda k: f'<node id="n{k}">' + (f'<instance_node url="#n{k - 1}"/>' * 2 if k else _ONE) + "</node>",
+        min(size, 4000),
+    )
+    return _dae(_TRIANGLE.format(n=1, p="0 1 2"), nodes)
+
+
+def _dae_instances(size: int) -> bytes:
+    many = _TRIANGLE.format(n=size // 16, p="0 1 2 " * (size // 16))
+    return _dae(many, "<node>" + repeated(lambda _: _ONE, size // 2) + "</node>")
+
+
+def _dae_nodes(size: int) -> bytes:
+    return _dae(_TRIANGLE.format(n=1, p="0 1 2"), repeated(lambda k: f'<node id="n{k}">{_ONE}</node>', size))
+
+
+def _dae_deep(size: int) -> bytes:
+    n = size // 13
+    return _dae(_TRIANGLE.format(n=1, p="0 1 2"), "<node>" * n + _ONE + "</node>" * n)
+
+
+def _dae_triangles(size: int) -> bytes:
+    n = size // 6
+    return _dae(_TRIANGLE.format(n=n, p="0 1 2 " * n), f"<node>{_ONE}</node>")
+
+
+def _dae_polygon(size: int) -> bytes:
+    n = size // 2
+    polygon = (
+        _TRIANGLE.format(n=1, p="0 " * n).replace("triangles", "polylist").replace("<p>", f"<vcount>{n}</vcount><p>")
+    )
+    return _dae(polygon, f"<node>{_ONE}</node>")
+
+
+def _dae_geometries(size: int) -> bytes:
+    one = _TRIANGLE.format(n=1, p="0 1 2")
+    geometries = repeated(lambda k: one.replace('id="g"', f'id="g{k}"'), size)
+    instances = "".join(f'<instance_geometry url="#g{k}"/>' for k in range(geometries.count("<geometry ")))
+    return _dae(geometries, f"<node>{instances}</node>")
+
+
+def _glb(tree: dict[str, object], binary: bytes = b"") -> bytes:
+    text = json.dumps({"asset": {"version": "2.0"}, "scene": 0} | tree).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+_POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype="<f4").tobytes()
+_MESHES = [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}]
+_VIEWS = [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 12}]
+_ACCESSORS = [
+    {"componentType": 5126, "count": 3, "type": "VEC3", "bufferView": 0},
+    {"componentType": 5125, "count": 3, "type": "SCALAR", "bufferView": 1},
+]
+_BINARY = _POINTS + np.arange(3, dtype="<u4").tobytes()
+_SOUND: dict[str, object] = {
+    "meshes": _MESHES,
+    "bufferViews": _VIEWS,
+    "accessors": _ACCESSORS,
+    "buffers": [{"byteLength": 48}],
+    "nodes": [{"mesh": 0}],
+    "scenes": [{"nodes": [0]}],
+}
+
+
+def _glb_accessor(_: int) -> bytes:
+    """Return a GLB whose points are nowhere in the file, and 400 million."""
+    accessors: list[dict[str, object]] = [{"componentType": 5126, "count": 400_000_000, "type": "VEC3"}, _ACCESSORS[1]]
+    return _glb(_SOUND | {"accessors": accessors}, _BINARY)
+
+
+def _glb_accessors(size: int) -> bytes:
+    n = size // 150
+    accessors = [{"componentType": 5126, "count": 2_000_000, "type": "VEC3"}] * n
+    meshes = [{"primitives": [{"attributes": {"POSITION": k}}]} for k in range(n)]
+    nodes = [{"mesh": k} for k in range(n)]
+    return _glb(_SOUND | {"accessors": accessors, "meshes": meshes, "nodes": nodes}, _BINARY)
+
+
+def _glb_same_view(size: int) -> bytes:
+    """Return a GLB of very many accessors that all show the same points."""
+    n = size // 200
+    points = np.zeros(size // 2 // 12 * 3, dtype="<f4").tobytes()
+    views = [{"buffer": 0, "byteLength": len(points)}]
+    count = len(points) // 12
+    accessors = [{"componentType": 5126, "count": count, "type": "VEC3", "bufferView": 0}] * n
+    meshes = [{"primitives": [{"attributes": {"POSITION": k}}]} for k in range(n)]
+    tree = {"bufferViews": views, "accessors": accessors, "meshes": meshes, "buffers": [{"byteLength": len(points)}]}
+    return _glb(_SOUND | tree | {"nodes": [{"mesh": k} for k in range(n)]}, points)
+
+
+def _glb_instances(size: int) -> bytes:
+    """Return a GLB of one large mesh that very many nodes have."""
+    n, faces = size // 40, size // 24
+    indices = np.tile(np.arange(3, dtype="<u4"), faces).tobytes()
+    views = [_VIEWS[0], {"buffer": 0, "byteOffset": 36, "byteLength": len(indices)}]
+    accessors = [_ACCESSORS[0], _ACCESSORS[1] | {"count": 3 * faces}]
+    tree = {"nodes": [{"mesh": 0}] * n, "scenes": [{"nodes": list(range(n))}], "accessors": accessors}
+    return _glb(
+        _SOUND | tree | {"bufferViews": views, "buffers": [{"byteLength": 36 + len(indices)}]}, _POINTS + indices
+    )
+
+
+def _glb_chain(size: int) -> bytes:
+    n = size // 30
+    nodes: list[dict[str, object]] = [{"children": [k + 1]} for k in range(n)]
+    return _glb(_SOUND | {"nodes": [*nodes, {"mesh": 0}]}, _BINARY)
+
+
+def _glb_doubling(size: int) -> bytes:
+    n = size // 35
+    nodes: list[dict[str, object]] = [{"children": [k + 1, k + 1]} for k in range(n)]
+    return _glb(_SOUND | {"nodes": [*nodes, {"mesh": 0}]}, _BINARY)
+
+
+def _obj(piece: Callable[[int], str]) -> Callable[[int], bytes]:
+    return lambda size: ("v 0 0 0\nv 1 0 0\nv 0 1 0\n" + repeated(piece, size)).encode()
+
+
+def _ply(size: int) -> bytes:
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face {}\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+    n = size // 8
+    return (head.format(n) + "3 0 1 2\n" * n).encode()
+
+
+def _ply_promise(_: int) -> bytes:
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\n"
+    return head + b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n" + bytes(48)
+
+
+def _off(size: int) -> bytes:
+    n = size // 8
+    return (f"OFF\n3 {n} 0\n0 0 0\n1 0 0\n0 1 0\n" + "3 0 1 2\n" * n).encode()
+
+
+def _off_promise(_: int) -> bytes:
+    return b"OFF\n2000000000 2000000000 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+
+
+def _stl(size: int) -> bytes:
+    n = size // 50
+    chance = np.random.default_rng(0)
+    facet = np.zeros(n, dtype=[("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("flags", "<u2")])
+    facet["points"] = chance.uniform(-1, 1, (n, 3, 3))
+    return bytes(80) + struct.pack("<I", n) + facet.tobytes()
+
+
+def _stl_ascii(size: int) -> bytes:
+    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    return repeated(lambda k: f"solid s{k}\n{facet}endsolid s{k}\n", size).encode()
+
+
+# Of jobs. --------------------------------------------------------------------------------------------------------
+
+
+def _edited(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text, old
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def _job(piece: Callable[[int], str]) -> Hostile:
+    """Fill the job with sections."""
+
+    def write(folder: Path, size: int) -> None:
+        with (folder / "calibration.toml").open("a", encoding="utf-8") as file:
+            file.write(repeated(piece, size))
+
+    return Hostile(write)
+
+
+def _list(key: str, piece: Callable[[int], str], before: str = "[[measurements]]") -> Hostile:
+    """Fill a list of the job, at the end of the section before."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / "calibration.toml"
+        for line in (f'{key} = "all"',):
+            text = path.read_text(encoding="utf-8")
+            if f"\n{line}\n" in text:
+                _edited(path, f"{line}\n", "")
+        _edited(path, before, f"{key} = [\n{repeated(lambda k: piece(k) + ',' + chr(10), size)}]\n{before}")
+
+    return Hostile(write)
+
+
+_SECTION = '\n[[measurements]]\nfile = "identification.csv"\nsigma = "0.02 mm"\n'
+
+
+# Of tables. ------------------------------------------------------------------------------------------------------
+
+
+def _rows(column: Callable[[int], str], title: str, job: tuple[tuple[str, str], ...] = ()) -> Hostile:
+    """Fill the table to be identified from with rows, and one column more."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / "identification.csv"
+        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+        header, *rows = lines
+        text = repeated(lambda k: f"{rows[k % len(rows)]}{',' if title else ''}{column(k)}\n", size)
+        path.write_text(f"{header}{',' if title else ''}{title}\n{text}", encoding="utf-8")
+        path = folder / "calibration.toml"
+        path.write_text(path.read_text(encoding="utf-8").rpartition("[[measurements]]")[0], encoding="utf-8")
+        for old, new in job:
+            _edited(path, old, new)
+
+    return Hostile(write)
+
+
+def _wide(folder: Path, size: int) -> None:
+    path = folder / "identification.csv"
+    header, *rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    n = size // (len(rows) * 2)
+    text = "".join(f"{row}{',0' * n}\n" for row in rows)
+    path.write_text(header + "".join(f",c{k} [1]" for k in range(n)) + "\n" + text, encoding="utf-8")
+
+
+# Of results. -----------------------------------------------------------------------------------------------------
+
+
+def _model(key: str, entry: Callable[[int], object], run: tuple[str, ...]) -> Hostile:
+    """Fill a list or a section of ``model.json`` with entries made of numbers."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / _RESULTS / "model.json"
+        model = json.loads(path.read_text(encoding="utf-8"))
+        each = len(json.dumps(entry(0))) + 12
+        for k in range(max(size // each, 1)):
+            if isinstance(model[key], dict):
+                model[key][f"e{k}"] = entry(k)
+            else:
+                model[key].append(entry(k))
+        path.write_text(json.dumps(model), encoding="utf-8")
+
+    return Hostile(write, run)
+
+
+def _packed(name: str, run: tuple[str, ...]) -> Hostile:
+    """Write an archive of arrays that unpacks to a thousand times its size."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / _RESULTS / "model.json"
+        model = json.loads(path.read_text(encoding="utf-8"))
+        model["residual_model"] = name
+        path.write_text(json.dumps(model), encoding="utf-8")
+        n = min(size * 900, 95_000_000)
+        keys = {
+            "grid.npz": ("schema", "frame", "joints", "axes", "errors", "dimensions", "counts", "nodes"),
+            "gaussian.npz": (
+                *("schema", "frame", "dimensions", "joints", "points", "errors"),
+                *("amplitude", "noise", "scales"),
+            ),
+        }[name]
+        data = io.BytesIO()
+        head = io.BytesIO()
+        np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (n // 8,)})
+        with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
+            for key in keys:
+                archive.writestr(f"{key}.npy", head.getvalue() + bytes(n // 8 * 8 if key == "errors" else 8))
+        (folder / _RESULTS / name).write_bytes(data.getvalue())
+
+    return Hostile(write, run)
+
+
+_COMPENSATE = ("compensate", _RESULTS, "targets.csv", "-o", "corrected.csv")
+_POSE = {"position": [0.0, 0.0, 0.0], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+
+
+def _targets(folder: Path, size: int) -> None:
+    lines = (CASE / "identification.csv").read_text(encoding="utf-8").splitlines()
+    header, *rows = [",".join(line.split(",")[:6]) for line in lines if not line.startswith("#")]
+    (folder / "targets.csv").write_text(
+        header + "\n" + repeated(lambda k: rows[k % len(rows)] + "\n", size), encoding="utf-8"
+    )
+
+
+def _positions(folder: Path, size: int) -> None:
+    rows = repeated(lambda k: f"{k % 900},{k % 700},300\n", size)
+    (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + rows, encoding="utf-8")
+
+
+def _far_positions(folder: Path, size: int) -> None:
+    (folder / "targets.csv").write_text(
+        "x [mm],y [mm],z [mm]\n" + repeated(lambda k: f"{k},9,9999\n", size), encoding="utf-8"
+    )
+
+
+_ZEROS = ",".join("0" * 6)
+_UNDER = "".join("-" for _ in range(1))
+
+
+def _observed(kind: str) -> tuple[tuple[str, str], ...]:
+    return (('observes = "position"', f'observes = "{kind}"'),)
+
+
+HOSTILE: dict[str, Hostile] = {
+    "spheres": _shape('sphere radius=".1"'),
+    "boxes": _shape('box size=".1 .1 .1"'),
+    "cylinders": _shape('cylinder radius=".1" length=".1"'),
+    "shapes that make no sense": _shape('sphere radius="x"'),
+    "visuals of no shape": _urdf(lambda _: "<visual/>", "</link>"),
+    "materials": _urdf(lambda k: f'<material name="m{k}"><color rgba="1 0 0 1"/></material>'),
+    "materials of a shape": _urdf(
+        lambda k: (
+            f'<visual><geometry><box size="1 1 1"/></geometry><material name="m{k}">'
+            '<color rgba="1 0 0 1"/></material></visual>'
+        ),
+        "</link>",
+    ),
+    "branches": _urdf(_branches),
+    "shapes on branches": _urdf(
+        lambda k: _branches(k).replace(
+            "/><joint", '><visual><geometry><box size="1 1 1"/></geometry></visual></link><joint', 1
+        )
+    ),
+    "a tail": _urdf(_tail),
+    "mimics": _urdf(
+        lambda k: _tail(k).replace("</joint>", f'<mimic joint="g{k - 1}" multiplier="9"/></joint>') if k else _tail(k)
+    ),
+    "comments": _urdf(lambda k: f"<!-- {k} -->"),
+    "unknown elements": _urdf(lambda k: f"<e{k}/>"),
+    "an attribute": _urdf(lambda _: f'<e a="{"x" * 100_000}"/>'),
+    "attributes": Hostile(
+        lambda folder, size: _edited(
+            folder / "arm_cmm.urdf", "</robot>", "<e " + repeated(lambda k: f'a{k}="" ', size) + "/></robot>"
+        )
+    ),
+    "a long arm": Hostile(_long_arm),
+    "collision shapes": Hostile(
+        _urdf(_collisions, "</link>").write,
+        ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
+    ),
+    "collision shapes all over": Hostile(_crossing, _PLAN),
+    "dae doubling": _mesh("m.dae", _doubling),
+    "dae doubling in the scene": _mesh("m.dae", _doubling_inline),
+    "dae instances": _mesh("m.dae", _dae_instances),
+    "dae nodes": _mesh("m.dae", _dae_nodes),
+    "dae deep": _mesh("m.dae", _dae_deep),
+    "dae triangles": _mesh("m.dae", _dae_triangles),
+    "dae polygon": _mesh("m.dae", _dae_polygon),
+    "dae geometries": _mesh("m.dae", _dae_geometries),
+    "glb accessor": _mesh("m.glb", _glb_accessor),
+    "glb accessors": _mesh("m.glb", _glb_accessors),
+    "glb same points": _mesh("m.glb", _glb_same_view),
+    "glb instances": _mesh("m.glb", _glb_instances),
+    "glb chain": _mesh("m.glb", _glb_chain),
+    "glb doubling": _mesh("m.glb", _glb_doubling),
+    "obj triangles": _mesh("m.obj", _obj(lambda _: "f 1 2 3\n")),
+    "obj objects": _mesh("m.obj", _obj(lambda k: f"o o{k}\nf 1 2 3\n")),
+    "obj materials": _mesh("m.obj", _obj(lambda k: f"usemtl m{k}\nf 1 2 3\n")),
+    "obj polygon": _mesh("m.obj", lambda size: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * (size // 6)),
+    "obj points": _mesh("m.obj", lambda size: repeated(lambda k: f"v {k} {k} 1\n", size).encode() + b"f 1 2 3\n"),
+    "ply triangles": _mesh("m.ply", _ply),
+    "ply promise": _mesh("m.ply", _ply_promise),
+    "off triangles": _mesh("m.off", _off),
+    "off promise": _mesh("m.off", _off_promise),
+    "stl triangles": _mesh("m.stl", _stl),
+    "stl solids": _mesh("m.stl", _stl_ascii),
+    "one mesh often": _mesh("m.stl", _stl, 100),
+    "one mesh very often": _mesh("m.stl", lambda _: _stl(20_000), 2000),
+    "levels": _job(lambda k: f'[[levels]]\nname = "l{k}"\nfree = ["*"]\n'),
+    "measurements": _job(lambda _: _SECTION),
+    "held out": _job(lambda _: _SECTION + "hold_out = 0.5\n"),
+    "validations": _job(lambda _: _SECTION + 'use = "validate"\n'),
+    "nodes": _job(lambda _: _SECTION + 'use = "nodes"\n'),
+    "robust": _job(lambda _: _SECTION + 'loss = "cauchy"\n'),
+    "targets": _job(lambda k: f'[targets.t{k}]\nposition = ["0 m", "0 m", "0 m"]\n'),
+    "relations": _job(lambda k: f'[[relations]]\ntargets = ["a{k}", "b{k}"]\ndistance = "1 m"\nsigma = "1 mm"\n'),
+    "relations of the same": _job(lambda _: '[[relations]]\ntargets = ["a", "b"]\ndistance = "1 m"\nsigma = "1 mm"\n'),
+    "tools": _job(lambda k: f'[tools.t{k}]\nposition = ["0 m", "0 m", "0 m"]\n'),
+    "instruments": _job(lambda k: f'[instruments.i{k}]\nkind = "laser_tracker"\nsigma = "1 mm"\n'),
+    "arms that touch": _job(
+        lambda k: (
+            f'[instruments.i{k}]\nkind = "arm"\nsigma = "1 mm"\nurdf = "arm_cmm.urdf"\n'
+            f'[[measurements]]\nfile = "identification.csv"\ninstrument = "i{k}"\n'
+        )
+    ),
+    "couplings": _job(lambda k: f'[[robot.coupling]]\njoint = "joint_{k}"\ndrivers = {{ joint_2 = 1.0 }}\n'),
+    "loops": _job(
+        lambda k: (
+            f'[[robot.loop]]\nname = "l{k}"\nframes = ["link_1", "link_2"]\ncloses = ["x"]\npassive = ["joint_2"]\n'
+        )
+    ),
+    "unknown keys": _job(lambda k: f"key_{k} = 1\n"),
+    "sections": _job(lambda k: f"[section_{k}]\n"),
+    "wrong sections": _job(lambda _: "[[measurements]]\nfile = 1\n"),
+    "offsets": _list("offsets", lambda _: '"joint_1"'),
+    "placements": _list("placements", lambda _: '"*"'),
+    "starry placements": _list("placements", lambda k: '"' + "*j" * 20 + f'{k}"'),
+    "orders": _list("harmonic_orders", lambda k: str(1 + k % 1000)),
+    "orders of all": Hostile(
+        lambda folder, size: (
+            _list("harmonic_orders", lambda k: str(1 + k % 1000)).write(folder, size),
+            _edited(folder / "calibration.toml", "harmonic_orders", 'harmonics = "all"\nharmonic_orders'),
+        )[0]
+    ),
+    "mesh roots": _list("mesh_roots", lambda _: '"."', "[error_model]"),
+    "columns": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            'sigma = "0.02 mm"\n',
+            'sigma = "0.02 mm"\n[measurements.columns]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size),
+        )
+    ),
+    "other names": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            'sigma = "0.02 mm"\n',
+            'sigma = "0.02 mm"\n[measurements.targets]\n' + repeated(lambda k: f'c{k} = "d{k}"\n', size),
+        )
+    ),
+    "drivers": Hostile(
+        lambda folder, size: _edited(
+            folder / "calibration.toml",
+            "[error_model]",
+            '[[robot.coupling]]\njoint = "joint_3"\n[robot.coupling.drivers]\n'
+            + repeated(lambda k: f"j{k} = 1.0\n", size)
+            + "[error_model]",
+        )
+    ),
+    "rows": _rows(lambda _: "", ""),
+    "points": _rows(lambda k: f"p{k}", "point"),
+    "groups": _rows(lambda k: f"g{k}", "group"),
+    "pairs": _rows(lambda k: f"p{k // 2}", "pair"),
+    "pair distances": _rows(lambda k: f"p{k // 2},1", "pair,length [m]", _observed("pair_distance")),
+    "sockets": _rows(lambda k: f"t{k // 3}", "target", _observed("socket")),
+    "one socket": _rows(lambda _: "t", "target", _observed("socket")),
+    "planes": _rows(lambda k: f"t{k // 4},1", "target,ball [mm]", _observed("plane")),
+    "one plane": _rows(lambda _: "t,1", "target,ball [mm]", _observed("plane")),
+    "spheres that are touched": _rows(
+        lambda k: f"t{k // 5},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
+    ),
+    "one sphere": _rows(lambda _: "t,1,30", "target,ball [mm],diameter [mm]", _observed("sphere")),
+    "distances": _rows(lambda k: f"t{k // 4},1", "target,length [m]", _observed("distance")),
+    "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
+    "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
+    "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
+    "a process of many rows": _rows(
+        lambda _: "",
+        "",
+        (
+            (
+                "[error_model]",
+                '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\n'
+                'residual_model = { kind = "gaussian_process" }\n[error_model]',
+            ),
+        ),
+    ),
+    "columns of a table": Hostile(_wide),
+    "lines without cells": Hostile(
+        lambda folder, size: (folder / "identification.csv").write_text("a\n" * (size // 2), encoding="utf-8") and None
+    ),
+    "joint targets": Hostile(_targets, _COMPENSATE),
+    "positions": Hostile(_positions, _COMPENSATE),
+    "positions out of reach": Hostile(_far_positions, _COMPENSATE),
+    "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
+    "joints of a model": _model(
+        "joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE
+    ),
+    "terms of a model": _model(
+        "terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "amount": 0.0}, _COMPENSATE
+    ),
+    "packed grid": _packed("grid.npz", _COMPENSATE),
+    "packed process": _packed("gaussian.npz", _COMPENSATE),
+}
+
+
+def fill(name: str, folder: Path, size: int) -> tuple[str, ...]:
+    """Write a file of about ``size`` bytes and the shipped case around it; return the command that reads it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in _FILES:
+        shutil.copyfile(CASE / file, folder / file)
+    hostile = HOSTILE[name]
+    if _RESULTS in hostile.run:
+        shutil.copytree(_results(), folder / _RESULTS)
+        if not (folder / "targets.csv").exists():
+            _targets(folder, 1000)
+    hostile.write(folder, size)
+    return hostile.run
+
+
+def _results() -> Path:
+    folder = Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}"
+    if not folder.exists():
+        done = measure(("calibrate", str(CASE / "calibration.toml"), "-o", str(folder)), ROOT)
+        assert done.code == 0, done.said
+    return folder
+
+
+def measure(arguments: tuple[str, ...], folder: Path) -> Measured:
+    """Run a command in a process of its own; return what it took."""
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (_PATIENCE, _PATIENCE))
+        resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))
+
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryFile() as out:
+        process = subprocess.Popen(
+            [sys.executable, "-c", _COMMAND, *arguments],
+            cwd=folder,
+            env=environment,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            preexec_fn=limited,  # noqa: PLW1509 - a script of one thread
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        said = out.read().decode(errors="replace").strip().splitlines()
+    return Measured(
+        used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, process.returncode, said[-1] if said else ""
+    )
+
+
+def main() -> int:
+    """Make and read what is asked for; return 1 where something takes more than is promised."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=sorted(HOSTILE), action="append")
+    parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
+    parser.add_argument("--write", type=Path)
+    asked = parser.parse_args()
+    bad = 0
+    for name in asked.only or HOSTILE:
+        for size in asked.sizes:
+            with tempfile.TemporaryDirectory() as scratch:
+                folder = Path(scratch) if asked.write is None else asked.write / f"{name} {size}"
+                arguments = fill(name, folder, size)
+                if asked.write is not None:
+                    continue
+                took = measure(arguments, folder)
+            within = took.seconds <= SECONDS and took.megabytes <= MEGABYTES and took.code in (0, 1, 3)
+            bad += not within
+            print(
+                f"{'    ' if within else 'BAD '} {name:28} {size:9,} {took.seconds:6.1f} s {took.megabytes:6.0f} MB"
+                f" {took.code:3} {took.said[:110]}",
+                flush=True,
+            )
+    shutil.rmtree(Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}", ignore_errors=True)
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

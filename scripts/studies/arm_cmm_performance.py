@@ -1,0 +1,79 @@
+"""Calibrate the realistic arm of robots/arm_cmm and print its acceptance figures before and after.
+
+    python scripts/studies/arm_cmm_performance.py [--markdown]
+
+With --markdown there is a third column: the calibrated arm if its encoders' eccentricity were known, which the truth
+file tells, taken out of all readings before calibration and test.
+"""
+
+import argparse
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.assessment.performance import Performance, before_and_after, read_touches
+from calib.foundations.arrays import Array
+from calib.identification.fit import Fit
+from calib.identification.identify import identify
+from calib.job.inputs import load
+from calib.presentation.performance_tables import performance_markdown, performance_table
+from calib.presentation.tables import plain
+from calib.robot.conditions import Conditions
+from calib.robot.robot import Robot
+
+CASE = Path(__file__).resolve().parents[2] / "robots" / "arm_cmm"
+JOB = CASE / "calibration_realistic.toml"
+TESTS = ("cone.csv", "lengths.csv", "sphere.csv", "articulations.csv")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """A fit, without the detour over a results folder."""
+
+    fit: Fit
+
+    @property
+    def robot(self) -> Robot:
+        return self.fit.model.robot
+
+    @property
+    def tools(self) -> dict[str, Array]:
+        return dict(zip(self.fit.measurements[0].tools, self.fit.machine.frames.tools, strict=True))
+
+    def placements(self, readings: Array, /, conditions: Conditions) -> Array:
+        return np.asarray(self.robot.tips(readings, self.fit.machine.deviations, conditions))
+
+
+def figures(cosine: Array, sine: Array) -> tuple[Performance, Performance]:
+    """Before and after, with this first harmonic (6,) in rad added to all readings."""
+
+    def corrected(u: Array) -> Array:
+        return u + cosine * np.cos(u) + sine * np.sin(u)
+
+    job = load(JOB)
+    data = [replace(data, readings=corrected(data.readings)) for data in job.identify]
+    touched = [read_touches(CASE / name, job.robot) for name in ("probe.csv", *TESTS)]
+    probe, *tests = (replace(touches, readings=corrected(touches.readings)) for touches in touched)
+    return before_and_after(Arm(identify(job.model, data)), tests, probe)
+
+
+def markdown() -> str:
+    truth = tomllib.loads((CASE / "truth_realistic.toml").read_text(encoding="utf-8"))
+    before, after = figures(np.zeros(6), np.zeros(6))
+    _, known = figures(np.radians(truth["cosine_deg"]), np.radians(truth["sine_deg"]))
+    return performance_markdown({"before": before, "after": after, "eccentricity known": known})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--markdown", action="store_true", help="the table of docs/arm_cmm_performance.md")
+    if parser.parse_args().markdown:
+        print(markdown(), end="")
+    else:
+        print(plain(performance_table(*figures(np.zeros(6), np.zeros(6)))), end="")
+
+
+if __name__ == "__main__":
+    main()
