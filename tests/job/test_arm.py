@@ -10,11 +10,12 @@ import pytest
 
 import calib
 from calib.foundations.errors import MeasurementError
-from calib.job.arm import Arm, read_arm, touched
+from calib.job.arm import read_arm
 from calib.job.inputs import load
 from calib.job.read import read_job
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import grid_from_residuals
+from calib.machine.touching import TouchingArm, touched
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
 from calib.robot.joint_terms import with_joint_terms
@@ -101,7 +102,7 @@ def test_residual_grid_of_the_arm_counts() -> None:
     grid = grid_from_residuals(readings, errors, robot.readings, ["joint_1", "joint_2"], "base")
     base = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
     model = CalibratedMachine(robot, robot.no_deviations(), base, {}, None)
-    plain = Arm(model, np.zeros(3), 1e-4, {}, ())
+    plain = TouchingArm(model, np.zeros(3), 1e-4)
     bent = replace(plain, model=replace(model, residual_model=grid))
     assert np.abs(bent.points(readings) - plain.points(readings) - errors).max() < 1e-12
 
@@ -117,7 +118,7 @@ def test_backlash_and_a_grid_of_the_arm_count_in_its_table(folder: Path) -> None
         np.column_stack([nodes, np.zeros((9, 4))]), errors, robot.readings, ["joint_1", "joint_2"], "base"
     )
     point = np.array([0.0, 0.0, 0.2])
-    arm = Arm(CalibratedMachine(robot, amounts, np.eye(4), {}, grid), point, 1e-4, {}, ())
+    arm = TouchingArm(CalibratedMachine(robot, amounts, np.eye(4), {}, grid), point, 1e-4)
     positioner = calib.load_robot(CASE / "positioner.urdf", "table")
     rows = [row for row in (folder / TABLE).read_text(encoding="utf-8").splitlines() if not row.startswith("#")]
     path = folder / "sides.csv"
