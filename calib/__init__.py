@@ -31,9 +31,10 @@ from calib.foundations.errors import (
     RobotError,
 )
 from calib.identification import positioner
-from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
+from calib.identification.parameters import Priors
 from calib.identification.total_differential import Trace, total_differential
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
@@ -46,6 +47,7 @@ from calib.robot import dh
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.terms import JointTerm
 
 # How a fit shows itself is for the presentation room, which the fit's own room must not know; the front door may.
 _display.attach(Fit)
@@ -63,12 +65,15 @@ __all__ = [
     "Fit",
     "IdentificationError",
     "JobError",
+    "JointTerm",
+    "Known",
     "LaserTracker",
     "MeasurementError",
     "Measurements",
     "Outliers",
     "OutputError",
     "Payload",
+    "Priors",
     "Robot",
     "RobotError",
     "Trace",

@@ -10,7 +10,7 @@ from calib.assessment.validation import FOLDS
 from calib.cli.options import JobFile, Json, Quiet, app
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.job.calibrate import STEPS_OF_LOADING
-from calib.job.inputs import load, term_priors
+from calib.job.inputs import load
 from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
 from calib.presentation.console import progress, sentence, show, warning, write
 from calib.presentation.tables import sheet_table
@@ -52,7 +52,6 @@ def models(
                 inputs.identify,
                 scheme="leave-one-group-out" if leave_one_group_out else folds or FOLDS,
                 choose=choose & nested.keys(),
-                priors=term_priors(section.prior),
                 model_sigmas=[sigma for sigmas in inputs.model_sigmas for sigma in sigmas],
                 losses=inputs.losses,
                 progress=told,
