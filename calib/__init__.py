@@ -40,9 +40,10 @@ if TYPE_CHECKING:
         OutputError,
         RobotError,
     )
-    from calib.identification.error_model import ErrorModel, error_model
+    from calib.identification.error_model import ErrorModel, Known, error_model
     from calib.identification.fit import Fit
     from calib.identification.identify import identify
+    from calib.identification.parameters import Priors
     from calib.job.calibrate import calibrate
     from calib.machine.calibrated import CalibratedMachine, machine_of
     from calib.machine.model_file import load_machine
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from calib.robot.gravity import Payload
     from calib.robot.load import load_robot
     from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+    from calib.robot.terms import JointTerm
 
 # Where each name is, for whoever runs this; the imports above say the same to whoever reads or checks it.
 _HOMES = {
@@ -71,9 +73,10 @@ _HOMES = {
     "assessment.planning": "plan",
     "assessment.validation": "hold_out",
     "foundations.errors": "CalibError IdentificationError JobError MeasurementError OutputError RobotError",
-    "identification.error_model": "ErrorModel error_model",
+    "identification.error_model": "ErrorModel Known error_model",
     "identification.fit": "Fit",
     "identification.identify": "identify",
+    "identification.parameters": "Priors",
     "job.calibrate": "calibrate",
     "machine.calibrated": "CalibratedMachine machine_of",
     "machine.model_file": "load_machine",
@@ -91,6 +94,7 @@ _HOMES = {
     "robot.gravity": "Payload",
     "robot.load": "load_robot",
     "robot.robot": "ClosedLoop Coupling Deviations Robot",
+    "robot.terms": "JointTerm",
 }
 _MODULES = {name: f"calib.{home}" for home, names in _HOMES.items() for name in names.split()}
 
@@ -115,8 +119,8 @@ if not TYPE_CHECKING:  # which would take every misspelt name for one of these
 # fmt: off
 __all__ = [
     "CalibError", "CalibratedMachine", "Calibration", "ClosedLoop", "Coupling", "Deviations", "ErrorModel", "Fit",
-    "IdentificationError", "JobError", "MeasurementError", "Measurements", "OutputError", "Payload", "Robot",
-    "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare", "data_frame", "dh",
+    "IdentificationError", "JobError", "JointTerm", "Known", "MeasurementError", "Measurements", "OutputError", "Payload", "Priors",
+    "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare", "data_frame", "dh",
     "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of", "measuring",
     "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
     "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",

@@ -12,6 +12,7 @@ A parameter without a prior of its own is held by its weak one, at the geometric
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,13 +20,11 @@ from calib.assessment.validation import HeldOut, folds, groups, held_out, one_st
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
-from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
-from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, with_terms
+from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import USABLE
 from calib.identification.identify import identify
-from calib.identification.joint_terms import harmonic, links
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
@@ -35,12 +34,11 @@ from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
-from calib.robot.joint_terms import moments, weights_of
+from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import WHOLE_ARM, JointTerm
+from calib.robot.terms import KINDS, JointTerm, kind_of
 
-# A harmonic drive wobbles up to the fortieth order: on a real UR10 orders above 12 halve what is left.
-ORDERS = tuple(range(1, 41))
+_AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +51,7 @@ class Candidate:
     def name(self) -> str:
         """Name for tables."""
         first = self.terms[0]
-        what = f"harmonic {first.order}" if first.order else f"{first.kind} {first.body}".rstrip()
-        return f"{first.reading or WHOLE_ARM}: {what}"
+        return f"{first.owner}: {kind_of(first).said(first)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ class Step:
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
-    ``geometric``: the fit without terms from which they start. ``priors``: what amounts are expected to be.
+    ``geometric``: the fit without terms from which they start.
     """
 
     __repr__ = brief
@@ -82,26 +79,17 @@ class Choice:
     steps: tuple[Step, ...]
     taken: int
     geometric: Fit
-    priors: TermPriors = NO_PRIORS
 
     @property
     def model(self) -> ErrorModel:
         """The error model with the chosen terms."""
-        return _with_priors(self.geometric.model, self.terms, self.priors)
+        return with_terms(self.geometric.model, self.terms)
 
     @property
     def terms(self) -> tuple[JointTerm, ...]:
         """The chosen terms, in the order of the robot's readings; those of links come last."""
         entered = [step.added for step in self.steps[: self.taken + 1] if step.added is not None]
-        chosen = [term for candidate in entered for term in candidate.terms]
-        robot = self.geometric.robot
-        names = [*(reading.name for reading in robot.readings), *(joint.name for joint in robot.chain), ""]
-
-        def place(term: JointTerm) -> tuple[bool, int, int, str, int, str]:
-            carrier, _, what = term.body.rpartition("_")
-            return term.of_link, names.index(term.reading), term.order, term.kind, names.index(carrier), what
-
-        return tuple(sorted(chosen, key=place))
+        return ordered(self.geometric.robot, (term for candidate in entered for term in candidate.terms))
 
     def records(self) -> list[dict[str, object]]:
         """Return one plain record for every step, in SI units."""
@@ -118,42 +106,17 @@ class Choice:
 
 
 def candidates(
-    robot: Robot, measurements: Sequence[Measurements] = (), orders: Iterable[int] = ORDERS
+    robot: Robot, measurements: Sequence[Measurements] = (), options: Mapping[str, object] = _AS_OFFERED
 ) -> tuple[Candidate, ...]:
-    """Return what may enter: of every reading its gain, its compliance where masses are known, and orders if it turns.
+    """Return what may enter, reading by reading, then what is of links: all that each kind of terms offers.
 
-    Where masses are not known, its compliance times masses at a few joints. Beside these the gap of its gears where it
-    was reached from both sides in ``measurements``, and what it owes to the temperature and to measured torques where
-    these are told and change. Last, for the links: how they bend where masses are known, and how the whole arm expands
-    where the temperature changes. Masses that the URDF states in a way that cannot be used are as good as none.
+    They need what rows of ``measurements`` say, or masses: a kind that these could not show is not offered. Masses that
+    the URDF states in a way that cannot be used are as good as none. ``options`` as a job has them, such as
+    ``harmonic_orders``.
     """
-    found: list[Candidate] = []
-    weighed, guessed = True, tuple[JointTerm, ...]()
-    try:
-        weights_of(robot)
-    except RobotError:
-        weighed = False
-        guessed = moments(robot)
-    told = joined([end.conditions for data in measurements for end in data.ends])
-    warms = told.temperature is not None and float(np.ptp(told.temperature)) > 0.0
-    for k, reading in enumerate(robot.readings):
-        found.append(Candidate((JointTerm(reading.name, "gain"),)))
-        if warms:
-            found.append(Candidate((JointTerm(reading.name, "thermal"),)))
-        if told.torque is not None and float(np.ptp(told.torque[:, k])) > 0.0:
-            found.append(Candidate((JointTerm(reading.name, "torque"),)))
-        if told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, k].tolist()):
-            found.append(Candidate((JointTerm(reading.name, "backlash"),)))
-        if weighed:
-            found.append(Candidate((JointTerm(reading.name, "elastic"),)))
-        found += [Candidate((term,)) for term in guessed if term.reading == reading.name]
-        if reading.dimension == "angle":
-            found += [Candidate(harmonic(reading.name, order)) for order in orders]
-    if weighed:
-        found += [Candidate((JointTerm(joint, "bending"),)) for joint in links(robot, moving=True)]
-    if warms:
-        found.append(Candidate((JointTerm("", "expansion"),)))
-    return tuple(found)
+    told, of = joined([end.conditions for data in measurements for end in data.ends]), parts(robot)
+    offered = {group[0]: group for kind in KINDS for group in kind.offered(of, told, options)}
+    return tuple(Candidate(offered[first]) for first in ordered(robot, offered))
 
 
 def choose_terms(
@@ -162,7 +125,6 @@ def choose_terms(
     *,
     offered: Sequence[Candidate] | None = None,
     count: int = FOLDS,
-    priors: TermPriors = NO_PRIORS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
     progress: Callable[[str], None] = lambda _: None,
@@ -170,9 +132,8 @@ def choose_terms(
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
     ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH table but those of links.
-    ``priors`` of
-    amounts, where they are known. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose
-    errors this raises, and MeasurementError when all rows are of one group.
+    ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises, and MeasurementError when
+    all rows are of one group.
     """
     with one_thread():
         progress("choosing joint terms: fitting geometry")
@@ -180,7 +141,7 @@ def choose_terms(
         group = groups(geometric.measurements)
         fold = folds(group, count)
         chosen_from = _offered(model, geometric.measurements) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, priors, losses)
+        system = _System(geometric, chosen_from, losses)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)
         total = np.sum(grams, axis=0)
@@ -196,17 +157,13 @@ def choose_terms(
         Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
         for k, figure in enumerate(figures)
     )
-    return Choice(steps, one_standard_error(figures), geometric, priors)
+    return Choice(steps, one_standard_error(figures), geometric)
 
 
 def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Candidate, ...]:
     """Return all candidates for a model: links do not give way in frames of a DH table."""
     every = candidates(model.urdf_robot, measurements)
-    return every if model.dh is None else tuple(one for one in every if not one.terms[0].of_link)
-
-
-def _with_priors(model: ErrorModel, terms: Sequence[JointTerm], priors: TermPriors) -> ErrorModel:
-    return with_terms(model, terms, priors.by_name(model.robot, terms))
+    return every if model.dh is None else tuple(one for one in every if not kind_of(one.terms[0]).of_link)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,11 +177,9 @@ class _Way:
 class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
-    def __init__(
-        self, geometric: Fit, offered: Sequence[Candidate], priors: TermPriors, losses: Sequence[Loss] | None
-    ) -> None:
+    def __init__(self, geometric: Fit, offered: Sequence[Candidate], losses: Sequence[Loss] | None) -> None:
         terms = [term for candidate in offered for term in candidate.terms]
-        full = _with_priors(geometric.model, terms, priors)
+        full = with_terms(geometric.model, terms)
         sets = geometric.measurements
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))

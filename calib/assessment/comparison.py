@@ -29,7 +29,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import IdentificationError, JobError
-from calib.identification.error_model import NO_PRIORS, ErrorModel, TermPriors, error_model, with_terms
+from calib.identification.error_model import ErrorModel, error_model, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.losses import Loss
@@ -131,21 +131,9 @@ def nested_models(model: ErrorModel, measurements: Sequence[Measurements]) -> di
     these measurements are left out.
     """
     bare = with_terms(model, ())
-    full = error_model(
-        bare.urdf_robot,
-        offsets="all",
-        placements="all",
-        base=model.base,
-        tool=model.tool,
-        prior_length=model.prior_length,
-        prior_angle=model.prior_angle,
-        base_pose=model.base_pose,
-        tool_poses=model.tool_poses,
-        targets=model.targets,
-        relations=model.relations,
-    )
-    if bare.dh is not None:
-        full = replace(bare, offsets=full.offsets, placements=tuple(bare.dh.directions))
+    every = error_model(bare.urdf_robot, offsets="all", placements="all")
+    placements = every.placements if bare.dh is None else tuple(bare.dh.directions)
+    full = replace(bare, offsets=every.offsets, placements=placements)
     found = {
         FRAMES: replace(full, offsets=(), placements=()),
         OFFSETS: replace(full, placements=()),
@@ -168,7 +156,6 @@ def compare_models(
     *,
     scheme: Scheme = FOLDS,
     choose: Collection[str] = (),
-    priors: TermPriors = NO_PRIORS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
     progress: Callable[[str, int], None] = lambda _text, _left: None,
@@ -177,7 +164,7 @@ def compare_models(
 
     ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
     more) and of one word in the column ``group`` stay together. ``choose``: names of the models to which joint terms
-    are added that :func:`calib.judging.choose_terms` finds, in every fold anew; ``priors``: of these.
+    are added that :func:`calib.judging.choose_terms` finds, in every fold anew.
     ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every row held out counts alike. ``progress`` is told
     each fit, and how many more there are.
 
@@ -202,7 +189,7 @@ def compare_models(
         texts = (f"{name}: all rows", *(f"{name}: fold {k + 1} of {number}" for k in range(number)))
         left = (number + 1) * (len(models) - i)
         told = iter([(text, left - k) for k, text in enumerate(texts)])
-        find = _finder(model, name in choose, priors, model_sigmas, losses, told, progress)
+        find = _finder(model, name in choose, model_sigmas, losses, told, progress)
         try:
             fits[name] = find(Rows.of(sets, [np.ones(len(data), dtype=np.bool_) for data in sets]))
             crossed[name] = predict_held_out(find, model, sets, group, fold)
@@ -230,7 +217,6 @@ def _folds(group: IntArray, scheme: Scheme) -> IntArray:
 def _finder(
     model: ErrorModel,
     choosing: bool,
-    priors: TermPriors,
     model_sigmas: Sequence[float | None] | None,
     losses: Sequence[Loss] | None,
     told: Iterator[tuple[str, int]],
@@ -243,7 +229,7 @@ def _finder(
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
         here = model.within(rows.sets)
         if choosing:
-            choice = choose_terms(here, rows.sets, priors=priors, model_sigmas=sigmas, losses=own_losses)
+            choice = choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
             if not choice.taken:
                 return choice.geometric
             here = choice.model

@@ -32,7 +32,7 @@ def models(
         from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
         from calib.foundations.errors import IdentificationError, JobError, MeasurementError
         from calib.job.calibrate import STEPS_OF_LOADING
-        from calib.job.inputs import load, term_priors
+        from calib.job.inputs import load
         from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
         from calib.presentation.console import sentence, warning
         from calib.presentation.tables import sheet_table
@@ -55,7 +55,6 @@ def models(
                 inputs.identify,
                 scheme="leave-one-group-out" if leave_one_group_out else folds or FOLDS,
                 choose=choose & nested.keys(),
-                priors=term_priors(section.prior),
                 model_sigmas=[sigma for sigmas in inputs.model_sigmas for sigma in sigmas],
                 losses=inputs.losses,
                 progress=told,

@@ -1,9 +1,11 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
 import fnmatch
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from numbers import Real
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,24 +16,32 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
-from calib.foundations.words import near
-from calib.identification.joint_terms import group_of, links, moments_of, ordinary, terms_of
+from calib.foundations.selection import Selection, listed_names, select
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Prior, width
+from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Priors, width
 from calib.identification.relations import Relation
 from calib.identification.targets import Target
 from calib.measurement.measurements import Measurements
 from calib.robot import deviation
-from calib.robot.dh.frames import PARALLEL, DhFrames, Direction, dh_frames, own_motion
+from calib.robot.dh.frames import DhFrames, Direction, dh_frames, own_motion
+from calib.robot.dh.free import Free
 from calib.robot.dh.table import NUMBERS, DhTable
-from calib.robot.joint_terms import with_joint_terms
+from calib.robot.joint_terms import foreign, ordered, parts, with_joint_terms
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import KINDS, JointTerm, kind_of
 
-Selection = Literal["all", "none"] | Sequence[str]
+T = TypeVar("T")
 BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
+# Where the range of each prior is told: :data:`calib.foundations.ranges.RANGES`.
+_PRIORS = {
+    "length": "prior.length",
+    "angle": "prior.angle",
+    "harmonics": "prior.harmonics",
+    "elastic": "prior.elastic",
+    "elastic_sliding": "prior.elastic of readings that slide",
+}
 # Parameters that are alike share a prior whose width is learned; by kind, and whether they are lengths.
 _GROUPS = {
     ("placement", True): "link translations",
@@ -41,32 +51,23 @@ _GROUPS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class TermPriors:
-    """Standard deviations that amounts of joint terms are expected to have, about zero; None where nobody knows.
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known beside the robot itself.
 
-    "learned": as the data teach them, for the harmonics of every reading, or for all compliances. ``harmonics`` in rad;
-    ``elastic``: compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those that
-    slide, in m/N.
+    ``base``: its pose (4, 4) in the instrument's frame, where it is fixed. ``tools``: their poses (4, 4), or points
+    (3,), in the tip link, by name; the only tool is called "tool". ``targets``: of sockets, anchors, balls and planes,
+    by name; others are found. ``relations``: what is known between targets.
     """
 
-    harmonics: Prior | None = None
-    elastic: Prior | None = None
-    elastic_sliding: Prior | None = None
-
-    def by_name(self, robot: Robot, terms: Sequence[JointTerm]) -> dict[str, Prior]:
-        """Return the priors of these terms of a robot by their names; terms without one are left out."""
-        dimensions = {reading.name: reading.dimension for reading in robot.readings}
-
-        def prior(term: JointTerm) -> Prior | None:
-            if term.kind == "elastic":
-                return self.elastic if dimensions[term.reading] == "angle" else self.elastic_sliding
-            return self.harmonics if term.order else None
-
-        return {term.name: width for term in terms if (width := prior(term)) is not None}
+    base: npt.ArrayLike | None = None
+    tools: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
+    targets: Mapping[str, Target] = field(default_factory=dict)
+    relations: Sequence[Relation] = ()
 
 
-NO_PRIORS = TermPriors()
+NOTHING_KNOWN = Known()
+NO_PRIORS = Priors()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +77,8 @@ class ErrorModel:
     ``robot`` is in the frames in which its deviations are named: DH frames where DH parameters are free, and ``dh``
     then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
-    ``terms``: names of those joint terms of the robot that are free; ``term_priors``: standard deviations, by name, of
-    those with a prior, or "learned", as ``prior_length`` and ``prior_angle`` may be. ``base_pose`` (4, 4) and
-    ``tool_poses`` are the values where base and tools are fixed.
+    ``terms``: names of those joint terms of the robot that are free. ``base_pose`` (4, 4) and ``tool_poses`` are the
+    values where base and tools are fixed.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
@@ -89,15 +89,13 @@ class ErrorModel:
     placements: tuple[tuple[str, str], ...]
     base: BaseFreedom
     tool: ToolFreedom
-    prior_length: Prior | None = None
-    prior_angle: Prior | None = None
+    priors: Priors = NO_PRIORS
     base_pose: Array = field(default_factory=lambda: read_only(np.eye(4)))
     tool_poses: Mapping[str, Array] = field(default_factory=dict)
     dh: DhFrames | None = None
     targets: Mapping[str, Target] = field(default_factory=dict)
     relations: tuple[Relation, ...] = ()
     terms: tuple[str, ...] = ()
-    term_priors: Mapping[str, Prior] = field(default_factory=dict)
 
     def within(self, sets: Sequence[Measurements]) -> "ErrorModel":
         """Return the model without what is known of targets that no row of the sets is about."""
@@ -123,7 +121,7 @@ class ErrorModel:
         found: list[Parameter] = []
 
         def free(name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool) -> None:
-            prior = (self.prior_length if length else self.prior_angle) if kind in ("offset", "placement") else None
+            prior = (self.priors.length if length else self.priors.angle) if kind in ("offset", "placement") else None
             group = _GROUPS[kind, length] if prior == "learned" else None
             stated = None if prior == "learned" else prior
             unit: Literal["m", "rad"] = "m" if length else "rad"
@@ -138,12 +136,12 @@ class ErrorModel:
         dimensions = {reading.name: reading.dimension for reading in self.robot.readings}
         for t, term in enumerate(self.robot.terms):
             if term.name in self.terms:
-                unit = term.unit(dimensions.get(term.reading, "angle"))
-                prior = self.term_priors.get(term.name)
-                group = group_of(term, dimensions.get(term.reading, "angle")) if prior == "learned" else None
+                kind, dimension = kind_of(term), dimensions.get(term.reading, "angle")
+                unit, size = kind.amount(term, dimension)
+                prior = self.priors.of_term(term, dimension)
+                group = kind.group(term, dimension) if prior == "learned" else None
                 stated = None if prior == "learned" else prior
                 direction = ((layout.terms + t, 1.0),)
-                size = ordinary(unit)
                 found.append(Parameter(term.name, unit, "term", direction, stated, size, group, weak=TERM_WIDTH * size))
         if self.base == "pose":
             for k, component in enumerate(POSE):
@@ -175,60 +173,28 @@ def error_model(
     robot: Robot,
     *,
     offsets: Selection = "none",
-    placements: Selection = "none",
-    dh: Selection = "none",
-    dh_convention: Convention = "standard",
-    dh_parallel: float = PARALLEL,
-    gain: Selection = "none",
-    harmonics: Selection = "none",
-    harmonic_orders: Sequence[int] = (1, 2),
-    elastic: Selection = "none",
-    torque: Selection = "none",
-    backlash: Selection = "none",
-    thermal: Selection = "none",
-    moments: Selection = "none",
-    bending: Selection = "none",
-    expansion: Selection | Literal["arm"] = "none",
+    placements: Selection | Free = "none",
+    terms: Mapping[str, object] | Sequence[JointTerm] = (),
     base: BaseFreedom = "pose",
     tool: ToolFreedom = "position",
-    prior_length: Prior | None = None,
-    prior_angle: Prior | None = None,
-    prior_harmonics: Prior | None = None,
-    prior_elastic: Prior | None = None,
-    prior_elastic_sliding: Prior | None = None,
-    base_pose: npt.ArrayLike | None = None,
-    tool_poses: Mapping[str, npt.ArrayLike] | None = None,
-    targets: Mapping[str, Target] | None = None,
-    relations: Sequence[Relation] = (),
+    priors: Priors = NO_PRIORS,
+    known: Known = NOTHING_KNOWN,
 ) -> ErrorModel:
     """Say which parameters of ``robot`` are unknown.
 
     ``offsets``: "all" moving joints, "none", or names and globs of moving joints.
     ``placements``: "all" (every component of every moving joint), "none", or names and globs of joints, moving or
     fixed (``"wrist_*"``), or of single components (``"joint_3.rx"``, ``"*.tz"``). The motion along a joint's own axis
-    is its offset and never also a placement.
-    ``dh``: "all" numbers of all rows of the robot's DH table, "none", or names and globs of rows (``"joint_3"``) or of
-    numbers (``"joint_3.a"``, ``"*.alpha"``). A row is named after its joint and has a, d, alpha, theta, and beta in
-    place of d where the next axis is parallel to within ``dh_parallel`` rad. What the joint itself moves (theta of a
-    revolute one) is freed, and called, ``joint_3.offset``. ``dh_convention``: "standard" or "modified".
-    ``gain``, ``harmonics``, ``elastic``, ``torque``, ``backlash``, ``thermal``: "all" readings, "none", or names and
-    globs of readings whose scale, whose cosine and sine of all ``harmonic_orders``, whose compliance under gravity or
-    under measured torques, whose half gap by the side of approach, whose zero by temperature is unknown. Masses are
-    those of the URDF, and RobotError says what is wrong with them; torques, sides and temperatures are columns of the
-    measurements. ``moments`` in the place of ``elastic``, for robots without masses: compliances times masses at a few
-    joints. ``bending``: "all" moving joints, "none", or names and globs of joints, the links before which bend under
-    gravity. ``expansion``: likewise the links that grow as it gets warmer, or "arm", all of them by one coefficient.
-    Neither goes with ``dh``. Without a prior of their own (``prior_harmonics``, rad; ``prior_elastic`` where the
-    reading turns, rad/Nm, and ``prior_elastic_sliding``, m/N) amounts of terms have none.
-    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``base_pose`` (4, 4); where
-    nothing is measured in an instrument's frame, it stays at ``base_pose``.
-    ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``tool_poses[name]`` ((4, 4), or (3,) for
-    a point); the only tool is called "tool". No start value is needed for what is free.
-    ``targets``: what is known of sockets, anchors, balls and planes by name; others are found. ``relations``: what is
-    known between targets.
-    ``prior_length`` (m) and ``prior_angle`` (rad): standard deviations of a prior on every offset and placement.
-    Any prior may be "learned": parameters that are alike - all link translations, all link rotations, all joint
-    offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
+    is its offset and never also a placement. Or :class:`calib.dh.Free`: numbers of the robot's DH table.
+    ``terms``: joint terms as the keys of a job choose them, ``{"gain": "all", "harmonics": ["joint_1"],
+    "harmonic_orders": (1, 2), "expansion": "arm"}``, each "all" readings or links, "none", or names and globs; or
+    :class:`calib.JointTerm` themselves. Masses are those of the URDF, and RobotError says what is wrong with them;
+    torques, sides and temperatures are columns of the measurements. Terms of links do not go with DH numbers.
+    ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``known.base``; where nothing is
+    measured in an instrument's frame, it stays there.
+    ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``known.tools[name]``. No start value is
+    needed for what is free.
+    ``priors``: how far deviations are expected to go; ``known``: where base, tools and targets are.
 
     Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
     the same frame.
@@ -236,116 +202,152 @@ def error_model(
     moving = [robot.chain[i] for i in robot.moving]
     # A passive joint of a closed loop is where the loop puts it; an offset of it would mean nothing.
     read = [joint.name for j, joint in enumerate(moving) if j not in robot.passive]
-    chosen_offsets = _select(offsets, read, "offsets")
-    every = [
-        (joint.name, component)
-        for joint in robot.chain
-        for component in deviation.COMPONENTS
-        if component != {"revolute": "rz", "prismatic": "tz", "fixed": None}[joint.type]
-    ]
-    names = [f"{joint}.{component}" for joint, component in every]
-    if isinstance(placements, str):
-        movers = {joint.name for joint in moving}
-        chosen = {"all": [f"{j}.{c}" for j, c in every if j in movers], "none": []}.get(placements)
-        if chosen is None:
-            raise JobError(f'placements: {placements!r} is not "all", "none" or a list of joint names.')
-    else:
-        joints = {joint for joint, _ in every}
-        # A joint's own name stands for its components; a joint name may itself hold dots.
-        patterns = [p if fnmatch.filter(names, p) and p not in joints else f"{p}.*" for p in placements]
-        chosen = _select(patterns, names, "placements")
-    for name, key, value in (
-        ("prior length", "prior.length", prior_length),
-        ("prior angle", "prior.angle", prior_angle),
-        ("prior harmonics", "prior.harmonics", prior_harmonics),
-        ("prior elastic", "prior.elastic", prior_elastic),
-        ("prior elastic sliding", "prior.elastic of readings that slide", prior_elastic_sliding),
-    ):
-        if isinstance(value, str) and value != "learned":
-            raise JobError(f'{name}: {value!r} is neither a positive number nor "learned".')
-        if value is not None and not isinstance(value, str):
-            if not value > 0.0:
-                raise JobError(f"{name}: {value!r} is not a positive number; leave it out for no prior.")
-            refuse_beyond(value, key, name)
-    dimensions = {reading.dimension for reading in robot.readings}
-    for value, unit, needed, does in (
-        (prior_elastic, "rad/Nm", "angle", "turns"),
-        (prior_elastic_sliding, "m/N", "length", "slides"),
-    ):
-        if value not in (None, "learned") and needed not in dimensions:
-            raise JobError(f"prior.elastic: {unit} is of a joint that {does}, and the arm has none that is read.")
-    for name, value_, allowed in (
-        ("base", base, ("pose", "fixed")),
-        ("tool", tool, ("pose", "position", "fixed")),
-        ("dh_convention", dh_convention, get_args(Convention)),
-    ):
-        if value_ not in allowed:
-            raise JobError(f"{name}: {value_!r} is not one of {', '.join(allowed)}.")
-    if not (np.isfinite(dh_parallel) and 0.0 <= dh_parallel <= 0.5):
-        raise JobError(f"dh_parallel: {dh_parallel!r} is not an angle between 0 and 0.5 rad.")
-    freed = [pair for pair, name in zip(every, names, strict=True) if name in set(chosen)]
-    for name, target in (targets or {}).items():
-        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
-    frames = None if dh == "none" else dh_frames(robot, dh_convention, dh_parallel)
+    chosen_offsets = select(offsets, read, "offsets")
+    dh = placements if isinstance(placements, Free) else Free("none", placements=placements)
+    freed = _select_placements(robot, dh.placements)
+    _refuse_priors(priors, robot)
+    _refuse_other_words("base", base, get_args(BaseFreedom))
+    _refuse_other_words("tool", tool, get_args(ToolFreedom))
+    _refuse_other_words("dh_convention", dh.convention, get_args(Convention))
+    if not 0.0 <= _number(dh.parallel) <= 0.5:
+        raise JobError(f"dh_parallel: {dh.parallel!r} is not an angle between 0 and 0.5 rad.")
+    _refuse_wrong_knowledge(known)
+    seeks_dh = not (isinstance(dh.numbers, str) and dh.numbers == "none")
+    frames = dh_frames(robot, dh.convention, dh.parallel) if seeks_dh else None
     if frames is not None:
-        numbers, own = _select_dh(dh, frames)
+        numbers, own = _select_dh(dh.numbers, frames)
         _refuse_shared_frames(frames, freed, numbers)
         freed += numbers
         chosen_offsets = [joint.name for joint in moving if joint.name in {*chosen_offsets, *own}]
-    names = [reading.name for reading in robot.readings]
-    terms = (
-        *terms_of(
-            robot,
-            _select(gain, names, "gain"),
-            _select(harmonics, names, "harmonics"),
-            harmonic_orders,
-            {
-                "elastic": _select(elastic, names, "elastic"),
-                "torque": _select(torque, names, "torque"),
-                "backlash": _select(backlash, names, "backlash"),
-                "thermal": _select(thermal, names, "thermal"),
-            },
-        ),
-        *moments_of(robot, _select(moments, names, "moments")),
-        *(JointTerm(joint, "bending") for joint in _select_links(robot, bending, "bending")),
-        *(
-            JointTerm(joint, "expansion")
-            for joint in ([""] if expansion == "arm" else _select_links(robot, expansion, "expansion", "arm"))
-        ),
-    )
     model = ErrorModel(
         robot if frames is None else frames.robot,
         tuple(chosen_offsets),
         tuple(freed),
         base,
         tool,
-        prior_length,
-        prior_angle,
-        read_only(np.eye(4)) if base_pose is None else _given_pose(base_pose, "base_pose"),
-        {name: _given_pose(value, f"tool {name!r}") for name, value in (tool_poses or {}).items()},
+        priors,
+        read_only(np.eye(4)) if known.base is None else _given_pose(known.base, "known.base"),
+        {name: _given_pose(value, f"known.tools: {name!r}") for name, value in known.tools.items()},
         frames,
-        dict(targets or {}),
-        tuple(relations),
+        dict(known.targets),
+        tuple(known.relations),
     )
-    priors = TermPriors(prior_harmonics, prior_elastic, prior_elastic_sliding)
-    return with_terms(model, terms, priors.by_name(robot, terms))
+    return with_terms(model, _chosen_terms(robot, terms))
 
 
-def with_terms(model: ErrorModel, terms: Sequence[JointTerm], priors: Mapping[str, Prior] | None = None) -> ErrorModel:
+def _select_placements(robot: Robot, placements: Selection) -> list[tuple[str, str]]:
+    """Return the chosen pairs (joint, component); "all" are those of joints that move."""
+    every = {
+        f"{joint.name}.{component}": (joint.name, component)
+        for joint in robot.chain
+        for component in deviation.COMPONENTS
+        if component != {"revolute": "rz", "prismatic": "tz", "fixed": None}[joint.type]
+    }
+    if isinstance(placements, str):
+        movers = {robot.chain[i].name for i in robot.moving}
+        if placements not in ("all", "none"):
+            raise JobError(f'placements: {placements!r} is not "all", "none" or a list of joint names.')
+        return [pair for pair in every.values() if placements == "all" and pair[0] in movers]
+    joints = {joint.name for joint in robot.chain}
+    return [every[name] for name in _select_parts(placements, list(every), joints, "placements")]
+
+
+def _select_parts(selection: Selection, names: Sequence[str], owners: Collection[str], what: str) -> list[str]:
+    """Return the chosen names like ``joint_3.rx``; a joint's own name, which may itself hold dots, is all of its."""
+    patterns = listed_names(selection, what)
+    return select([p if fnmatch.filter(names, p) and p not in owners else f"{p}.*" for p in patterns], names, what)
+
+
+def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm]) -> tuple[JointTerm, ...]:
+    """Return the terms that keys of a job choose, or those that are given."""
+    if isinstance(terms, Mapping):
+        options = {name: option for kind in KINDS for name, option in kind.options.items()}
+        known = [kind.key for kind in KINDS] + list(options)
+        for key, value in terms.items():
+            if key not in known:
+                raise JobError(f"terms: there are no {key!r}; allowed are {', '.join(known)}.")
+            if key in options and not options[key].holds(value):
+                raise JobError(f"{key}: {value!r} is not {options[key].what}.")
+        of = parts(robot)
+        return ordered(robot, (t for kind in KINDS for t in kind.chosen(terms.get(kind.key, "none"), of, terms)))
+    given = _all_of(JointTerm, terms)
+    if given is None:
+        raise JobError(f"terms: {terms!r} is neither keys of a job with their values nor a list of joint terms.")
+    if alien := foreign(robot, given):
+        raise JobError(f"terms: {alien.name!r} is of nothing that the robot has.")
+    if twice := next((term for term in given if given.count(term) > 1), None):
+        raise JobError(f"terms: {twice.name!r} comes twice.")
+    return tuple(given)
+
+
+def _refuse_other_words(what: str, value: object, allowed: Sequence[str]) -> None:
+    if not isinstance(value, str) or value not in allowed:
+        raise JobError(f"{what}: {value!r} is not one of {', '.join(allowed)}.")
+
+
+def _all_of(kind: type[T], values: object) -> list[T] | None:
+    """Return values as a list, or None where they are no list of this kind."""
+    listed = list(values) if isinstance(values, Iterable) else [values]
+    found = [value for value in listed if isinstance(value, kind)]
+    return found if len(found) == len(listed) else None
+
+
+def _number(value: object) -> float:
+    """Return a number, and NaN for what is none."""
+    return float(value) if isinstance(value, Real) else math.nan
+
+
+def _refuse_priors(priors: Priors, robot: Robot) -> None:
+    """Raise JobError for a prior that is none, or of a joint that the arm does not have."""
+    if not isinstance(priors, Priors):
+        raise JobError(f"priors: {priors!r} is no calib.Priors.")
+    for name, key in _PRIORS.items():
+        value, what = getattr(priors, name), f"prior {name.replace('_', ' ')}"
+        if value is None or (isinstance(value, str) and value == "learned"):
+            continue
+        if isinstance(value, str):
+            raise JobError(f'{what}: {value!r} is neither a positive number nor "learned".')
+        if not _number(value) > 0.0:
+            raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
+        refuse_beyond(value, key, what)
+    dimensions = {reading.dimension for reading in robot.readings}
+    for kind in KINDS:
+        for dimension, name in kind.priors.items():
+            if getattr(priors, name) not in (None, "learned") and dimension not in dimensions:
+                raise JobError(
+                    f"prior.{kind.key}: {kind.amounts[dimension].unit} is of a joint that "
+                    f"{'turns' if dimension == 'angle' else 'slides'}, and the arm has none that is read."
+                )
+
+
+def _refuse_wrong_knowledge(known: Known) -> None:
+    """Raise JobError for what is not of its kind, and for a target that is far away."""
+    if not isinstance(known, Known):
+        raise JobError(f"known: {known!r} is no calib.Known.")
+    for name, by_name in (("tools", known.tools), ("targets", known.targets)):
+        if not isinstance(by_name, Mapping):
+            raise JobError(f"known.{name}: {by_name!r} is no mapping from names.")
+    for name, target in known.targets.items():
+        if not isinstance(target, Target):
+            raise JobError(f"known.targets: {name!r}: {target!r} is no target.")
+        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
+    if _all_of(Relation, known.relations) is None:
+        raise JobError(f"known.relations: {known.relations!r} is no list of relations.")
+
+
+def with_terms(model: ErrorModel, terms: Sequence[JointTerm]) -> ErrorModel:
     """Return the model with these joint terms, all of them free, in the place of its own.
 
-    ``priors``: standard deviations of their amounts, by name and in SI units, or "learned"; where there is none, none.
     Raises JobError for a link that gives way where DH parameters are free: their frames are not at its ends.
     """
-    if model.dh is not None and (of_link := next((term for term in terms if term.of_link), None)):
+    if model.dh is not None and (of_link := next((term for term in terms if kind_of(term).of_link), None)):
         raise JobError(
             f"{of_link.kind}: links give way between joints of the URDF; free placements in the place of dh."
         )
     source = with_joint_terms(model.urdf_robot, terms)
     robot = replace(model.robot, terms=source.terms, weights=source.weights)
     dh = None if model.dh is None else replace(model.dh, source=source, robot=robot)
-    names = tuple(term.name for term in terms)
-    return replace(model, robot=robot, dh=dh, terms=names, term_priors={} if priors is None else dict(priors))
+    return replace(model, robot=robot, dh=dh, terms=tuple(term.name for term in terms))
 
 
 def corrected_dh(model: ErrorModel, deviations: Deviations) -> DhTable:
@@ -373,14 +375,15 @@ def _select_dh(dh: Selection, frames: DhFrames) -> tuple[list[tuple[str, str]], 
     }
     if not isinstance(dh, str):
         dropped = {f"{joint}.{number}" for joint, number in frames.dropped}
-        if alone := next((name for name in dh if name in dropped), None):
+        if alone := next((name for name in listed_names(dh, "dh") if name in dropped), None):
             raise JobError(
                 f"dh: {alone!r} slides along an axis that is parallel to the next, where beta takes its place; a "
                 "smaller dh_parallel brings it back, if the axes are not quite parallel."
             )
-        joints = {row.joint for row in frames.rows}
-        dh = [p if fnmatch.filter(every, p) and p not in joints else f"{p}.*" for p in dh]
-    chosen = [every[name] for name in _select(dh, list(every), "dh")]
+        names = _select_parts(dh, list(every), {row.joint for row in frames.rows}, "dh")
+    else:
+        names = select(dh, list(every), "dh")
+    chosen = [every[name] for name in names]
     return [pair for pair in chosen if pair not in own], [own[pair] for pair in chosen if pair in own]
 
 
@@ -398,37 +401,11 @@ def _refuse_shared_frames(
             )
 
 
-def _select(selection: Selection, names: Sequence[str], what: str, *words: str) -> list[str]:
-    """Return the names that are chosen. ``words``: what else than "all" and "none" would be allowed."""
-    if isinstance(selection, str):
-        if selection not in ("all", "none"):
-            allowed = ", ".join(f'"{word}"' for word in (*words, "all", "none"))
-            raise JobError(f"{what}: {selection!r} is not {allowed} or a list of names.")
-        return list(names) if selection == "all" else []
-    chosen: set[str] = set()
-    for pattern in selection:
-        found = fnmatch.filter(names, pattern)
-        if not found:
-            stem = pattern.removesuffix(".*")
-            likest = near(stem, [*names, *(n.rpartition(".")[0] for n in names)], 1)
-            hint = f"did you mean {likest[0]!r}?" if likest else f"there are {', '.join(names[:8])}, ..."
-            raise JobError(f"{what}: {stem!r} matches no joint of the arm; {hint}")
-        chosen.update(found)
-    return [name for name in names if name in chosen]
-
-
-def _select_links(robot: Robot, selection: Selection, what: str, *words: str) -> list[str]:
-    """Return the chosen links with a length, by the joint that each one ends in; all are those before moving joints."""
-    every = isinstance(selection, str)
-    known = links(robot, moving=every)
-    joints = {joint.name for joint in robot.chain} - set(known)
-    if not every and (short := next((name for name in selection if name in joints), None)):
-        raise JobError(f"{what}: there is no link before {short!r}, which stands where the joint before it does.")
-    return _select(selection, known, what, *words)
-
-
 def _given_pose(value: npt.ArrayLike, where: str) -> Array:
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
     if array.shape == (3,) and np.all(np.isfinite(array)):
         array = rigid.translation(array)
     if array.shape != (4, 4) or not np.all(np.isfinite(array)) or not _rigid(array):

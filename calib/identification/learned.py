@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification import weights
-from calib.identification.parameters import Parameter, ParameterUnit, scales
+from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Problem
 from calib.identification.unseen import without
@@ -41,7 +41,7 @@ class LearnedPrior:
     """
 
     group: str
-    unit: ParameterUnit
+    unit: str
     width: float
     parameters: int
     taught: float

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.robot.transmission import TermUnit
+from calib.robot.terms import JointTerm, kind_of
+from calib.robot.terms.kind import Dimension
 
 ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
-ParameterUnit = Literal["m", "rad"] | TermUnit
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
@@ -31,6 +31,29 @@ TOOL = 0.3
 
 
 @dataclass(frozen=True, slots=True)
+class Priors:
+    """Standard deviations that deviations are expected to have, about zero; None where nobody knows.
+
+    ``length`` (m) and ``angle`` (rad): of every offset and placement. Of the amounts of joint terms: ``harmonics`` in
+    rad; ``elastic``, compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those that
+    slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link rotations,
+    all joint offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
+    """
+
+    length: Prior | None = None
+    angle: Prior | None = None
+    harmonics: Prior | None = None
+    elastic: Prior | None = None
+    elastic_sliding: Prior | None = None
+
+    def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
+        """Return the prior of the amount of a term, for a reading of this dimension."""
+        name = kind_of(term).priors.get(dimension)
+        prior: Prior | None = None if name is None else getattr(self, name)
+        return prior
+
+
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """One unknown of the machine.
 
@@ -44,7 +67,7 @@ class Parameter:
     """
 
     name: str
-    unit: ParameterUnit
+    unit: str
     kind: ParameterKind
     direction: tuple[tuple[int, float], ...]
     prior: float | None = None
@@ -68,7 +91,7 @@ class Parameter:
         return self.scale / (self.weak if self.prior is None else self.prior)
 
 
-def width(kind: ParameterKind, unit: ParameterUnit, reach: float = 0.0) -> float:
+def width(kind: ParameterKind, unit: str, reach: float = 0.0) -> float:
     """Return the standard deviation of the weak prior of a length or an angle; ``reach`` of the arm, in m."""
     if kind == "offset":
         return OFFSET_WIDTH

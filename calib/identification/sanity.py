@@ -22,7 +22,7 @@ from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import values_at
-from calib.identification.parameters import scales
+from calib.identification.parameters import Priors, scales
 from calib.identification.posing import with_common_names
 from calib.identification.start import start_frames
 from calib.identification.system import Problem, evaluate
@@ -149,8 +149,7 @@ def _ordinary(model: ErrorModel) -> ErrorModel:
         offsets=tuple(model.robot.chain[i].name for i in model.robot.moving),
         placements=(),
         terms=(),
-        prior_angle=_ORDINARY_ANGLE,
-        prior_length=_ORDINARY_LENGTH,
+        priors=Priors(_ORDINARY_LENGTH, _ORDINARY_ANGLE),
     )
 
 

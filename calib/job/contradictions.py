@@ -7,8 +7,7 @@ from calib.identification.relations import RelationKind
 from calib.job.fields import in_pixels, quantity
 from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
-
-_TERMS = ("gain", "harmonics", "elastic", "torque", "backlash", "thermal", "moments", "bending", "expansion")
+from calib.robot.terms import KINDS
 
 
 def contradictions(job: Job) -> Iterator[str]:
@@ -18,8 +17,8 @@ def contradictions(job: Job) -> Iterator[str]:
     for i, section in enumerate(job.measurements):
         yield from _measurement_contradictions(job, f"measurements[{i}]", section)
     if job.error_model.terms == "auto":
-        for key in _TERMS:
-            if getattr(job.error_model, key) != "none":
+        for key in (kind.key for kind in KINDS):
+            if job.error_model.chosen_terms[key] != "none":
                 yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
     for i, level in enumerate(job.levels):
         residual = level.residual_model

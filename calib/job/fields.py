@@ -11,7 +11,7 @@ from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
 from calib.foundations.units import parse_quantity
 from calib.foundations.words import shortened
-from calib.identification.joint_terms import HIGHEST_ORDER
+from calib.robot.terms.kind import Option
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
@@ -98,7 +98,7 @@ def _share(value: object) -> object:
     return value
 
 
-def _selection(*words: str) -> Callable[[object], object]:
+def selection(*words: str) -> Callable[[object], object]:
     """Return a validator of names, or of one of these words in their place."""
 
     def checked(value: object) -> object:
@@ -127,12 +127,15 @@ def iterations(value: object) -> object:
     return value
 
 
-def orders(value: object) -> object:
-    """Accept orders of harmonics."""
-    if not isinstance(value, tuple) or not value or not all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value):
-        raise ValueError(f"{shown(value)} is not a list of whole numbers from 1 to {HIGHEST_ORDER}.")
-    at_most(COUNTS["error_model.harmonic_orders"])(value)
-    return value
+def term_option(name: str, option: Option) -> Callable[[object], object]:
+    """Return a validator of a key beside that of a kind of joint terms."""
+
+    def checked(value: object) -> object:
+        if value == () or not option.holds(value):
+            raise ValueError(f"{shown(value)} is not {option.what}.")
+        return at_most(COUNTS.get(f"error_model.{name}", MOST_NAMES))(value)
+
+    return checked
 
 
 def this_schema(value: object) -> object:
@@ -225,10 +228,7 @@ Direction = Annotated[
     AfterValidator(_some_length),
 ]
 Share = Annotated[float, BeforeValidator(_share)]
-Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(_selection("all", "none"))]
-LinkSelection = Annotated[
-    Literal["arm", "all", "none"] | tuple[str, ...], BeforeValidator(_selection("arm", "all", "none"))
-]
+Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(selection("all", "none"))]
 
 
 def shown(value: object) -> str:

@@ -14,10 +14,10 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, PoseError
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension, parse_quantity
-from calib.identification.error_model import ErrorModel, TermPriors, error_model
+from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import unseen
-from calib.identification.parameters import Prior
+from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
@@ -41,6 +41,7 @@ from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.deviation import axis_frame
+from calib.robot.dh import Free
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
@@ -346,36 +347,26 @@ def _is_folder(path: Path) -> bool:
 
 def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
     section = job.error_model
-    priors = term_priors(section.prior)
     try:
         model = error_model(
             robot,
             offsets=section.offsets,
-            placements=section.placements,
-            dh=section.dh,
-            dh_convention=section.dh_convention,
-            dh_parallel=parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
-            gain=section.gain,
-            harmonics=section.harmonics,
-            harmonic_orders=section.harmonic_orders,
-            elastic=section.elastic,
-            torque=section.torque,
-            backlash=section.backlash,
-            thermal=section.thermal,
-            moments=section.moments,
-            bending=section.bending,
-            expansion=section.expansion,
+            placements=Free(
+                section.dh,
+                section.dh_convention,
+                parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
+                section.placements,
+            ),
+            terms=section.chosen_terms,
             base=section.base,
             tool=section.tool,
-            prior_length=_prior(section.prior.length, "length"),
-            prior_angle=_prior(section.prior.angle, "angle"),
-            prior_harmonics=priors.harmonics,
-            prior_elastic=priors.elastic,
-            prior_elastic_sliding=priors.elastic_sliding,
-            base_pose=None if job.base is None else _placement(job.base),
-            tool_poses={name: _placement(tool) for name, tool in job.tools.items()},
-            targets={name: _target(target) for name, target in job.targets.items()},
-            relations=[_relation(relation) for relation in job.relations],
+            priors=_priors(section.prior),
+            known=Known(
+                None if job.base is None else _placement(job.base),
+                {name: _placement(tool) for name, tool in job.tools.items()},
+                {name: _target(target) for name, target in job.targets.items()},
+                [_relation(relation) for relation in job.relations],
+            ),
         )
         free = model.parameters()
     except JobError as e:
@@ -472,14 +463,15 @@ def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
 
 
-def term_priors(section: PriorSection) -> TermPriors:
-    """Return the priors of joint terms in SI units."""
+def _priors(section: PriorSection) -> Priors:
     elastic, sliding = section.elastic, None
     if elastic == "learned":
         sliding = elastic
     elif elastic is not None and elastic.rstrip().endswith("/N"):
         elastic, sliding = None, elastic
-    return TermPriors(
+    return Priors(
+        _prior(section.length, "length"),
+        _prior(section.angle, "angle"),
         _prior(section.harmonics, "angle"),
         _prior(elastic, "turning compliance"),
         _prior(sliding, "sliding compliance"),

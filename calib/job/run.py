@@ -13,7 +13,7 @@ from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.posing import posed
 from calib.identification.total_differential import Trace, total_differential
-from calib.job.inputs import Inputs, Progress, term_priors
+from calib.job.inputs import Inputs, Progress
 from calib.job.residuals import residual_model
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
@@ -65,7 +65,6 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
         return choose_terms(
             inputs.model,
             inputs.identify,
-            priors=term_priors(section.prior),
             model_sigmas=_flat(inputs.model_sigmas),
             losses=inputs.losses,
             progress=progress,

@@ -1,8 +1,8 @@
 """The job file, schema 1: the sections that a user may write."""
 
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
@@ -18,7 +18,6 @@ from calib.job.fields import (
     HarmonicsPrior,
     InstrumentSigma,
     LengthPrior,
-    LinkSelection,
     ModelSigma,
     Multiple,
     Name,
@@ -33,11 +32,13 @@ from calib.job.fields import (
     at_most,
     iterations,
     list_of,
-    orders,
     quantity,
+    selection,
+    term_option,
     this_schema,
 )
 from calib.measurement.kinds import Kind
+from calib.robot.terms import KINDS
 
 # Asked before anything of the entries is.
 AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()}
@@ -102,7 +103,23 @@ class PriorSection(_Section):
     elastic: CompliancePrior | None = None
 
 
-class ErrorModelSection(_Section):
+# A key for every kind of joint terms, and those beside it.
+_TERM_KEYS: Any = {
+    **{kind.key: (Annotated[Any, BeforeValidator(selection(*kind.words, "all", "none"))], "none") for kind in KINDS},
+    **{
+        name: (Annotated[Any, BeforeValidator(term_option(name, option))], option.default)
+        for kind in KINDS
+        for name, option in kind.options.items()
+    },
+}
+
+if TYPE_CHECKING:
+    _Terms = _Section
+else:
+    _Terms = create_model("_Terms", __base__=_Section, **_TERM_KEYS)
+
+
+class ErrorModelSection(_Terms):
     """``[error_model]``: what is free."""
 
     offsets: Selection = "none"
@@ -111,20 +128,15 @@ class ErrorModelSection(_Section):
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: Annotated[str, BeforeValidator(quantity("error_model.dh_parallel"))] = "0.01 rad"
     terms: Literal["given", "auto"] = "given"
-    gain: Selection = "none"
-    harmonics: Selection = "none"
-    harmonic_orders: Annotated[tuple[int, ...], BeforeValidator(orders)] = (1, 2)
-    elastic: Selection = "none"
-    torque: Selection = "none"
-    backlash: Selection = "none"
-    thermal: Selection = "none"
-    moments: Selection = "none"
-    bending: Selection = "none"
-    expansion: LinkSelection = "none"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
     blind: Literal["nearest", "minimal", "refuse"] = "nearest"
+
+    @property
+    def chosen_terms(self) -> dict[str, object]:
+        """The keys of joint terms with their values, as :func:`calib.error_model` takes them."""
+        return {key: getattr(self, key) for key in _TERM_KEYS}
 
 
 class FrameSection(_Section):

@@ -30,10 +30,10 @@ from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
-from calib.robot.joint_terms import is_term_of, with_joint_terms
+from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.transmission import JointTerm, TermKind
+from calib.robot.terms import NAMED, JointTerm
 from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
@@ -126,17 +126,15 @@ class TermEntry(_Strict):
     """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
 
     reading: str
-    kind: TermKind
+    kind: str
     order: int = Field(ge=0)
     body: str = ""
     amount: Number
 
     @model_validator(mode="after")
-    def _has_an_order_if_it_is_a_harmonic(self) -> "TermEntry":
-        if (self.order > 0) != (self.kind in ("cos", "sin")):
-            raise ValueError("a term has an order if, and only if, it is a harmonic")
-        if bool(self.body) != (self.kind == "moment"):
-            raise ValueError("a term has a body if, and only if, it is a moment")
+    def _is_of_a_kind(self) -> "TermEntry":
+        if self.kind not in NAMED or not NAMED[self.kind].well_formed(self.term):
+            raise ValueError("a term is of a known kind, and has an order or a body if, and only if, its kind has")
         return self
 
     @property
@@ -266,7 +264,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
             payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
         )
         terms = tuple(entry.term for entry in model.terms)
-        if len(set(terms)) < len(terms) or not all(is_term_of(robot, term) for term in terms):
+        if len(set(terms)) < len(terms) or foreign(robot, terms):
             raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
         equipped = with_joint_terms(robot, terms)
     except RobotError as e:

@@ -1,6 +1,7 @@
 """A robot with joint terms, and with the masses that some of them need."""
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from calib.robot.flexures import length
 from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import KINDS, NAMED, JointTerm, kind_of
+from calib.robot.terms.kind import Parts
 from calib.robot.urdf import UrdfJoint, inertials
 
 # Poses at which torques of masses are compared, and the share of the largest below which one says nothing new.
@@ -26,8 +28,8 @@ def with_joint_terms(robot: Robot, terms: Sequence[JointTerm]) -> Robot:
     of a link, or of a moment of mass, that the robot does not have.
     """
     equipped = replace(robot, terms=tuple(terms), weights=None)
-    bodies = _bodies(robot) if any(term.kind in ("elastic", "bending") for term in terms) else ()
-    units = dict.fromkeys(term.body for term in terms if term.kind == "moment")
+    bodies = _bodies(robot) if any(kind_of(term).masses == "stated" for term in terms) else ()
+    units = dict.fromkeys(term.body for term in terms if kind_of(term).masses == "unknown")
     if bodies or units:
         equipped = replace(equipped, weights=_weights(equipped, bodies, tuple(units)))
     return equipped
@@ -42,14 +44,45 @@ def weights_of(robot: Robot) -> Weights:
     return _weights(robot, _bodies(robot), ())
 
 
-def is_term_of(robot: Robot, term: JointTerm) -> bool:
-    """Return whether a term names what the robot has: a reading and a moment of mass, or a link with a length."""
-    if term.of_link:
-        named = (length(s) for s, joint in zip(segments(robot), robot.chain, strict=True) if joint.name == term.reading)
-        return next(named, 0.0) > 0.0 or (term.kind == "expansion" and not term.reading)
-    return any(reading.name == term.reading for reading in robot.readings) and (
-        term.kind != "moment" or term.body in _units(robot)
+def parts(robot: Robot) -> Parts:
+    """Return what of a robot its terms may be of."""
+
+    @functools.cache
+    def weighed() -> bool:
+        try:
+            weights_of(robot)
+        except RobotError:
+            return False
+        return True
+
+    ends = zip(segments(robot), robot.chain, strict=True)
+    return Parts(
+        readings={reading.name: reading.dimension for reading in robot.readings},
+        links={joint.name: joint.type != "fixed" for segment, joint in ends if length(segment)},
+        joints=tuple(joint.name for joint in robot.chain),
+        masses=tuple(_units(robot)),
+        weighed=weighed,
+        moments=functools.cache(lambda: moments(robot)),
     )
+
+
+def foreign(robot: Robot, terms: Iterable[JointTerm]) -> JointTerm | None:
+    """Return the first term that is of no kind, or of what the robot does not have; else None."""
+    of = parts(robot)
+    return next((term for term in terms if term.kind not in NAMED or not kind_of(term).there(of, term)), None)
+
+
+def ordered(robot: Robot, terms: Iterable[JointTerm]) -> tuple[JointTerm, ...]:
+    """Return terms in the order of the robot's readings, and of the kinds; those of links come last."""
+    names = [*(reading.name for reading in robot.readings), *(joint.name for joint in robot.chain), ""]
+    masses = ["", *_units(robot)]
+
+    def place(term: JointTerm) -> tuple[bool, int, int, int, int, int]:
+        kind = kind_of(term)
+        own = kind.names.index(term.kind)
+        return kind.of_link, names.index(term.reading), KINDS.index(kind), term.order, own, masses.index(term.body)
+
+    return tuple(sorted(terms, key=place))
 
 
 def moments(robot: Robot) -> tuple[JointTerm, ...]:

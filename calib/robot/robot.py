@@ -21,7 +21,8 @@ from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
-from calib.robot.transmission import Flexures, JointTerm, Transmission, flexures
+from calib.robot.terms import JointTerm
+from calib.robot.transmission import Flexures, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 

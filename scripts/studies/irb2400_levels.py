@@ -15,6 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
+from calib.identification.joint_terms import harmonic
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from calib.assessment.choice import choose_terms
 from calib.compensation.commands import for_joint_targets
 from calib.identification.error_model import with_terms
 from calib.identification.identify import residuals_of
-from calib.identification.joint_terms import harmonic
 from calib.job.inputs import load
 from calib.machine.grid import SectorGrid, grid_from_residuals
 from scripts.simulate.irb2400 import Machine, noise, poses, truth_text

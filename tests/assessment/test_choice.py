@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calib.identification.joint_terms import harmonic
 
 import calib
 from calib.assessment.choice import ORDERS, Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
 from calib.identification.error_model import TermPriors, with_terms
-from calib.identification.joint_terms import harmonic
 from tests.support import machines
 from tests.support.gears import UR10, geared
 

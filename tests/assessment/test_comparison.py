@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calib.identification.joint_terms import harmonic
 
 import calib
 from calib.assessment import comparison
@@ -24,7 +25,6 @@ from calib.assessment.comparison import (
 from calib.assessment.validation import HeldOut, Rows, cross_validate, held_out
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
-from calib.identification.joint_terms import harmonic
 from calib.identification.targets import Target
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching

@@ -83,7 +83,7 @@ def test_folder_of_results_as_the_arm(folder: Path) -> None:
     found = read_arm("welder", section, folder)
     in_tracker = model.predict(readings)
     expected = np.linalg.inv(model.base) @ in_tracker
-    assert np.abs(found.points(readings) - expected[:, :3, 3]).max() < 1e-12
+    assert np.abs(found.arm.points(readings) - expected[:, :3, 3]).max() < 1e-12
     assert sorted(found.files) == ["../arm/model.json", "../arm/nominal.urdf"]
     edit(JOB, ('tool = "tool"', 'tool = "spike"'))(folder)
     said = run("check", JOB)
@@ -103,7 +103,7 @@ def test_residual_grid_of_the_arm_counts() -> None:
     base = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, -2.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
     model = CalibratedMachine(robot, robot.no_deviations(), base, {}, None)
     plain = TouchingArm(model, np.zeros(3), 1e-4)
-    bent = replace(plain, model=replace(model, residual_model=grid))
+    bent = replace(plain, machine=replace(model, residual_model=grid))
     assert np.abs(bent.points(readings) - plain.points(readings) - errors).max() < 1e-12
 
 

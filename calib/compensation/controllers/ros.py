@@ -12,7 +12,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import ordinary
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm, kind_of
 
 _COMMENTS = """\
 # Calibrated machine, in m, rad and SI. Quaternions in the order of ROS: x, y, z, w.
@@ -38,7 +38,7 @@ def export_ros(model: CalibratedMachine) -> Export:
             "order": term.order,
             **({"body": term.body} if term.body else {}),
             "amount": float(amount),
-            "unit": term.unit(dimensions.get(term.reading, "angle")),
+            "unit": kind_of(term).amount(term, dimensions.get(term.reading, "angle")).unit,
         }
         for term, amount in zip(robot.terms, d.terms, strict=True)
     ]

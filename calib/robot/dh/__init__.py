@@ -13,6 +13,7 @@ parameter estimation*, CDC 1983 (the turn beta where neighbouring axes are paral
 from calib.foundations.choices import Convention
 from calib.robot.dh.files import parse_dh, read_dh, write_dh
 from calib.robot.dh.frames import PARALLEL, DhFrames, dh_frames, dh_of
+from calib.robot.dh.free import Free
 from calib.robot.dh.table import DhRow, DhTable
 from calib.robot.dh.to_urdf import dh_to_urdf
 
@@ -22,6 +23,7 @@ __all__ = [
     "DhFrames",
     "DhRow",
     "DhTable",
+    "Free",
     "dh_frames",
     "dh_of",
     "dh_to_urdf",

@@ -1,0 +1,39 @@
+"""Names that a user chooses: "all", "none", or names and globs of what there is."""
+
+import fnmatch
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, cast
+
+from calib.foundations.errors import JobError
+from calib.foundations.words import near
+
+Selection = Literal["all", "none"] | Sequence[str]
+
+
+def select(selection: object, names: Sequence[str], what: str, *words: str) -> list[str]:
+    """Return the names that are chosen, in their own order. ``words``: what else than "all" and "none" would do.
+
+    Raises JobError for what is no selection, and for a name or glob that matches nothing.
+    """
+    if isinstance(selection, str) and selection in ("all", "none"):
+        return list(names) if selection == "all" else []
+    chosen: set[str] = set()
+    for pattern in listed_names(selection, what, *words):
+        found = fnmatch.filter(names, pattern)
+        if not found:
+            stem = pattern.removesuffix(".*")
+            likest = near(stem, [*names, *(name.rpartition(".")[0] for name in names)], 1)
+            hint = f"did you mean {likest[0]!r}?" if likest else f"there are {', '.join(names[:8])}, ..."
+            raise JobError(f"{what}: {stem!r} matches no joint of the arm; {hint}")
+        chosen.update(found)
+    return [name for name in names if name in chosen]
+
+
+def listed_names(selection: object, what: str, *words: str) -> list[str]:
+    """Return a list of names as it is given. Raises JobError for anything else, with the words that would do."""
+    listed = isinstance(selection, Iterable) and not isinstance(selection, str | Mapping)
+    names = list(cast(Iterable[str], selection)) if listed else []
+    if not listed or not all(isinstance(name, str) for name in names):
+        allowed = ", ".join(f'"{word}"' for word in (*words, "all", "none"))
+        raise JobError(f"{what}: {selection!r} is not {allowed} or a list of names.")
+    return names

@@ -1,0 +1,40 @@
+"""Bending: a link is a beam, and gives way to what its end holds against gravity. Basis: the beam's motions."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.robot.conditions import Conditions
+from calib.robot.flexures import Flexure, beam, bending
+from calib.robot.skeleton import Segment
+from calib.robot.terms.kind import Amount, Basis, Parts, Rows, Shares
+from calib.robot.terms.link import LinkKind
+
+
+class Bending(LinkKind):
+    """The turn of a link's end for a moment there: 100 Nm bend it by a milliradian."""
+
+    names = ("bending",)
+    key = "bending"
+    amounts = {"length": Amount("rad/Nm", 1e-5)}
+    masses = "stated"
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return the four motions of every link's end under what its end holds."""
+        ends = shares.coordinate.reshape(-1, 4)
+        beams = np.array([beam(length) for length in shares.length[::4]])
+
+        def found(rows: Rows) -> Array:
+            moved = np.einsum("nbi,bij->nbj", -rows.held[:, ends], beams)
+            return np.asarray(moved.reshape(len(moved), -1))
+
+        return found
+
+    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+        """Return the motions across the link, and about the directions across it."""
+        return bending(segments, joint)
+
+    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
+        """Return whether masses are stated."""
+        return parts.weighed()

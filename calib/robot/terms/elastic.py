@@ -1,0 +1,27 @@
+"""Wind-up: the drive gives way to what it holds against gravity, at nominal geometry. Basis: -tau."""
+
+from calib.robot.conditions import Conditions
+from calib.robot.terms.kind import Amount, Basis, Dimension, Kind, Parts, Shares
+from calib.robot.terms.term import JointTerm
+
+
+class Elastic(Kind):
+    """A compliance: 100 Nm wind a drive up by a milliradian, 10 kN press a spindle in by a millimetre."""
+
+    names = ("elastic",)
+    key = "elastic"
+    amounts = {"angle": Amount("rad/Nm", 1e-5), "length": Amount("m/N", 1e-7)}
+    masses = "stated"
+    priors = {"angle": "elastic", "length": "elastic_sliding"}
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return what the readings hold, the other way round."""
+        return lambda rows: -rows.held[:, shares.coordinate]
+
+    def group(self, term: JointTerm, dimension: Dimension) -> str:
+        """Return the name of all compliances of one unit."""
+        return "compliances" if dimension == "angle" else "compliances of joints that slide"
+
+    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
+        """Return whether masses are stated."""
+        return parts.weighed()

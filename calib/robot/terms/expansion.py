@@ -1,0 +1,36 @@
+"""Expansion: links grow as the machine warms up. Basis: length times (T - 20 degC)."""
+
+from collections.abc import Sequence
+
+from calib.robot.conditions import Conditions
+from calib.robot.flexures import Flexure, expanding
+from calib.robot.skeleton import Segment
+from calib.robot.terms.kind import Amount, Basis, Parts, Shares, changes
+from calib.robot.terms.link import LinkKind
+from calib.robot.terms.term import WHOLE_ARM, JointTerm
+from calib.robot.terms.thermal import warmth
+
+
+class Expansion(LinkKind):
+    """A coefficient of expansion, of one link or of all: steel has 12 ppm/K."""
+
+    names = ("expansion",)
+    key = "expansion"
+    words = (WHOLE_ARM,)
+    amounts = {"length": Amount("1/K", 1e-5)}
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return what every link grows by."""
+        return lambda rows: warmth(rows) * shares.length
+
+    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+        """Return the motion along the link."""
+        return expanding(segments, joint)
+
+    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
+        """Return the column of the temperature, where it is not told."""
+        return "temperature" if conditions.temperature is None else None
+
+    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
+        """Return whether the temperature changes."""
+        return changes(told.temperature)

@@ -1,0 +1,199 @@
+"""What is asked of a kind of joint terms. A kind is one class in one file, and an entry of the registry."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import JobError
+from calib.foundations.selection import select
+from calib.robot.conditions import Conditions
+from calib.robot.flexures import Flexure
+from calib.robot.gravity import Holding
+from calib.robot.skeleton import Segment
+from calib.robot.terms.term import JointTerm
+
+Dimension = Literal["angle", "length"]
+
+
+class Amount(NamedTuple):
+    """Unit of an amount, and the size of one that surprises nobody, in SI units."""
+
+    unit: str
+    ordinary: float
+
+
+class Option(NamedTuple):
+    """A key beside that of a kind: its default, which values it may have, and what these are in words."""
+
+    default: object
+    holds: Callable[[object], bool]
+    what: str
+
+
+class Shares(NamedTuple):
+    """What the terms of one kind add to coordinates, one share after the other; only terms of links have several.
+
+    ``terms``: whose share each one is. ``coordinate``: the coordinate that it moves, and ``reading`` the same among
+    readings; of links 0. ``length``: of links, in m.
+    """
+
+    terms: tuple[JointTerm, ...]
+    coordinate: IntArray
+    reading: IntArray
+    length: Array
+
+
+class Rows:
+    """Rows at which bases are asked for: readings (N, nr), their conditions, and what is held there."""
+
+    def __init__(self, readings: Array, conditions: Conditions, holding: Holding | None) -> None:
+        self.readings, self.conditions, self._holding = readings, conditions, holding
+
+    @property
+    def weights(self) -> Holding:
+        """What evaluates the masses, of a robot that has them."""
+        if self._holding is None:
+            raise TypeError("a robot with drives or links that give way has weights")
+        return self._holding
+
+    @cached_property
+    def held(self) -> Array:
+        """What all coordinates hold against gravity (N, c)."""
+        return self.weights(self.readings)
+
+
+# At rows: the bases (N, shares) of a kind, in rad or m per unit of each amount. At readings (N, nr): their slopes.
+Basis = Callable[[Rows], Array]
+Slope = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What of a robot its terms may be of.
+
+    ``readings``: their dimensions by name. ``links``: by the joint that a link with a length ends in, whether that
+    joint moves; ``joints``: all of the chain. ``masses``: names of masses that may be unknown, outwards from the base;
+    ``weighed`` asks whether masses are stated, and ``moments`` for the terms of those that are not.
+    """
+
+    readings: Mapping[str, Dimension]
+    links: Mapping[str, bool]
+    joints: tuple[str, ...]
+    masses: tuple[str, ...]
+    weighed: Callable[[], bool]
+    moments: Callable[[], tuple[JointTerm, ...]]
+
+
+class Kind(ABC):
+    """A kind of joint terms, here of readings.
+
+    ``names``: what its terms are called in files and among parameters. ``key``: what chooses them in a job, with other
+    ``words`` than "all" and "none", and ``options`` beside it. ``amounts``: by the dimension of the reading; where
+    there is none, ``only`` says of what such terms are. ``masses``: which ones its basis asks for. ``priors``: the
+    field of :class:`calib.Priors`, by the dimension of the reading.
+    """
+
+    names: ClassVar[tuple[str, ...]]
+    key: ClassVar[str]
+    words: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Mapping[str, Option]] = MappingProxyType({})
+    amounts: ClassVar[Mapping[Dimension, Amount]]
+    only: ClassVar[str] = ""
+    masses: ClassVar[Literal["none", "stated", "unknown"]] = "none"
+    priors: ClassVar[Mapping[Dimension, str]] = MappingProxyType({})
+    of_link: ClassVar[bool] = False
+
+    # ---- what it does
+
+    @abstractmethod
+    def basis(self, shares: Shares) -> Basis:
+        """Return what evaluates the bases of these shares."""
+
+    def slope(self, shares: Shares) -> Slope | None:
+        """Return what evaluates how fast the bases follow their own reading; None where that is negligible."""
+        return None
+
+    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+        """Return how a link gives way."""
+        return ()
+
+    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
+        """Return the column of conditions that a term of the reading of this number would need, or None."""
+        return None
+
+    # ---- what it is of
+
+    def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
+        """Return unit and ordinary size of the amount of a term, for a reading of this dimension."""
+        return self.amounts[dimension]
+
+    def well_formed(self, term: JointTerm) -> bool:
+        """Return whether a term has what its kind needs, and nothing else."""
+        return term.order == 0 and term.body == ""
+
+    def refusal(self, parts: Parts, name: str) -> str | None:
+        """Return why there is no such term of a reading of the robot, or None."""
+        if parts.readings[name] in self.amounts:
+            return None
+        return f"{name!r} {'slides' if parts.readings[name] == 'length' else 'turns'}, and {self.only}."
+
+    def there(self, parts: Parts, term: JointTerm) -> bool:
+        """Return whether a term is of what the robot has."""
+        return self.well_formed(term) and term.reading in parts.readings and not self.refusal(parts, term.reading)
+
+    def group(self, term: JointTerm, dimension: Dimension) -> str:
+        """Return the name of those terms that are like this one: they may share a learned prior."""
+        return self.key
+
+    def said(self, term: JointTerm) -> str:
+        """Return what a term is called in tables."""
+        return term.kind
+
+    # ---- how it is chosen
+
+    def terms(self, parts: Parts, name: str, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
+        """Return the terms of one reading, or of one link."""
+        return (JointTerm(name, self.names[0]),)
+
+    def chosen(self, selection: object, parts: Parts, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
+        """Return the terms that a job's key chooses. Raises JobError for what it cannot choose."""
+        names = self.select(selection, parts)
+        return tuple(term for name in names for term in self.terms(parts, name, options))
+
+    def select(self, selection: object, parts: Parts) -> list[str]:
+        """Return the chosen readings. Raises JobError for a name that matches nothing, or of which there is no term."""
+        names = select(selection, list(parts.readings), self.key, *self.words)
+        if why := next((why for name in names if (why := self.refusal(parts, name))), None):
+            raise JobError(f"{self.key}: {why}")
+        return names
+
+    def offered(
+        self, parts: Parts, told: Conditions, options: Mapping[str, object]
+    ) -> tuple[tuple[JointTerm, ...], ...]:
+        """Return what data may choose: terms that enter together. ``told``: the conditions of all rows."""
+        return tuple(
+            (term,)
+            for k, name in enumerate(parts.readings)
+            if not self.refusal(parts, name) and self.shows(parts, told, k)
+            for term in self.terms(parts, name, options)
+        )
+
+    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
+        """Return whether rows with these conditions could show such a term of the reading of this number."""
+        return True
+
+
+def unsaid(values: Array | None, reading: int) -> bool:
+    """Return whether conditions (N, nr) of readings lack those of one."""
+    return values is None or bool(np.isnan(values[:, reading]).any())
+
+
+def changes(values: Array | None) -> bool:
+    """Return whether conditions (N,) are told of all rows, and not the same for all."""
+    return values is not None and float(np.ptp(values)) > 0.0

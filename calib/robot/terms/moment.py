@@ -1,0 +1,63 @@
+"""Wind-up where masses are not known: compliance times first moment of mass. Basis: -tau of 1 kg m of one link."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.foundations.errors import JobError
+from calib.robot.conditions import Conditions
+from calib.robot.terms.kind import Amount, Basis, Dimension, Kind, Parts, Rows, Shares
+from calib.robot.terms.term import JointTerm
+
+
+class Moment(Kind):
+    """Ten kilograms, or kilogram metres, on a drive as soft as an ordinary one."""
+
+    names = ("moment",)
+    key = "moments"
+    amounts = {"angle": Amount("kg m rad/Nm", 1e-4), "length": Amount("kg m2/N", 1e-6)}
+    masses = "unknown"
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return what each mass alone would have its reading hold, the other way round."""
+
+        def found(rows: Rows) -> Array:
+            units = np.array([rows.weights.units[term.body] for term in shares.terms], dtype=np.intp)
+            return -rows.weights.of_units(rows.readings)[units, :, shares.coordinate].T
+
+        return found
+
+    def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
+        """Return unit and size: of a mass that slides there are no metres."""
+        unit, ordinary = self.amounts[dimension]
+        if term.body.endswith("_mass"):
+            unit = "kg rad/Nm" if dimension == "angle" else "kg m/N"
+        return Amount(unit, ordinary)
+
+    def well_formed(self, term: JointTerm) -> bool:
+        """Return whether it names a mass."""
+        return term.order == 0 and term.body != ""
+
+    def there(self, parts: Parts, term: JointTerm) -> bool:
+        """Return whether the robot has that mass."""
+        return super().there(parts, term) and term.body in parts.masses
+
+    def said(self, term: JointTerm) -> str:
+        """Return it with its mass."""
+        return f"moment {term.body}"
+
+    def terms(self, parts: Parts, name: str, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
+        """Return the fewest that make up whatever masses there are."""
+        return tuple(term for term in parts.moments() if term.reading == name)
+
+    def chosen(self, selection: object, parts: Parts, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
+        """Return those of the chosen readings. Raises JobError where none of them would ever hold a mass."""
+        names, found = self.select(selection, parts), super().chosen(selection, parts, options)
+        if names and not found:
+            raise JobError(f"moments: {names[0]!r} holds no mass against gravity, wherever it is.")
+        return found
+
+    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
+        """Return whether masses are not stated: where they are, compliances say it with fewer amounts."""
+        return not parts.weighed()
