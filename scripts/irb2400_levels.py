@@ -26,8 +26,8 @@ from calib.compensation.commands import for_joint_targets
 from calib.compensation.grid import SectorGrid, grid_from_residuals
 from calib.identification.error_model import with_terms
 from calib.identification.identify import residuals_of
-from calib.identification.joint_terms import harmonic
 from calib.job.inputs import load
+from calib.robot.terms.harmonic import harmonic
 
 Array = NDArray[np.float64]
 
@@ -118,8 +118,7 @@ def study(seed: int) -> dict[str, Array]:
         calib.load_robot(CASE / "irb2400.urdf", tip=model.robot.tip),
         offsets=["joint_*"],
         placements=SERIAL,
-        prior_length=model.prior_length,
-        prior_angle=model.prior_angle,
+        priors=model.priors,
     )
     plain = calib.identify(serial, sets)
     found["parallelogram ignored"] = lengths(plain, test)

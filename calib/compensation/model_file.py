@@ -36,7 +36,7 @@ from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.terms import NAMED, JointTerm
+from calib.robot.terms import NAMED, JointTerm, kind_of
 from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
@@ -124,19 +124,25 @@ class LoopEntry(_Strict):
     passive: tuple[str, ...]
 
 
+def _known_kind(name: str) -> str:
+    if name not in NAMED:
+        raise ValueError(f"{name!r} is no kind of joint terms")
+    return name
+
+
 class TermEntry(_Strict):
     """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
 
     reading: str
-    kind: str
+    kind: Annotated[str, AfterValidator(_known_kind)]
     order: int = Field(ge=0)
     body: str = ""
     amount: Number
 
     @model_validator(mode="after")
-    def _is_of_a_kind(self) -> "TermEntry":
-        if self.kind not in NAMED or not NAMED[self.kind].well_formed(self.term):
-            raise ValueError("a term is of a known kind, and has an order or a body if, and only if, its kind has")
+    def _is_as_its_kind(self) -> "TermEntry":
+        if not kind_of(self.term).well_formed(self.term):
+            raise ValueError("a term has an order, or a body, if, and only if, its kind has")
         return self
 
     @property

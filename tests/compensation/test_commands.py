@@ -16,7 +16,7 @@ from calib.compensation import commands, grid, targets
 from calib.foundations.errors import JobError, MeasurementError
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import TipModel
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.identification import machines
 
 Array = NDArray[np.float64]

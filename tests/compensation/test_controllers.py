@@ -17,7 +17,7 @@ from calib.compensation.model_file import CalibratedModel
 from calib.foundations.errors import OutputError, RobotError
 from calib.robot import dh
 from calib.robot.conditions import Conditions
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.identification import machines
 from tests.identification.machines import Array
 

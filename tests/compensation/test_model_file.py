@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.compensation.model_file import model_json
+from calib.compensation.model_file import TermEntry, model_json
 from calib.foundations.errors import OutputError
+from calib.robot.joint_terms import parts
+from calib.robot.terms import KINDS, Kind
 from tests.foundations.swaps import left
 from tests.identification import machines
 from tests.job.cases import tree
@@ -202,7 +204,7 @@ def test_nominal_urdf_is_missing_or_cut_off(folder: Path) -> None:
 
 
 def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> None:
-    model = calib.error_model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
+    model = machines.model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
     found = calib.identify(model, fit.measurements)
     (tmp_path / "model.json").write_text(model_json(found), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
@@ -211,6 +213,17 @@ def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> 
     assert again.robot.terms == found.robot.terms
     assert np.abs(found.deviations.terms).min() > 0.0
     assert np.abs(again.predict(readings, "left") - machines.predicted(found, readings)).max() < 1e-13
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.key)
+def test_terms_of_every_kind_come_back(kind: Kind) -> None:
+    robot = machines.load("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    for word in ("all", *kind.words):
+        for term in kind.chosen(word, parts(robot), {}):
+            plain = {"reading": term.reading, "kind": term.kind, "order": term.order, "amount": 1e-5}
+            entry = TermEntry(**plain, body=term.body)
+            assert json.loads(entry.model_dump_json()) == plain | ({"body": term.body} if term.body else {})
+            assert TermEntry.model_validate_json(entry.model_dump_json()).term == term
 
 
 TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}

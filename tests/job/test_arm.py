@@ -18,7 +18,7 @@ from calib.job.read import read_job
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
 from calib.robot.joint_terms import with_joint_terms
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.job.cases import CASE as ARM_CASE
 from tests.job.cases import ROOT, Edit, edit, run, tree, write
 
