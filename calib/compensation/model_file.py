@@ -107,23 +107,6 @@ class CouplingEntry(_Strict):
     offsets: dict[str, float]
 
 
-class DriverEntry(_Strict):
-    """A joint coupled to several drivers, as the job says."""
-
-    joint: str
-    drivers: dict[str, Number]
-    offset: Number
-
-
-class LoopEntry(_Strict):
-    """A closed loop, as the job says."""
-
-    name: str
-    frames: tuple[str, str]
-    closes: tuple[Literal["x", "y", "z"], ...]
-    passive: tuple[str, ...]
-
-
 def _known_kind(name: str) -> str:
     if name not in NAMED:
         raise ValueError(f"{name!r} is no kind of joint terms")
@@ -156,13 +139,6 @@ class TermEntry(_Strict):
         return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
 
 
-class PayloadEntry(_Strict):
-    """What the tip link carries: kg, and m in its frame."""
-
-    mass: Number = Field(ge=0.0)
-    position: tuple[Number, Number, Number]
-
-
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -175,11 +151,11 @@ class ModelFile(_Strict):
     base: PoseEntry
     tools: dict[str, PoseEntry]
     residual_model: ResidualFile | None = None
-    couplings: tuple[DriverEntry, ...] = ()
-    loops: tuple[LoopEntry, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
-    payload: PayloadEntry | None = None
+    payload: Payload | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,19 +228,14 @@ def model_file(fit: Fit, residuals: ResidualFile | None = None) -> ModelFile:
         base=PoseEntry.of(machine.frames.base),
         tools=tools,
         residual_model=residuals,
-        couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
-        loops=tuple(
-            LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
-            for loop in robot.closed_loops
-        ),
+        couplings=robot.couplings,
+        loops=robot.closed_loops,
         terms=tuple(
             TermEntry(reading=term.reading, kind=term.kind, order=term.order, body=term.body, amount=float(amount))
             for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
         gravity=robot.gravity,
-        payload=None
-        if robot.payload is None
-        else PayloadEntry(mass=robot.payload.mass, position=robot.payload.position),
+        payload=robot.payload,
     )
 
 
@@ -304,10 +275,10 @@ def _loaded(folder: Path) -> CalibratedModel:
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
-            couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
-            loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in model.loops],
+            couplings=model.couplings,
+            loops=model.loops,
             gravity=model.gravity,
-            payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
+            payload=model.payload,
         )
         terms = tuple(entry.term for entry in model.terms)
         if len(set(terms)) < len(terms) or foreign(robot, terms):
