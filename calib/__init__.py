@@ -119,10 +119,10 @@ if not TYPE_CHECKING:  # which would take every misspelt name for one of these
 # fmt: off
 __all__ = [
     "CalibError", "CalibratedMachine", "Calibration", "ClosedLoop", "Coupling", "Deviations", "ErrorModel", "Fit",
-    "IdentificationError", "JobError", "JointTerm", "Known", "MeasurementError", "Measurements", "OutputError", "Payload", "Priors",
-    "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare", "data_frame", "dh",
-    "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of", "measuring",
-    "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
+    "IdentificationError", "JobError", "JointTerm", "Known", "MeasurementError", "Measurements", "OutputError",
+    "Payload", "Priors", "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare",
+    "data_frame", "dh", "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of",
+    "measuring", "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
     "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
     "write_urdf",
 ]

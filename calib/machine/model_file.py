@@ -33,7 +33,7 @@ from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
-from calib.robot.terms import NAMED, JointTerm
+from calib.robot.terms import NAMED, JointTerm, kind_of
 from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
 MODEL_FILE = "model.json"
@@ -105,36 +105,25 @@ class CouplingEntry(_Strict):
     offsets: dict[str, float]
 
 
-class DriverEntry(_Strict):
-    """A joint coupled to several drivers, as the job says."""
-
-    joint: str
-    drivers: dict[str, Number]
-    offset: Number
-
-
-class LoopEntry(_Strict):
-    """A closed loop, as the job says."""
-
-    name: str
-    frames: tuple[str, str]
-    closes: tuple[Literal["x", "y", "z"], ...]
-    passive: tuple[str, ...]
+def _known_kind(name: str) -> str:
+    if name not in NAMED:
+        raise ValueError(f"{name!r} is no kind of joint terms")
+    return name
 
 
 class TermEntry(_Strict):
     """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
 
     reading: str
-    kind: str
+    kind: Annotated[str, AfterValidator(_known_kind)]
     order: int = Field(ge=0)
     body: str = ""
     amount: Number
 
     @model_validator(mode="after")
-    def _is_of_a_kind(self) -> "TermEntry":
-        if self.kind not in NAMED or not NAMED[self.kind].well_formed(self.term):
-            raise ValueError("a term is of a known kind, and has an order or a body if, and only if, its kind has")
+    def _is_as_its_kind(self) -> "TermEntry":
+        if not kind_of(self.term).well_formed(self.term):
+            raise ValueError("a term has an order, or a body, if, and only if, its kind has")
         return self
 
     @property
@@ -146,13 +135,6 @@ class TermEntry(_Strict):
     def _without_an_empty_body(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # As files had it before masses could be at joints.
         return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
-
-
-class PayloadEntry(_Strict):
-    """What the tip link carries: kg, and m in its frame."""
-
-    mass: Number = Field(ge=0.0)
-    position: tuple[Number, Number, Number]
 
 
 class ModelFile(_Strict):
@@ -167,11 +149,11 @@ class ModelFile(_Strict):
     base: PoseEntry
     tools: dict[str, PoseEntry]
     residual_model: ResidualFile | None = None
-    couplings: tuple[DriverEntry, ...] = ()
-    loops: tuple[LoopEntry, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
-    payload: PayloadEntry | None = None
+    payload: Payload | None = None
 
 
 def residual_file(known: ResidualModel | None) -> ResidualFile | None:
@@ -204,19 +186,14 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         base=PoseEntry.of(machine.base),
         tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
         residual_model=residual_file(machine.residual_model),
-        couplings=tuple(DriverEntry(joint=c.joint, drivers=dict(c.drivers), offset=c.offset) for c in robot.couplings),
-        loops=tuple(
-            LoopEntry(name=loop.name, frames=loop.frames, closes=loop.closes, passive=loop.passive)
-            for loop in robot.closed_loops
-        ),
+        couplings=robot.couplings,
+        loops=robot.closed_loops,
         terms=tuple(
             TermEntry(reading=term.reading, kind=term.kind, order=term.order, body=term.body, amount=float(amount))
             for term, amount in zip(robot.terms, deviations.terms, strict=True)
         ),
         gravity=robot.gravity,
-        payload=None
-        if robot.payload is None
-        else PayloadEntry(mass=robot.payload.mass, position=robot.payload.position),
+        payload=robot.payload,
     )
 
 
@@ -258,10 +235,10 @@ def _loaded(folder: Path) -> CalibratedMachine:
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
-            couplings=[Coupling(c.joint, c.drivers, c.offset) for c in model.couplings],
-            loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in model.loops],
+            couplings=model.couplings,
+            loops=model.loops,
             gravity=model.gravity,
-            payload=None if model.payload is None else Payload(model.payload.mass, model.payload.position),
+            payload=model.payload,
         )
         terms = tuple(entry.term for entry in model.terms)
         if len(set(terms)) < len(terms) or foreign(robot, terms):

@@ -24,7 +24,7 @@ from tests.crossed.walk import walk
 def main(numbers: list[int]) -> int:
     """Walk rows, all when there are no numbers, and return how many failed."""
     warnings.simplefilter("error")
-    choice.candidates = functools.partial(choice.candidates, orders=(1,))  # type: ignore[assignment]
+    choice.candidates = functools.partial(choice.candidates, options={"harmonic_orders": (1,)})  # type: ignore[assignment]
     every, failed = rows(twins=True), 0
     for number in numbers or range(len(every)):
         with tempfile.TemporaryDirectory() as folder:

@@ -228,10 +228,9 @@ def tracked(which: str, seed: int, few: bool = False) -> Case:
         free["offsets"] = ["joint_*"]
     if with_placements:
         free["placements"] = list(OF_LOOP) if which == "irb2400" else "all"
-    if not base_free:
-        free["base_pose"] = base
-    if not tool_free:
-        free["tool_poses"] = dict(zip(names, tools, strict=True))
+    free["known"] = calib.Known(
+        base=None if base_free else base, tools={} if tool_free else dict(zip(names, tools, strict=True))
+    )
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
     parameters += [f"base.{c}" for c in POSE] if base_free else []
     for name in names if tool_free else ():
@@ -392,7 +391,7 @@ def sockets(seed: int) -> Case:
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
     free["base"] = "fixed"
     if known == "places":
-        free["targets"] = {name: Target(T) for name, T in zip(names, targets, strict=True)}
+        free["known"] = calib.Known(targets={name: Target(T) for name, T in zip(names, targets, strict=True)})
     parameters += [f"tool.{c}" for c in POSE[:3]]
     if known != "places":
         parameters += [f"target.{name}.{c}" for name in names for c in POSE[:3]]
@@ -400,12 +399,13 @@ def sockets(seed: int) -> Case:
         pairs = [(k, k + 1) for k in range(several - 1)]
         lengths = [float(np.linalg.norm(places[b] - places[a]) + 1e-5 * rng.standard_normal()) for a, b in pairs]
         distances = tuple(Distance(pair, value, 1e-5) for pair, value in zip(pairs, lengths, strict=True))
-        free["relations"] = [
+        told = [
             Relation("distance", (names[known_.targets[0]], names[known_.targets[1]]), known_.value, known_.sigma)
             for known_ in distances
         ]
+        free["known"] = calib.Known(relations=told)
     if prior is not None:
-        free |= {"prior_length": prior[0], "prior_angle": prior[1]}
+        free["priors"] = calib.Priors(*prior)
     nominal = nominal_of(true)
     layout = Layout(found, tuple(parameters), nominal, ("tool",), names)
     unseen = found.draw(rng, UNSEEN)

@@ -299,7 +299,7 @@ def session(
         "tool": "position",
     }
     if prior:
-        free |= {"prior_length": 0.3e-3, "prior_angle": 3e-3}
+        free["priors"] = calib.Priors(0.3e-3, 3e-3)
     nominal = State(np.zeros_like(true.deviations), np.zeros_like(true.offsets), true.base, true.tools, true.targets)
     label = {
         "robot": which,
@@ -409,7 +409,7 @@ def judge(of: Session) -> Result:
     try:
         fit = calib.identify(calib.error_model(of.robot, **of.free), of.data)
         seconds = time.perf_counter() - began
-        told = dict(of.free) | {"tool": "fixed", "tool_poses": {"tool": of.true.tools[0, 0]}}
+        told = dict(of.free) | {"tool": "fixed", "known": calib.Known(tools={"tool": of.true.tools[0, 0]})}
         knowing = calib.identify(calib.error_model(of.robot, **told), of.data)
     except (calib.CalibError, ArithmeticError, ValueError) as e:
         said = f"{type(e).__name__}: {e}"

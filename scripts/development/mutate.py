@@ -47,6 +47,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "robot/loops": ("robot/test_loops", "identification/test_loops_model"),
     "robot/transmission": (
         "robot/test_transmission",
+        "robot/test_terms",
         "identification/test_joint_terms",
         "identification/test_conditions",
     ),

@@ -62,14 +62,14 @@ def error_model(robot: calib.Robot, places: Iterable[str], *, elastic: bool) -> 
         offsets="all",
         placements="all",
         base="fixed",
-        prior_length=PRIOR_LENGTH,
-        prior_angle=PRIOR_ANGLE,
-        elastic=[robot.readings[k].name for k in ELASTIC_JOINTS] if elastic else "none",
-        prior_elastic=PRIOR_ELASTIC,
-        relations=[
-            Relation("distance", (f"{place}/{HOLES[0]}", f"{place}/{HOLES[1]}"), DISTANCE, SIGMA_OF_DISTANCE)
-            for place in places
-        ],
+        terms={"elastic": [robot.readings[k].name for k in ELASTIC_JOINTS] if elastic else "none"},
+        priors=calib.Priors(PRIOR_LENGTH, PRIOR_ANGLE, elastic=PRIOR_ELASTIC),
+        known=calib.Known(
+            relations=[
+                Relation("distance", (f"{place}/{HOLES[0]}", f"{place}/{HOLES[1]}"), DISTANCE, SIGMA_OF_DISTANCE)
+                for place in places
+            ]
+        ),
     )
 
 

@@ -404,7 +404,8 @@ def dh_names() -> dict[str, list[str]]:
 
 def dh_model(robot: calib.Robot, **options: Any) -> calib.ErrorModel:
     names = dh_names()
-    return calib.error_model(robot, offsets="all", dh=[*names["a"], *names["d"], *names["alpha"]], **options)
+    numbers = [*names["a"], *names["d"], *names["alpha"]]
+    return calib.error_model(robot, offsets="all", placements=calib.dh.Free(numbers), **options)
 
 
 def dh_errors(errors: dict[str, Any], alpha: Array, theta: Array) -> dict[str, float]:

@@ -15,7 +15,6 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from calib.identification.joint_terms import harmonic
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from calib.identification.error_model import with_terms
 from calib.identification.identify import residuals_of
 from calib.job.inputs import load
 from calib.machine.grid import SectorGrid, grid_from_residuals
+from calib.robot.terms.harmonic import harmonic
 from scripts.simulate.irb2400 import Machine, noise, poses, truth_text
 
 Array = NDArray[np.float64]
@@ -120,8 +120,7 @@ def study(seed: int) -> dict[str, Array]:
         calib.load_robot(CASE / "irb2400.urdf", tip=model.robot.tip),
         offsets=["joint_*"],
         placements=SERIAL,
-        prior_length=model.prior_length,
-        prior_angle=model.prior_angle,
+        priors=model.priors,
     )
     plain = calib.identify(serial, sets)
     found["parallelogram ignored"] = lengths(plain, test)

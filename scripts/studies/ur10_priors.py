@@ -109,14 +109,15 @@ def of_terms(dataset: Path, seed: int) -> dict[str, Judged]:
     robot, data = loaded(dataset)
     seen, test = divided(data, seed)
     geometry = {"offsets": "all", "placements": "all"}
-    every = geometry | {"harmonics": "all", "harmonic_orders": range(1, 41)}
-    rest = {"gain": "all", "elastic": "all", "prior_elastic": "learned"}
+    waves = {"harmonics": "all", "harmonic_orders": range(1, 41)}
+    every = {**geometry, "terms": waves}
+    rest = {**geometry, "terms": {**waves, "gain": "all", "elastic": "all"}}
     models = {
         "chosen": choose_terms(calib.error_model(robot, **geometry), seen).model,
-        "stated": calib.error_model(robot, **every, prior_harmonics=HARMONICS),
-        "wide": calib.error_model(robot, **every, prior_harmonics=10 * HARMONICS),
-        "learned": calib.error_model(robot, **every, prior_harmonics="learned"),
-        "and the rest": calib.error_model(robot, **every, **rest, prior_harmonics="learned"),
+        "stated": calib.error_model(robot, **every, priors=calib.Priors(harmonics=HARMONICS)),
+        "wide": calib.error_model(robot, **every, priors=calib.Priors(harmonics=10 * HARMONICS)),
+        "learned": calib.error_model(robot, **every, priors=calib.Priors(harmonics="learned")),
+        "and the rest": calib.error_model(robot, **rest, priors=calib.Priors(harmonics="learned", elastic="learned")),
     }
     return {name: judged(calib.identify(model, seen), test) for name, model in models.items()}
 
@@ -135,7 +136,7 @@ def of_geometry(dataset: Path, seed: int, count: int) -> dict[str, Judged]:
         ("stated", LENGTH, ANGLE),
         ("learned", "learned", "learned"),
     ):
-        model = calib.error_model(robot, offsets="all", placements="all", prior_length=length, prior_angle=angle)
+        model = calib.error_model(robot, offsets="all", placements="all", priors=calib.Priors(length, angle))
         found[name] = judged(calib.identify(model, some), test)
     return found
 

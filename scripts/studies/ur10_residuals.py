@@ -83,8 +83,9 @@ def split(robot: calib.Robot, data: calib.Measurements, seed: int) -> tuple[Stag
     order = np.random.default_rng(seed).permutation(len(data))
     test, seen = data.subset(order[: len(order) // 3]), data.subset(order[len(order) // 3 :])
     plain = calib.error_model(robot, offsets="all", placements="all")
-    given = calib.error_model(robot, offsets="all", placements="all", harmonics="all", harmonic_orders=GIVEN)
-    chosen = choose_terms(plain, seen, offered=candidates(robot, [seen], OFFERED)).model
+    waves = {"harmonics": "all", "harmonic_orders": GIVEN}
+    given = calib.error_model(robot, offsets="all", placements="all", terms=waves)
+    chosen = choose_terms(plain, seen, offered=candidates(robot, [seen], {"harmonic_orders": OFFERED})).model
     return stage(given, seen, test), stage(chosen, seen, test)
 
 

@@ -78,9 +78,10 @@ def split(robot: calib.Robot, data: calib.Measurements, seed: int) -> Split:
     start = time.process_time()
     choice = choose_terms(plain, seen)
     cost = (time.process_time() - start) / one
-    wound = calib.identify(calib.error_model(robot, **free, elastic="all"), seen)
-    bent = calib.identify(calib.error_model(robot, **free, elastic="all", bending="all"), seen)
-    given = calib.identify(calib.error_model(robot, **free, harmonics="all", harmonic_orders=tuple(ORDERS)), seen)
+    wound = calib.identify(calib.error_model(robot, **free, terms={"elastic": "all"}), seen)
+    bent = calib.identify(calib.error_model(robot, **free, terms={"elastic": "all", "bending": "all"}), seen)
+    waves = {"harmonics": "all", "harmonic_orders": ORDERS}
+    given = calib.identify(calib.error_model(robot, **free, terms=waves), seen)
     chosen = calib.identify(choice.model, seen)
     return Split(*(rms(fit, test) for fit in (geometry, wound, bent, given, chosen)), choice, cost)
 

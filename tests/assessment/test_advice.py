@@ -36,7 +36,7 @@ def measured(
 
 def blind_count(robot: Robot, data: calib.Measurements, **options: object) -> int:
     chosen = {"offsets": "all", "placements": "all"} | options
-    seen = observability(calib.error_model(robot, **chosen), [data])
+    seen = observability(machines.model(robot, **chosen), [data])
     return len(seen.parameters) - seen.rank
 
 
@@ -75,7 +75,7 @@ def test_the_last_offset_asks_for_the_tool_and_the_first_for_the_base(fit: calib
     robot, data = measured()
     pairs = {"offsets": ["wrist_3_joint"], "placements": "none"}
     assert blind_count(robot, data, **pairs) == 1
-    fixed = calib.error_model(robot, **pairs, tool="fixed", tool_poses={"a": pose(POINTS["a"])})
+    fixed = machines.model(robot, **pairs, tool="fixed", tool_poses={"a": pose(POINTS["a"])})
     assert observability(fixed, [data]).rank == 7
 
 
@@ -156,7 +156,7 @@ def test_observability_indices_of_three_singular_values() -> None:
 def test_priors_change_no_remedy(fit: calib.Fit) -> None:
     """Scales follow priors; what a measurement would show does not."""
     robot, data = measured()
-    wide = calib.error_model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
+    wide = machines.model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
     (plain, scaled) = (
         {a.parameters[0]: a.remedies for a in blind_advice(m, [data], observability(m, [data]).blind_directions)}
         for m in (fit.model, wide)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calib.identification.joint_terms import harmonic
 
 import calib
-from calib.assessment.choice import ORDERS, Candidate, candidates, choose_terms
+from calib.assessment.choice import Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
-from calib.identification.error_model import TermPriors, with_terms
+from calib.identification.error_model import with_terms
+from calib.robot.terms.harmonic import OFFERED, harmonic
 from tests.support import machines
 from tests.support.gears import UR10, geared
 
@@ -88,9 +88,9 @@ def test_the_linear_figures_are_those_of_fits(observes: str) -> None:
 
 def test_widths_are_learned_by_geometry_before_and_by_the_chosen_terms_after() -> None:
     model, data, _ = measured(5, 60, {(1, 3): 3e-4, (1, 6): 3e-4})
-    learning = replace(model, prior_length="learned", prior_angle="learned")
+    learning = replace(model, priors=calib.Priors("learned", "learned", "learned"))
     offered = [Candidate(harmonic(model.robot.readings[1].name, k)) for k in (3, 6)]
-    choice = choose_terms(learning, data, offered=offered, priors=TermPriors(harmonics="learned"))
+    choice = choose_terms(learning, data, offered=offered)
     assert {prior.group for prior in choice.geometric.learned} >= {"link translations", "link rotations"}
     assert choice.taken == 2
     (waves,) = [prior for prior in calib.identify(choice.model, data).learned if prior.group.startswith("harmonics")]
@@ -109,9 +109,9 @@ def test_neither_the_order_of_rows_nor_the_frame_moves_the_choice() -> None:
 
 def test_the_records_tell_every_step() -> None:
     model, data, _ = measured(6, 80, {(1, 3): 3e-4})
-    choice = choose_terms(model, data, priors=TermPriors(harmonics=1e-4))
+    choice = choose_terms(replace(model, priors=calib.Priors(harmonics=1e-4)), data)
     records = choice.records()
-    assert len(records) == 1 + len(candidates(model.robot)) == 1 + 6 * (3 + len(ORDERS))
+    assert len(records) == 1 + len(candidates(model.robot)) == 1 + 6 * (3 + len(OFFERED))
     assert [record["taken"] for record in records] == [k <= choice.taken for k in range(len(records))]
     assert records[0]["added"] == []
     assert {name for record in records for name in record["added"]} == {

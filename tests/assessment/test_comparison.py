@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calib.identification.joint_terms import harmonic
 
 import calib
 from calib.assessment import comparison
@@ -26,6 +25,7 @@ from calib.assessment.validation import HeldOut, Rows, cross_validate, held_out
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
+from calib.robot.terms.harmonic import harmonic
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching
 from tests.support.gears import geared
@@ -54,7 +54,7 @@ def measured(seed: int, n: int, *, placed: bool, waves: bool = False, observes: 
 
 
 def compared(data: calib.Measurements, folds: int = 5, terms: bool = True, **free: object) -> ModelComparison:
-    model = calib.error_model(machines.load(*UR10), **(free or {"offsets": "all", "placements": "all"}))
+    model = machines.model(machines.load(*UR10), **(free or {"offsets": "all", "placements": "all"}))
     models = nested_models(model, [data])
     if not terms:
         del models[TERMS]
@@ -102,7 +102,7 @@ def test_models_that_are_the_same_in_other_words_are_one_and_the_shorter_wins() 
     robot, data = machines.load(*UR10), measured(3, 60, placed=True)
     models = {
         "long": calib.error_model(robot, offsets="all", placements="all"),
-        "short": calib.error_model(robot, dh="all"),
+        "short": machines.model(robot, dh="all"),
     }
     found = compare_models(models, data, scheme=4)
     assert found.models[0].rank == found.models[1].rank
@@ -200,7 +200,7 @@ def test_a_difference_to_nothing_is_the_figure_itself() -> None:
 def test_a_socket_is_held_out_as_a_whole_and_found_where_the_model_puts_it() -> None:
     lab = touching.lab(1, noise=1e-5)
     data = lab.sockets(12)
-    model = calib.error_model(lab.robot, offsets="all", base="fixed", prior_angle=1e-2, prior_length=1e-3)
+    model = machines.model(lab.robot, offsets="all", base="fixed", prior_angle=1e-2, prior_length=1e-3)
     found = compare_models({"offsets": model}, data)
     assert (found.groups, found.folds) == (3, 3)
     squares = []
@@ -225,7 +225,7 @@ def test_what_is_known_of_a_socket_holds_while_it_is_held_out() -> None:
     lab = touching.lab(2, noise=1e-5)
     data = lab.sockets(8)
     known = {name: Target(machines.pose(c)) for name, c in touching.SOCKETS.items()}
-    model = calib.error_model(
+    model = machines.model(
         lab.robot,
         offsets="all",
         base="fixed",

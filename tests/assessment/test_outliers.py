@@ -11,6 +11,7 @@ import calib
 from calib.assessment.outliers import LEVEL
 from calib.identification.relations import Relation
 from scripts.simulate import panda_sockets as simulation
+from tests.support import machines
 
 Array = NDArray[np.float64]
 PANDA = "example:panda_description/urdf/panda.urdf"
@@ -59,7 +60,7 @@ def measured(robot: calib.Robot, rows: dict[str, dict[str, Array]], sigma: float
 
 
 def socket_fit(robot: calib.Robot, sets: Sequence[calib.Measurements]) -> calib.Fit:
-    model = calib.error_model(
+    model = machines.model(
         robot,
         offsets="all",
         placements="all",
@@ -91,7 +92,7 @@ def robot_high(robot: calib.Robot) -> Array:
 
 @pytest.fixture(scope="module")
 def model(robot: calib.Robot) -> calib.ErrorModel:
-    return calib.error_model(robot, offsets="all", prior_angle=5e-3)
+    return machines.model(robot, offsets="all", prior_angle=5e-3)
 
 
 def without(fit: calib.Fit, data: calib.Measurements, kept: Array) -> calib.Fit:
@@ -101,7 +102,7 @@ def without(fit: calib.Fit, data: calib.Measurements, kept: Array) -> calib.Fit:
 def test_a_row_left_out_is_the_fit_without_it(robot: calib.Robot) -> None:
     data = positions(robot, np.random.default_rng(3))
     # The angles of a free base count from a start that every fit finds for itself.
-    model = calib.error_model(robot, offsets="all", placements=["panda_joint4"], base="fixed", prior_angle=5e-3)
+    model = machines.model(robot, offsets="all", placements=["panda_joint4"], base="fixed", prior_angle=5e-3)
     fit = calib.identify(model, data)
     fit = calib.identify(model, data, model_sigmas=[fit.noise[0].model])
     names = [p.name for p in fit.parameters]
@@ -258,7 +259,7 @@ def test_a_row_that_alone_determines_something_is_not_tested(robot: calib.Robot)
     tool = np.array(data.tool)
     tool[5] = 1
     data = replace(data, tools=("tool", "other"), tool=tool)
-    fit = calib.identify(calib.error_model(robot, offsets="all", prior_angle=5e-3), data)
+    fit = calib.identify(machines.model(robot, offsets="all", prior_angle=5e-3), data)
     row = next(row for row in calib.outliers(fit).rows if row.line == data.lines[5])
     assert np.isnan(row.p)
     assert np.isnan(row.studentised)

@@ -34,7 +34,7 @@ def case(name: str = "ur10", rows: int = 10, **options: object) -> tuple[calib.E
     """A model with known base and tool, poses, and the same arm by independent code."""
     arm, rng = machines.arm(*ARMS[name]), np.random.default_rng(3)
     given = {"offsets": "all", "placements": "all", "base": "fixed", "tool": "fixed", "tool_poses": {"tool": POINT}}
-    return calib.error_model(machines.load(*ARMS[name]), **given | options), arm.draw(rng, rows), arm
+    return machines.model(machines.load(*ARMS[name]), **given | options), arm.draw(rng, rows), arm
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -18,7 +18,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
 from calib.measurement.table import table_from_arrays
 from calib.robot.robot import TipModel
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.support import machines
 from tests.support.reach import apart, well_posed
 

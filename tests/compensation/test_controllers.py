@@ -17,7 +17,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import SectorGrid
 from calib.robot import dh
 from calib.robot.conditions import Conditions
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.support import machines
 from tests.support.machines import Array
 

@@ -4,12 +4,14 @@ A new feature joins the matrix by one more ``Feature`` in ``FEATURES``; two that
 ``Refusal`` in ``REFUSALS``, with the sentence that says so. Keys of a job that are in neither are in ``EXEMPT``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, get_args
 
-from calib.measurement.kinds import Kind
+from calib.measurement import kinds as measured
+from calib.robot.conditions import NO_CONDITIONS
+from calib.robot.terms import KINDS, JointTerm, Kind
 from tests.support import machines
 from tests.support.loops import four_bar_urdf
 
@@ -113,6 +115,36 @@ _SLIDES = {"joint_3": ("prismatic", "0 0 0.30", "0 0 1")}
 _MIMIC = {"joint_5": '<mimic joint="joint_2" multiplier="-0.7" offset="0.1"/>'}
 
 # The first of every axis is the usual one.
+# Of which joint a kind of joint terms is, where that is not the second: two waves, and two compliances, of one reading
+# would hardly be told apart.
+_TERMS_OF = {"harmonics": "@first", "moments": "@third", "thermal": "@first"}
+
+
+def _of_masses() -> list[Kind]:
+    return [kind for kind in KINDS if kind.masses != "none"]
+
+
+def _told() -> list[Kind]:
+    return [kind for kind in KINDS if kind.lacking(JointTerm("", kind.names[0]), 0, NO_CONDITIONS)]
+
+
+def _of_readings() -> list[Kind]:
+    return [kind for kind in KINDS if kind not in (*_of_masses(), *_told())]
+
+
+def _keys(kinds: Sequence[Kind], *more: str) -> tuple[str, ...]:
+    return (*(f"error_model.{kind.key}" for kind in kinds), *more)
+
+
+def _free(kinds: Sequence[Kind]) -> dict[str, Any]:
+    """The keys that free a kind of one joint, or of the whole arm where it may be."""
+
+    def of(kind: Kind) -> Any:
+        return kind.words[0] if kind.words else [_TERMS_OF.get(kind.key, "@wrist" if kind.of_link else "@second")]
+
+    return {kind.key: of(kind) for kind in kinds}
+
+
 FEATURES: tuple[Feature, ...] = (
     Feature("arm", "turning", ("robot.urdf", "robot.tip")),
     Feature("arm", "coupled", ("robot.coupling",), {"arm": "coupled"}, robot={"coupling": [_COUPLED]}),
@@ -124,28 +156,17 @@ FEATURES: tuple[Feature, ...] = (
     Feature(
         "terms",
         "of readings",
-        ("error_model.gain", "error_model.harmonics", "error_model.harmonic_orders"),
-        error_model={"gain": ["@second"], "harmonics": ["@first"], "harmonic_orders": [1, 3]},
+        _keys(_of_readings(), "error_model.harmonic_orders"),
+        error_model=_free(_of_readings()) | {"harmonic_orders": [1, 3]},
     ),
     Feature(
         "terms",
         "of masses",
-        ("error_model.elastic", "error_model.bending", "error_model.moments", "robot.payload", "robot.gravity"),
+        _keys(_of_masses(), "robot.payload", "robot.gravity"),
         robot={"payload": _PAYLOAD, "gravity": ["1 m/s2", "0 m/s2", "-9.7 m/s2"]},
-        error_model={"elastic": ["@second"], "bending": ["@wrist"], "moments": ["@third"]},
+        error_model=_free(_of_masses()),
     ),
-    Feature(
-        "terms",
-        "told",
-        ("error_model.backlash", "error_model.thermal", "error_model.torque", "error_model.expansion"),
-        {"told": True},
-        error_model={
-            "backlash": ["@second"],
-            "thermal": ["@first"],
-            "torque": ["@second"],
-            "expansion": "arm",
-        },
-    ),
+    Feature("terms", "told", _keys(_told()), {"told": True}, error_model=_free(_told())),
     Feature("terms", "auto", ("error_model.terms",), {"told": True}, error_model={"terms": "auto"}),
     Feature("sides", "by joint", (), {"said": "each"}),
     Feature("sides", "by row", (), {"said": "row"}),
@@ -289,7 +310,7 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("solver: total differential",),
-        tuple(f"observes: {kind}" for kind in get_args(Kind) if kind != "position"),
+        tuple(f"observes: {kind}" for kind in get_args(measured.Kind) if kind != "position"),
         "the total differential is of positions",
     ),
     Refusal(

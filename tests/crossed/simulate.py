@@ -23,7 +23,7 @@ from calib.job.inputs import load_arm
 from calib.measurement.projection import project
 from calib.robot.conditions import Conditions, in_order
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.crossed.features import Draft, Feature
 
 Array = NDArray[np.float64]

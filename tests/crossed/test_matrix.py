@@ -34,7 +34,7 @@ IN_TURNS = tuple(step for step in walk.STEPS if step not in (*ALWAYS, *RARELY))
 @pytest.fixture(autouse=True)
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint terms are chosen among a few: forty orders of harmonics take their time."""
-    monkeypatch.setattr(choice, "candidates", functools.partial(choice.candidates, orders=(1,)))
+    monkeypatch.setattr(choice, "candidates", functools.partial(choice.candidates, options={"harmonic_orders": (1,)}))
 
 
 @pytest.mark.parametrize("number", range(len(rows())), ids=lambda k: f"{k}: {told(rows()[k])}")

@@ -14,6 +14,7 @@ from calib.foundations.ranges import COUNTS, MOST_NAMES, OF_DIMENSION, RANGES, r
 from calib.job.fields import number, quantity
 from calib.job.schema import CouplingSection
 from calib.robot.gravity import Payload
+from tests.support import machines
 from tests.support.cases import CASE, Edit, append, copy_case, job, run, tree
 
 FORMATS = Path(__file__).resolve().parents[2] / "docs" / "formats.md"
@@ -198,10 +199,10 @@ def test_python_is_given_the_same_ranges() -> None:
     model = calib.error_model(robot, offsets="all")
     far = np.array([1e9, 0.0, 0.0])
     calls: list[Any] = [
-        lambda: calib.error_model(robot, offsets="all", prior_length=1e300),
-        lambda: calib.error_model(robot, offsets="all", prior_angle=1e-300),
-        lambda: calib.error_model(robot, offsets="all", base="fixed", base_pose=far),
-        lambda: calib.error_model(robot, offsets="all", tool="fixed", tool_poses={"tool": far}),
+        lambda: machines.model(robot, offsets="all", prior_length=1e300),
+        lambda: machines.model(robot, offsets="all", prior_angle=1e-300),
+        lambda: machines.model(robot, offsets="all", base="fixed", base_pose=far),
+        lambda: machines.model(robot, offsets="all", tool="fixed", tool_poses={"tool": far}),
         lambda: calib.measuring.LaserTracker(1e100, 0.0),
         lambda: calib.measuring.LaserTracker(1e-5, 0.0, (1e300, 0.0, 0.0)),
         lambda: calib.load_robot(robot.urdf, robot.tip, gravity=(0.0, 0.0, 1e7)),

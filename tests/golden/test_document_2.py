@@ -47,7 +47,8 @@ SETS = {s: named(np.radians(GIVEN[s]["alpha"]), np.radians(GIVEN[s]["theta"])) f
 
 def model_with(**options: Any) -> calib.ErrorModel:
     robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
-    return calib.error_model(robot, offsets="all", dh=[*NAMES["a"], *NAMES["d"], *NAMES["alpha"]], **options)
+    numbers = [*NAMES["a"], *NAMES["d"], *NAMES["alpha"]]
+    return calib.error_model(robot, offsets="all", placements=calib.dh.Free(numbers), **options)
 
 
 @pytest.fixture(scope="module")

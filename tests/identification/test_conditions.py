@@ -58,7 +58,7 @@ class Lab:
         return found | {"temperature [degC]": self.degrees}
 
     def model(self, **options: object) -> calib.ErrorModel:
-        return calib.error_model(
+        return machines.model(
             self.robot, **({"offsets": "all", "placements": "all", "backlash": "all", "thermal": "all"} | options)
         )
 
@@ -131,7 +131,7 @@ def test_measured_torques_wind_drives_up() -> None:
             inside += abs(fit.value(f"{joint}.torque") - truth) < 1.96 * sigmas[f"{joint}.torque"] < truth
     assert inside >= 17
     with pytest.raises(JobError, match="torque: 'bridge' slides, and torques are of joints that turn"):
-        calib.error_model(machines.load(machines.INLINE["gantry"], "tip"), torque="all")
+        machines.model(machines.load(machines.INLINE["gantry"], "tip"), torque="all")
 
 
 def test_the_order_of_rows_tells_the_sides() -> None:

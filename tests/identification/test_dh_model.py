@@ -33,7 +33,7 @@ Array = machines.Array
 
 def alone(robot: calib.Robot, **options: object) -> calib.ErrorModel:
     """All of the table free (or what ``options`` say), base and tool known."""
-    return calib.error_model(robot, **({"dh": "all", "base": "fixed", "tool": "fixed"} | options))
+    return machines.model(robot, **({"dh": "all", "base": "fixed", "tool": "fixed"} | options))
 
 
 def changed(model: calib.ErrorModel, x: Array) -> DhTable:
@@ -232,7 +232,7 @@ def test_a_wrong_wish_is_refused_in_a_sentence(options: dict[str, object], sente
 
 
 def seen(robot: calib.Robot, observes: str = "position", n: int = 80, **options: object) -> Observability:
-    model = calib.error_model(robot, **({"dh": "all", "tool": "pose" if observes == "pose" else "position"} | options))
+    model = machines.model(robot, **({"dh": "all", "tool": "pose" if observes == "pose" else "position"} | options))
     return observability(model, [poses(robot, np.random.default_rng(0), n, observes)])
 
 
@@ -254,7 +254,7 @@ def test_a_table_sees_what_all_placements_see() -> None:
         robot = machines.load(text, tip)
         data = [poses(robot, np.random.default_rng(0), 80, "pose")]
         whole = calib.error_model(robot, offsets="all", placements="all", tool="pose")
-        table = calib.error_model(robot, dh="all", tool="pose")
+        table = machines.model(robot, dh="all", tool="pose")
         assert observability(table, data).rank == observability(whole, data).rank, name
 
 
@@ -292,7 +292,7 @@ def test_what_is_identified_is_the_table_and_its_urdf(convention: str) -> None:
     true = machines.Machine(
         machines.arm(*UR10).moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.1))}
     )
-    model = calib.error_model(robot, dh="all", dh_convention=convention, tool="pose")
+    model = machines.model(robot, dh="all", dh_convention=convention, tool="pose")
     fit = calib.identify(model, true.measure(robot, true.arm.draw(rng, 60), "pose", sigma=0.0))
     assert fit.converged
     unseen = true.arm.draw(rng, 100)

@@ -14,7 +14,7 @@ T, R = ("tx", "ty", "tz"), ("rx", "ry", "rz")
 
 def names(**options: object) -> list[str]:
     options = {"base": "fixed", "tool": "fixed"} | options
-    return [parameter.name for parameter in calib.error_model(GANTRY, **options).parameters()]
+    return [parameter.name for parameter in machines.model(GANTRY, **options).parameters()]
 
 
 def test_all_placements_are_those_of_moving_joints_without_what_is_their_offset() -> None:
@@ -57,7 +57,7 @@ def test_base_and_tools_are_named_after_their_points(tool: str, components: tupl
 
 
 def test_every_parameter_has_the_unit_and_the_prior_of_its_dimension() -> None:
-    model = calib.error_model(GANTRY, offsets="all", placements=["*"], tool="pose", prior_length=2e-3, prior_angle=3e-3)
+    model = machines.model(GANTRY, offsets="all", placements=["*"], tool="pose", prior_length=2e-3, prior_angle=3e-3)
     parameters = model.parameters(("a", "b"))
     assert len({p.name for p in parameters}) == len(parameters)
     prismatic = ("bridge.offset", "carriage.offset", "ram.offset")
@@ -79,21 +79,52 @@ def test_every_parameter_has_the_unit_and_the_prior_of_its_dimension() -> None:
         ({"placements": ["q*"]}, "placements: 'q*' matches no joint of the arm; there are column.tx, column.ty, "),
         ({"base": "position"}, "base: 'position' is not one of pose, fixed."),
         ({"tool": "free"}, "tool: 'free' is not one of pose, position, fixed."),
+        ({"offsets": None}, 'offsets: None is not "all", "none" or a list of names.'),
+        ({"offsets": 5}, 'offsets: 5 is not "all", "none" or a list of names.'),
+        ({"offsets": ["bridge", 5]}, "offsets: ['bridge', 5] is not"),
+        ({"offsets": {"bridge": 1}}, "offsets: {'bridge': 1} is not"),
+        ({"placements": None}, 'placements: None is not "all", "none" or a list of names.'),
+        ({"placements": [None]}, "placements: [None] is not"),
+        ({"placements": calib.dh.Free(None)}, 'dh: None is not "all", "none" or a list of names.'),
+        ({"placements": calib.dh.Free(placements=5)}, 'placements: 5 is not "all", "none" or a list of names.'),
+        ({"placements": calib.dh.Free(parallel="1 deg")}, "dh_parallel: '1 deg' is not an angle between 0 and 0.5"),
+        ({"placements": calib.dh.Free(convention=None)}, "dh_convention: None is not one of standard, modified."),
+        ({"base": None}, "base: None is not one of pose, fixed."),
+        ({"tool": np.zeros(3)}, "tool: array([0., 0., 0.]) is not one of pose, position, fixed."),
+        ({"terms": {"gains": "all"}}, "terms: there are no 'gains'; allowed are gain, harmonics, elastic, "),
+        ({"terms": {"gain": None}}, 'gain: None is not "all", "none" or a list of names.'),
+        ({"terms": {"expansion": 5}}, 'expansion: 5 is not "arm", "all", "none" or a list of names.'),
+        ({"terms": {"harmonic_orders": "12"}}, "harmonic_orders: '12' is not a list of whole numbers from 1 to 1000."),
+        ({"terms": "gain"}, "terms: 'gain' is neither keys of a job with their values nor a list of joint terms."),
+        ({"terms": None}, "terms: None is neither keys"),
+        ({"terms": [calib.JointTerm("elbow", "gain")]}, "terms: 'elbow.gain' is of nothing that the robot has."),
+        ({"terms": [calib.JointTerm("bridge", "magic")]}, "terms: 'bridge.magic' is of nothing"),
+        ({"terms": [calib.JointTerm("bridge", "cos", 1)]}, "terms: 'bridge.cos_1' is of nothing"),
+        ({"terms": [calib.JointTerm("bridge", "gain")] * 2}, "terms: 'bridge.gain' comes twice."),
+        ({"priors": 1e-3}, "priors: 0.001 is no calib.Priors."),
+        ({"priors": None}, "priors: None is no calib.Priors."),
+        ({"priors": calib.Priors([1e-3])}, "prior length: [0.001] is not a positive number"),
+        ({"priors": calib.Priors(angle="1 deg")}, "prior angle: '1 deg' is neither a positive number nor "),
+        ({"known": np.eye(4)}, "known: array("),
+        ({"known": calib.Known(base="here")}, "known.base: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"known": calib.Known(tools=np.eye(4))}, "known.tools: array("),
+        ({"known": calib.Known(targets={"a": (1, 2, 3)})}, "known.targets: 'a': (1, 2, 3) is no target."),
+        ({"known": calib.Known(relations=5)}, "known.relations: 5 is no list of relations."),
         ({"prior_length": 0.0}, "prior length: 0.0 is not a positive number; leave it out for no prior."),
         ({"prior_angle": np.nan}, "prior angle: nan is not a positive number; leave it out for no prior."),
-        ({"base_pose": np.ones((4, 4))}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
-        ({"base_pose": [np.nan, 0, 0]}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
-        ({"tool_poses": {"tool": [1.0]}}, "tool 'tool': needs a point (3,) in m or a rigid placement (4, 4)."),
-        ({"base_pose": np.diag([1, 1, -1, 1])}, "base_pose: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"base_pose": np.ones((4, 4))}, "known.base: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"base_pose": [np.nan, 0, 0]}, "known.base: needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"tool_poses": {"tool": [1.0]}}, "known.tools: 'tool': needs a point (3,) in m or a rigid placement (4, 4)."),
+        ({"base_pose": np.diag([1, 1, -1, 1])}, "known.base: needs a point (3,) in m or a rigid placement (4, 4)."),
         (
             {"base_pose": 2 * np.eye(4) - np.diag([1, 1, 1, 0])},
-            "base_pose: needs a point (3,) in m or a rigid placement",
+            "known.base: needs a point (3,) in m or a rigid placement",
         ),
     ],
 )
 def test_a_wrong_wish_is_refused_in_a_sentence(options: dict[str, object], sentence: str) -> None:
     with pytest.raises(JobError) as caught:
-        calib.error_model(GANTRY, **options)
+        machines.model(GANTRY, **options)
     assert str(caught.value).startswith(sentence)
 
 

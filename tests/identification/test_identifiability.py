@@ -40,7 +40,7 @@ def fitted(
     data = true.measure(
         robot, arm.draw(rng, 200), observes, points=(names * 200)[:200], rng=rng, sigma=sigma, sigma_angle=2 * sigma
     )
-    model = calib.error_model(robot, **({"offsets": "all", "placements": "all"} | options))
+    model = machines.model(robot, **({"offsets": "all", "placements": "all"} | options))
     return calib.identify(model, data, blind=blind), true, arm.draw(rng, 200)
 
 

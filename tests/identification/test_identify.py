@@ -28,7 +28,7 @@ class Lab:
         self.unseen = self.arm.draw(self.rng, 500)
 
     def model(self, **options: object) -> calib.ErrorModel:
-        return calib.error_model(self.robot, **({"offsets": "all", "placements": "all"} | options))
+        return machines.model(self.robot, **({"offsets": "all", "placements": "all"} | options))
 
     def measure(
         self, n: int, observes: str = "position", sigma: float = SIGMA, **options: object

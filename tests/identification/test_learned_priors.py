@@ -133,7 +133,7 @@ class Lab:
 
     def model(self, **options: object) -> calib.ErrorModel:
         free = {"offsets": "all", "placements": "all"} | options
-        return calib.error_model(self.robot, **free)
+        return machines.model(self.robot, **free)
 
     def wavy(self, **options: object) -> calib.ErrorModel:
         free = {"harmonics": "all", "harmonic_orders": ORDERS, "prior_harmonics": "learned"}

@@ -22,7 +22,7 @@ from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.robot.conditions import Conditions
 from calib.robot.gravity import Payload
 from calib.robot.sources import resolve
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm, kind_of
 from calib.robot.urdf import parse_urdf
 from tests.support import machines
 from tests.support.gears import UR10
@@ -129,7 +129,7 @@ class Lab:
             for kind, ending in kinds.items()
         }
         chosen["expansion"] = "arm" if "arm.expansion" in self.truth else "none"
-        return calib.error_model(self.robot, **(FREE | chosen | options))
+        return machines.model(self.robot, **(FREE | chosen | options))
 
     def miss(self, fit: calib.Fit, n: int = 100) -> float:
         """3D rms in m of tool points in poses, and at temperatures, that were not measured."""
@@ -174,8 +174,8 @@ def test_without_masses_moments_predict_as_well() -> None:
     for seed in range(2):
         lab = Lab(seed, 200, links=False, warm=False)
         bare, data = weightless(), lab.measure()
-        guessed = calib.error_model(bare, **FREE, moments=list(DRIVES))
-        fits = [calib.identify(model, data) for model in (lab.model(), guessed, calib.error_model(bare, **FREE))]
+        guessed = machines.model(bare, **FREE, moments=list(DRIVES))
+        fits = [calib.identify(model, data) for model in (lab.model(), guessed, machines.model(bare, **FREE))]
         missed.append([lab.miss(fit) for fit in fits])
         assert {p.unit for p in fits[1].parameters if ".moment_" in p.name} == {"kg m rad/Nm"}
     known, without_masses, neither = np.mean(missed, axis=0)
@@ -189,7 +189,7 @@ def test_products_that_cannot_be_told_apart_have_no_interval() -> None:
     """The last joints never move: masses on them are one mass, and the fit says that it cannot tell them apart."""
     lab = Lab(3, 120, links=False, warm=False)
     lab.readings[:, 3:] = lab.readings[0, 3:]
-    fit = calib.identify(calib.error_model(weightless(), offsets="all", moments="all"), lab.measure())
+    fit = calib.identify(machines.model(weightless(), offsets="all", moments="all"), lab.measure())
     names = [p.name for p in fit.parameters]
     behind = [k for k, name in enumerate(names) if name.startswith("elbow_joint.moment")]
     assert len(behind) == 8
@@ -242,7 +242,7 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(tmp_path: Path) ->
             {"elastic": "none", "bending": "none", "moments": "all", "expansion": ["elbow*", "*fixed_joint"]},
         ),
     ):
-        model = lab.model(**options) if name == "weighed" else calib.error_model(robot, **FREE, **options)
+        model = lab.model(**options) if name == "weighed" else machines.model(robot, **FREE, **options)
         fit = calib.identify(model, lab.measure())
         folder = tmp_path / name
         folder.mkdir()
@@ -276,7 +276,7 @@ def test_what_nobody_can_mean_is_refused() -> None:
         ({"expansion": "arm", "dh": "all"}, "expansion: links give way between joints of the URDF; free placements"),
     ):
         with pytest.raises(JobError, match=re.escape(sentence)):
-            calib.error_model(robot, **options)
+            machines.model(robot, **options)
     lab = Lab(7, 20)
     cold = replace(lab.measure(), conditions=Conditions())
     with pytest.raises(MeasurementError, match=r"no column 'temperature', which arm\.expansion needs"):
@@ -288,7 +288,7 @@ def test_they_are_offered_where_they_can_be_seen_and_chosen_where_they_are() -> 
     data = lab.measure()
 
     def kinds(robot: calib.Robot, rows: calib.Measurements) -> set[str]:
-        return {term.kind for one in candidates(robot, [rows], orders=()) for term in one.terms}
+        return {term.kind for one in candidates(robot, [rows], {"harmonic_orders": ()}) for term in one.terms}
 
     still = replace(data, conditions=Conditions(temperature=np.full(len(data), 25.0)))
     assert kinds(lab.robot, data) == {"gain", "thermal", "elastic", "bending", "expansion"}
@@ -299,10 +299,10 @@ def test_they_are_offered_where_they_can_be_seen_and_chosen_where_they_are() -> 
     ]
     offered += [Candidate((JointTerm("", "expansion"),))]
     offered += [Candidate((JointTerm(joint, "elastic"),)) for joint in DRIVES]
-    choice = choose_terms(calib.error_model(lab.robot, **FREE), data, offered=offered)
+    choice = choose_terms(machines.model(lab.robot, **FREE), data, offered=offered)
     assert {term.name for term in choice.terms} >= {"elbow_joint.bending", "shoulder_lift_joint.elastic"}
     named = [step.added.name for step in choice.steps[1:] if step.added is not None]
     assert {"arm: expansion", "elbow_joint: bending", "elbow_joint: elastic"} <= set(named)
     assert Candidate((JointTerm("a", "moment", body="b_1_x"),)).name == "a: moment b_1_x"
-    table = calib.error_model(lab.robot, dh="all")
-    assert not [term for term in choose_terms(table, still, count=3).terms if term.of_link]
+    table = machines.model(lab.robot, dh="all")
+    assert not [term for term in choose_terms(table, still, count=3).terms if kind_of(term).of_link]

@@ -12,6 +12,7 @@ from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from scripts.simulate import irb2400 as simulation
+from tests.support import machines
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,7 +38,7 @@ def measurements(robot: calib.Robot, q: Array, positions: Array) -> calib.Measur
 def jacobian(robot: calib.Robot, reflector: tuple[float, ...], **free: object) -> Array:
     """Columns (3 N, p) of all free parameters of the nominal robot, base and tool point among them."""
     q = np.radians(commands_deg(150, 0))
-    model = calib.error_model(robot, **free)
+    model = machines.model(robot, **free)
     T = np.eye(4)
     T[:3, 3] = reflector
     parameters = model.parameters()

@@ -81,7 +81,7 @@ def at_random(
     data = observed(robot, q, kind, "t", "length" if offset else None)
     free = {"dh": "all"} if dh else {"placements": ["*"]}
     pose_of = {t: Target(anywhere(rng), kind != "indicator") for t in data.targets}
-    model = calib.error_model(
+    model = machines.model(
         robot, offsets="all", tool="pose", targets=pose_of if known or kind == "indicator" else {}, **free
     )
     reference = Frames(
@@ -182,7 +182,7 @@ KINDS: dict[str, tuple[Measure, tuple[str, ...], bool, int, int]] = {
 
 def model(here: Lab, known: Sequence[str] = (), *, height_is_known: bool = True, **options: object) -> calib.ErrorModel:
     targets = {n: replace(t, height_is_known=height_is_known) for n, t in here.known(*known).items()}
-    return calib.error_model(here.robot, **({"offsets": "all", "placements": "all", "targets": targets} | options))
+    return machines.model(here.robot, **({"offsets": "all", "placements": "all", "targets": targets} | options))
 
 
 def fitted(here: Lab, name: str, **options: object) -> calib.Fit:

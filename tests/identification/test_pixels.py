@@ -219,7 +219,7 @@ def test_a_known_target_tells_where_the_base_is(camera_on: str) -> None:
     true = scene(rng, NOMINAL, camera_on, base=machines.anywhere(rng))
     data = true.measure(ROBOT, true.draw(rng, 10))
     fit = calib.identify(
-        calib.error_model(ROBOT, offsets=INNER, tool="pose", targets={"target": Target(true.target)}), data
+        machines.model(ROBOT, offsets=INNER, tool="pose", targets={"target": Target(true.target)}), data
     )
     assert max(relative(fit.machine.frames.base, true.base)) < 1e-9
     assert max(relative(fit.machine.frames.tools[0], true.tool)) < 1e-9
@@ -229,7 +229,7 @@ def test_a_known_target_tells_where_the_base_is(camera_on: str) -> None:
 def test_a_known_tool_needs_no_start(camera_on: str) -> None:
     rng = np.random.default_rng(62)
     true = scene(rng, NOMINAL, camera_on)
-    model = calib.error_model(ROBOT, offsets=INNER, tool="fixed", tool_poses={"tool": true.tool})
+    model = machines.model(ROBOT, offsets=INNER, tool="fixed", tool_poses={"tool": true.tool})
     fit = calib.identify(model, true.measure(ROBOT, true.draw(rng, 10)))
     assert max(relative(fit.machine.frames.targets[0], true.target)) < 1e-9
 
@@ -322,7 +322,7 @@ def test_options_that_do_not_fit_are_refused() -> None:
         )
     with pytest.raises(JobError, match="'target' is a board or camera: give its position and quaternion"):
         calib.identify(
-            calib.error_model(ROBOT, tool="pose", targets={"target": Target(np.eye(4), height_is_known=False)}),
+            machines.model(ROBOT, tool="pose", targets={"target": Target(np.eye(4), height_is_known=False)}),
             calib.read_measurements(columns, ROBOT, "pixels", instrument=true.camera),
         )
 

@@ -53,7 +53,7 @@ class Lab:
         return calib.read_measurements(spoil(self.columns(rows)), self.robot, self.observes)
 
     def model(self, **options: object) -> calib.ErrorModel:
-        return calib.error_model(self.robot, **({"tool": "pose" if self.observes == "pose" else "position"} | options))
+        return machines.model(self.robot, **({"tool": "pose" if self.observes == "pose" else "position"} | options))
 
     def sentence(self, spoil: Spoil, **options: object) -> str:
         (finding,) = signatures(self.model(**options), [self.measure(spoil)])

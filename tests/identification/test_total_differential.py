@@ -34,7 +34,7 @@ class Lab:
 
     def model(self, **options: object) -> calib.ErrorModel:
         fixed = {"base": "fixed", "base_pose": self.base, "tool": "fixed", "tool_poses": {"tool": POINT}}
-        return calib.error_model(self.robot, **{"offsets": "all"} | fixed | options)
+        return machines.model(self.robot, **{"offsets": "all"} | fixed | options)
 
 
 def follow(lab: Lab, **options: object) -> Trace:

@@ -15,8 +15,9 @@ from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
 from calib.robot.gravity import Payload
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from scripts.simulate import irb2400 as simulation
+from tests.support import machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +47,7 @@ def measurements(robot: calib.Robot, commands_deg: Array, positions_mm: Array) -
 def test_compliances_lie_within_their_intervals(robot: calib.Robot, gears: bool) -> None:
     """Axis 1 lifts nothing; harmonics of the first order imitate what the lower arm holds, and intervals know it."""
     harmonics = {"harmonics": "all", "harmonic_orders": ORDERS} if gears else {}
-    model = calib.error_model(robot, **GEOMETRY, **harmonics, elastic=["joint_[2-6]"])
+    model = machines.model(robot, **GEOMETRY, **harmonics, elastic=["joint_[2-6]"])
     inside, total, sigmas = 0, 0, []
     for seed in range(11, 16):
         machine = simulation.Machine(seed, harmonics=gears)
@@ -72,7 +73,7 @@ def test_ignoring_it_costs_what_it_does_to_the_tip(robot: calib.Robot) -> None:
     test = measurements(robot, commands["test"], machine.tcp(commands["test"]))
     missed = []
     for elastic in ("none", ["joint_[2-6]"]):
-        fit = calib.identify(calib.error_model(robot, **GEOMETRY, elastic=elastic), data)
+        fit = calib.identify(machines.model(robot, **GEOMETRY, elastic=elastic), data)
         tips = fit.machine.frames.base @ fit.robot.tips(test.readings, fit.deviations) @ fit.machine.frames.tools[0]
         missed.append(np.sqrt(np.mean(np.sum((tips[:, :3, 3] - test.position) ** 2, axis=1))))
     assert missed[0] > 10e-6
@@ -82,7 +83,7 @@ def test_ignoring_it_costs_what_it_does_to_the_tip(robot: calib.Robot) -> None:
 def test_columns_match_central_differences(robot: calib.Robot) -> None:
     """All terms on the parallelogram, at a point far from zero."""
     rng = np.random.default_rng(5)
-    model = calib.error_model(robot, **GEOMETRY, gain="all", harmonics="all", elastic="all", tool="pose")
+    model = machines.model(robot, **GEOMETRY, gain="all", harmonics="all", elastic="all", tool="pose")
     parameters = model.parameters()
     scale = np.array([parameter.ordinary for parameter in parameters])
     x = rng.uniform(-20.0, 20.0, len(parameters)) * scale
@@ -107,7 +108,7 @@ def test_it_is_chosen_where_it_is(robot: calib.Robot) -> None:
     machine, commands = simulation.Machine(7, harmonics=False), simulation.poses(7)["harmonics"]
     data = measurements(robot, commands, machine.measure(commands, np.random.default_rng(0)))
     offered = [Candidate((JointTerm(f"joint_{k}", "elastic"),)) for k in range(1, 7)]
-    choice = choose_terms(calib.error_model(robot, **GEOMETRY), data, offered=offered)
+    choice = choose_terms(machines.model(robot, **GEOMETRY), data, offered=offered)
     assert {"joint_2", "joint_3"} & {term.reading for term in choice.terms}
     assert choice.model.robot.weights is not None
 
@@ -118,7 +119,7 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
     u = rng.uniform(-0.5, 0.5, (60, 6)) + np.array([0.0, 0.0, 0.0, 0.0, 0.8, 0.0])
     positions = 1e3 * robot.tips(u)[:, :3, 3] + rng.normal(scale=0.2, size=(60, 3))
     fit = calib.identify(
-        calib.error_model(loaded, offsets="all", elastic="all"), measurements(loaded, np.degrees(u), positions)
+        machines.model(loaded, offsets="all", elastic="all"), measurements(loaded, np.degrees(u), positions)
     )
     (tmp_path / "model.json").write_text(model_json(machine_of(fit)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(URDF.read_bytes())
@@ -132,7 +133,7 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
 
 def test_gaps_lie_within_their_intervals(robot: calib.Robot) -> None:
     """The script's axes stand two half gaps back where they were reached from the other side."""
-    model = calib.error_model(robot, **GEOMETRY, backlash="all")
+    model = machines.model(robot, **GEOMETRY, backlash="all")
     inside = 0
     for seed in range(21, 27):
         machine = simulation.Machine(seed, wind_up=False, harmonics=False)

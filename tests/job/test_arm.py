@@ -19,7 +19,7 @@ from calib.machine.touching import TouchingArm, touched
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
 from calib.robot.joint_terms import with_joint_terms
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from tests.support.cases import CASE as ARM_CASE
 from tests.support.cases import ROOT, Edit, edit, run, tree, write
 

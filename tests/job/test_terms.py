@@ -87,7 +87,7 @@ def test_priors_of_a_job_are_those_of_its_model(tmp_path: Path) -> None:
     prior = 'harmonics = "0.1 mrad"'
     assert prior in text
     (tmp_path / JOB).write_text(text.replace(prior, prior + ', elastic = "2 urad/Nm"'), encoding="utf-8")
-    found = load(tmp_path / JOB).model.term_priors
+    found = {p.name: p.prior for p in load(tmp_path / JOB).model.parameters() if p.kind == "term" and p.prior}
     assert {name: width for name, width in found.items() if name.endswith("elastic")} == pytest.approx(
         {"joint_2.elastic": 2e-6, "joint_3.elastic": 2e-6}
     )

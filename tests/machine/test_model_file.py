@@ -11,7 +11,9 @@ import pytest
 import calib
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import machine_of
-from calib.machine.model_file import model_json
+from calib.machine.model_file import TermEntry, model_json
+from calib.robot.joint_terms import parts
+from calib.robot.terms import KINDS, Kind
 from tests.support import machines
 from tests.support.cases import tree
 from tests.support.swaps import left
@@ -203,7 +205,7 @@ def test_nominal_urdf_is_missing_or_cut_off(folder: Path) -> None:
 
 
 def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> None:
-    model = calib.error_model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
+    model = machines.model(fit.robot, offsets="all", gain="all", harmonics=["lift"], harmonic_orders=(2,))
     found = calib.identify(model, fit.measurements)
     (tmp_path / "model.json").write_text(model_json(machine_of(found)), encoding="utf-8")
     (tmp_path / "nominal.urdf").write_bytes(fit.robot.urdf.source)
@@ -212,6 +214,17 @@ def test_joint_terms_are_part_of_the_machine(fit: calib.Fit, tmp_path: Path) -> 
     assert again.robot.terms == found.robot.terms
     assert np.abs(found.deviations.terms).min() > 0.0
     assert np.abs(again.predict(readings, tool="left") - machines.predicted(found, readings)).max() < 1e-13
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.key)
+def test_terms_of_every_kind_come_back(kind: Kind) -> None:
+    robot = machines.load("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    for word in ("all", *kind.words):
+        for term in kind.chosen(word, parts(robot), {}):
+            plain = {"reading": term.reading, "kind": term.kind, "order": term.order, "amount": 1e-5}
+            entry = TermEntry(**plain, body=term.body)
+            assert json.loads(entry.model_dump_json()) == plain | ({"body": term.body} if term.body else {})
+            assert TermEntry.model_validate_json(entry.model_dump_json()).term == term
 
 
 TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}

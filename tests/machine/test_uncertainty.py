@@ -32,7 +32,7 @@ def fitted(
     true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
     data = true.measure(robot, arm.draw(rng, 80), observes, rng=rng, sigma=5e-5, sigma_angle=1e-4)
     chosen = {"offsets": "all", "placements": "all", "tool": "pose" if observes == "pose" else "position"} | options
-    return calib.identify(calib.error_model(robot, **chosen), data), true, arm
+    return calib.identify(machines.model(robot, **chosen), data), true, arm
 
 
 def predicted(fit: calib.Fit, x: Array, readings: Array) -> Array:

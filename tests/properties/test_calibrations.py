@@ -61,7 +61,7 @@ class Case:
 
     def model_of(self, **options: object) -> calib.ErrorModel:
         tool = "pose" if self.observes == "pose" else "position"
-        return calib.error_model(self.robot, **({"offsets": "all", "placements": "all", "tool": tool} | options))
+        return machines.model(self.robot, **({"offsets": "all", "placements": "all", "tool": tool} | options))
 
     def measured(self, sigma: float, stated: float | None = None) -> calib.Measurements:
         rng = np.random.default_rng(self.seed + 3)

@@ -11,10 +11,10 @@ from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
 from calib.robot.gravity import Holding, Payload, Weights
-from calib.robot.joint_terms import is_term_of, moments, weights_of, with_joint_terms
+from calib.robot.joint_terms import foreign, moments, weights_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm, kind_of
 from tests.robot.test_gravity import DOWN, LOOP, PANDA, UR10, potential
 from tests.support import machines
 
@@ -356,7 +356,7 @@ def test_what_the_robot_does_not_have_is_refused() -> None:
             "the robot has no moment of mass 'elbow_x'",
         ),
     ):
-        assert not is_term_of(robot, term)
+        assert foreign(robot, [term])
         with pytest.raises(RobotError, match=sentence):
             with_joint_terms(robot, [term])
     hot = with_joint_terms(robot, [JointTerm("", "expansion")])
@@ -379,5 +379,11 @@ def test_names_and_units() -> None:
         "a.expansion",
         "arm.expansion",
     ]
-    assert [term.unit("angle") for term in terms] == ["kg m rad/Nm", "kg rad/Nm", "rad/Nm", "1/K", "1/K"]
-    assert [term.unit("length") for term in terms[:3]] == ["kg m2/N", "kg m/N", "rad/Nm"]
+    assert [kind_of(term).amount(term, "angle").unit for term in terms] == [
+        "kg m rad/Nm",
+        "kg rad/Nm",
+        "rad/Nm",
+        "1/K",
+        "1/K",
+    ]
+    assert [kind_of(term).amount(term, "length").unit for term in terms[:3]] == ["kg m2/N", "kg m/N", "rad/Nm"]

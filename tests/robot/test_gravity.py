@@ -13,7 +13,7 @@ from calib.robot.gravity import Holding, Payload
 from calib.robot.joint_terms import weights_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot
-from calib.robot.transmission import JointTerm
+from calib.robot.terms import JointTerm
 from calib.robot.urdf import inertials, parse_urdf
 from scripts.simulate import irb2400 as simulation
 from tests.support import machines
@@ -183,9 +183,9 @@ def test_masses_that_cannot_be_used_are_refused_where_they_are_needed(link: str,
     text = machines.INLINE["skew"].replace('<link name="tip"/>', link)
     robot = load_robot(parse_urdf(text.encode(), "arm.urdf"), "tip")
     with pytest.raises(RobotError) as caught:
-        calib.error_model(robot, elastic="all")
+        machines.model(robot, elastic="all")
     assert sentence in str(caught.value)
-    assert calib.error_model(robot, gain="all").terms
+    assert machines.model(robot, gain="all").terms
 
 
 def test_masses_are_read() -> None:

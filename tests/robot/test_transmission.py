@@ -11,7 +11,8 @@ from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
-from calib.robot.transmission import Flexures, JointTerm, TermKind, Transmission
+from calib.robot.terms import JointTerm, kind_of
+from calib.robot.transmission import Flexures, Transmission
 from tests.support import machines
 
 Array = np.ndarray
@@ -52,14 +53,14 @@ def readings_of(robot: Robot, rng: np.random.Generator, n: int = 5) -> Array:
 def test_names_and_units() -> None:
     terms = [JointTerm("a", "gain"), JointTerm("a", "cos", 2), JointTerm("a", "sin", 12), JointTerm("a", "elastic")]
     assert [term.name for term in terms] == ["a.gain", "a.cos_2", "a.sin_12", "a.elastic"]
-    assert [term.unit("angle") for term in terms] == ["1", "rad", "rad", "rad/Nm"]
-    assert [term.unit("length") for term in terms] == ["1", "m", "m", "m/N"]
+    assert [kind_of(term).amount(term, "angle").unit for term in terms] == ["1", "rad", "rad", "rad/Nm"]
     others = [JointTerm("a", kind) for kind in ("torque", "backlash", "thermal")]
-    assert [term.unit("angle") for term in others] == ["rad/Nm", "rad", "rad/K"]
-    assert [term.unit("length") for term in others] == ["m/N", "m", "m/K"]
+    assert [kind_of(term).amount(term, "angle").unit for term in others] == ["rad/Nm", "rad", "rad/K"]
+    sliding = [JointTerm("a", kind) for kind in ("gain", "elastic", "backlash", "thermal")]
+    assert [kind_of(term).amount(term, "length").unit for term in sliding] == ["1", "m/N", "m", "m/K"]
 
 
-def alone(kind: TermKind) -> Transmission:
+def alone(kind: str) -> Transmission:
     return Transmission((JointTerm("a", kind),), ["a"], np.ones(1), Flexures((), (range(0),)), ())
 
 
@@ -85,6 +86,13 @@ def test_a_term_does_to_the_tip_what_other_readings_would(name: str) -> None:
     )
 
 
+def twist(at: Array, forward: Array, back: Array) -> Array:
+    """Small motions (N, 6), in the frames ``at`` (N, 4, 4), from one placement (N, 4, 4) to another."""
+    change = rigid.inverse(at) @ forward - rigid.inverse(at) @ back
+    v, w = change[:, :3, 3], change[:, :3, :3]
+    return np.column_stack([v, w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]])
+
+
 @pytest.mark.parametrize("size", [1e-3, 0.15])
 @pytest.mark.parametrize("name", [*ARMS, "irb2400"])
 def test_derivatives_match_central_differences(name: str, size: float) -> None:
@@ -95,22 +103,21 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
     assert motion.by_terms.shape == (len(u), 6, len(robot.terms))
     h = 1e-5
 
-    def twist(forward: Array, back: Array) -> Array:
-        at = rigid.inverse(motion.placement)
-        change = (at @ forward - at @ back) / (2.0 * h)
-        v, w = change[:, :3, 3], change[:, :3, :3]
-        return np.column_stack([v, w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]])
-
     for t in range(len(robot.terms)):
         step = h * (np.arange(len(robot.terms)) == t)
         ends = [robot.tips(u, replace(d, terms=d.terms + s)) for s in (step, -step)]
-        np.testing.assert_allclose(motion.by_terms[:, :, t], twist(*ends), rtol=0, atol=2e-8)
+        np.testing.assert_allclose(
+            motion.by_terms[:, :, t], twist(motion.placement, *ends) / (2.0 * h), rtol=0, atol=2e-8
+        )
     tip, driven = TipModel(robot, d).driven(u)
     np.testing.assert_array_equal(tip, motion.placement)
     for k in range(len(robot.readings)):
         step = h * (np.arange(len(robot.readings)) == k)
         np.testing.assert_allclose(
-            driven[:, :, k], twist(robot.tips(u + step, d), robot.tips(u - step, d)), rtol=0, atol=2e-8
+            driven[:, :, k],
+            twist(motion.placement, robot.tips(u + step, d), robot.tips(u - step, d)) / (2.0 * h),
+            rtol=0,
+            atol=2e-8,
         )
 
 

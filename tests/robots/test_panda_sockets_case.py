@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import calib
 from calib.identification.relations import Relation
 from calib.job.inputs import load
+from tests.support import machines
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +45,7 @@ def fit() -> calib.Fit:
         table["target"] = [f"{place}/hole_{h}" for h in (0, 1) for _ in holes[h]]
         sets.append(calib.read_measurements(table, robot, "socket"))
     relations = [Relation("distance", (f"{p}/hole_0", f"{p}/hole_1"), 0.05, 1e-4) for p in ("front", "left", "raised")]
-    model = calib.error_model(
+    model = machines.model(
         robot,
         offsets="all",
         placements="all",
@@ -69,7 +70,9 @@ def test_joints_may_give_way(tmp_path: Path) -> None:
     arguments = [sys.executable, script, CASE / "recordings", tmp_path, "--robot", "panda"]
     subprocess.run([*arguments, "--identify", "front", "left", "--wind-up"], check=True, capture_output=True)
     joints = [f"panda_joint{k}.elastic" for k in range(2, 7)]
-    assert load(tmp_path / "calibration.toml").model.term_priors == pytest.approx(dict.fromkeys(joints, 1e-4))
+    parameters = load(tmp_path / "calibration.toml").model.parameters()
+    found = {p.name: p.prior for p in parameters if p.kind == "term"}
+    assert found == pytest.approx(dict.fromkeys(joints, 1e-4))
 
 
 def test_the_truth_is_found(fit: calib.Fit, truth: dict[str, object]) -> None:

@@ -7,7 +7,8 @@ moved origins in the URDF's own joint frames and shifted zeros, whichever way ca
 import functools
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import yourdfpy
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.robot.sources import resolve
+from calib.robot.terms import KINDS
 from calib.robot.urdf import parse_urdf
 
 Array = NDArray[np.float64]
@@ -34,6 +36,25 @@ def pose(xyz: Sequence[float] | Array = (0, 0, 0), rotvec: Sequence[float] | Arr
 def anywhere(rng: Rng, distance: float = 3.0) -> Array:
     """A pose with a uniformly random rotation."""
     return pose(rng.uniform(-distance, distance, 3), Rotation.random(rng=rng).as_rotvec())
+
+
+_TERM_KEYS = [key for kind in KINDS for key in (kind.key, *kind.options)]
+
+
+def model(robot: calib.Robot, **keys: Any) -> calib.ErrorModel:
+    """The error model of keys as a job has them, all on one level and in SI units."""
+
+    def taken(names: dict[str, str]) -> dict[str, Any]:
+        return {name: keys.pop(key) for key, name in names.items() if key in keys}
+
+    terms = taken({key: key for key in _TERM_KEYS})
+    priors = calib.Priors(**taken({f"prior_{field.name}": field.name for field in fields(calib.Priors)}))
+    names = {"base_pose": "base", "tool_poses": "tools", "targets": "targets", "relations": "relations"}
+    known = calib.Known(**taken(names))
+    if "dh" in keys:
+        names = {"dh": "numbers", "dh_convention": "convention", "dh_parallel": "parallel", "placements": "placements"}
+        keys["placements"] = calib.dh.Free(**taken(names))
+    return calib.error_model(robot, **({"terms": terms, "priors": priors, "known": known} | keys))
 
 
 @dataclass(frozen=True)
