@@ -1,9 +1,9 @@
 """``import calib``: what it offers, what it does not load, and the five lines that it promises."""
 
+import ast
 import subprocess
 import sys
 import textwrap
-import types
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,11 @@ import calib
 from tests.job.cases import CASE, TABLE
 
 HEAVY = (
+    "numpy",
+    "scipy",
+    "pinocchio",
+    "pydantic",
+    "rich",
     "sklearn",
     "trimesh",
     "meshcat",
@@ -36,25 +41,41 @@ def test_import_is_light() -> None:
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-def test_help_is_as_light() -> None:
+@pytest.mark.parametrize("arguments", ["--help", "--version", "calibrate --help", "plan --help", "uncertainty -h"])
+def test_help_is_as_light(arguments: str) -> None:
     code = (
-        f"import sys, atexit; sys.argv = ['calib', '--help']; from calib.cli import main; "
+        f"import sys, atexit; sys.argv = ['calib', *{arguments.split()!r}]; from calib_start import main; "
         f"atexit.register(lambda: print([m for m in {HEAVY!r} if m in sys.modules])); main()"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "['typer']"
+    # By pydantic typer reads the options of a command.
+    assert done.stdout.splitlines()[-1] in ("['typer']", "['pydantic', 'typer']")
 
 
 def test_public_names_are_there_and_explained() -> None:
     assert sorted(calib.__all__) == calib.__all__
     for name in calib.__all__:
         assert getattr(calib, name).__doc__, name
-    found = {
-        name
-        for name, value in vars(calib).items()
-        if not name.startswith("_") and not isinstance(value, types.ModuleType)
-    } | {"commands", "dh", "positioner"}
-    assert found == set(calib.__all__)
+    assert set(calib.__all__) <= set(dir(calib))
+    with pytest.raises(AttributeError, match="module 'calib' has no attribute 'calibrat'"):
+        calib.calibrat  # type: ignore[attr-defined] # noqa: B018
+
+
+def test_names_are_known_to_type_checkers_and_found_where_these_look() -> None:
+    """What a type checker reads, where a running program looks, and ``__all__`` are one list."""
+    tree = ast.parse(Path(calib.__file__).read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    read = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert read == calib._MODULES
+    assert sorted(read) == calib.__all__
+
+
+@pytest.mark.parametrize(
+    "name", ["calib.robot.gravity.Payload", "calib.assessment.drift.compare", "calib.positioner", "calib.dh.read_dh"]
+)
+def test_modules_need_no_import_of_their_own(name: str) -> None:
+    code = f"import calib; calib.Payload; {name}"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
 def test_errors_are_one_family() -> None:

@@ -37,7 +37,7 @@ _CREASE = np.deg2rad(30.0)
 _SAME = 1e-6
 # The fewest faces of a body, and how many more faces than asked may be left.
 _LEAST = 4
-_SLACK = 1.25
+_SLACK = 2.0
 # Of the cells of grids that simplify; the first one is so many times finer than it might be.
 _GROWTH = 1.4
 _SAFETY = 3.0
@@ -182,20 +182,22 @@ def _refuse_doctype(data: bytes) -> None:
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
-    """Return the parts with about ``most_faces`` faces in all, at most a quarter more, near the surface they had.
+    """Return the parts with about ``most_faces`` faces in all, at most twice as many, near the surface they had.
 
     Vertices that the file wrote twice are joined first. Then edges whose end costs the surface least are taken away
     (M. Garland, P. S. Heckbert, *Surface simplification using quadric error metrics*, SIGGRAPH 1997): what was closed
-    stays closed. Loose triangles, of which that leaves too many, are thinned by a grid.
+    stays closed, and a surface that ends keeps its edge: a flat one could else vanish, for its loss costs nothing. What
+    that leaves too much of, as of loose triangles, is thinned by a grid.
     """
-    extent = max((float(np.ptp(part.vertices, axis=0).max(initial=0.0)) for part in parts), default=0.0)
+    extent = max((float(np.ptp(part.vertices, axis=0).max()) for part in parts if len(part.vertices)), default=0.0)
     welded = tuple(_clustered(part, _SAME * extent or 1.0) for part in parts)
     faces = sum(len(part.faces) for part in welded)
     if faces <= most_faces:
         return welded
-    out = tuple(_decimated(part, round(most_faces * len(part.faces) / faces), extent) for part in welded)
-    if sum(len(part.faces) for part in out) <= _SLACK * most_faces:
-        return out
+    thin = tuple(_decimated(part, round(most_faces * len(part.faces) / faces), extent) for part in welded)
+    if sum(len(part.faces) for part in thin) <= _SLACK * most_faces:
+        return thin
+    out = welded
     # The grid begins where so many faces could first cover as much surface.
     cell = np.sqrt(sum(map(_surface, out)) / most_faces) / _SAFETY
     while sum(len(part.faces) for part in out) > most_faces:
@@ -211,7 +213,7 @@ def _decimated(part: Triangles, faces: int, extent: float) -> Triangles:
     # In thousandths of the mesh: the library begins with errors of fixed sizes.
     scale = 1e3 / extent
     vertices, left = fast_simplification.simplify(
-        part.vertices * scale, part.faces.astype(np.int32), target_count=max(faces, _LEAST)
+        part.vertices * scale, part.faces.astype(np.int32), target_count=max(faces, _LEAST), preserve_border=True
     )
     return Triangles(np.asarray(vertices, dtype=np.float64) / scale, np.asarray(left, dtype=np.intp), part.rgb)
 

@@ -75,8 +75,11 @@ def _unpacked(data: bytes, size: int) -> ThinMesh | None:
         parts: list[Triangles] = []
         for part in told["parts"]:
             red, green, blue = map(float, part["rgb"])
-            vertices = np.frombuffer(rest, "<f8", 3 * int(part["vertices"])).reshape(-1, 3)
-            faces = np.frombuffer(rest, "<i4", 3 * int(part["faces"]), vertices.nbytes).reshape(-1, 3)
+            sizes = int(part["vertices"]), int(part["faces"])
+            if min(sizes) < 0:  # NumPy would take all there is
+                return None
+            vertices = np.frombuffer(rest, "<f8", 3 * sizes[0]).reshape(-1, 3)
+            faces = np.frombuffer(rest, "<i4", 3 * sizes[1], vertices.nbytes).reshape(-1, 3)
             rest = rest[vertices.nbytes + faces.nbytes :]
             parts.append(Triangles(vertices.astype(np.float64), faces.astype(np.intp), (red, green, blue)))
         return ThinMesh(tuple(parts), int(told["corners"]), size) if _sound(parts) and not rest else None
