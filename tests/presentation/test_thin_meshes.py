@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import cKDTree
 
 from calib.foundations import cache
 from calib.presentation import thin_meshes
-from calib.presentation.meshes import Triangles, balls, creased, joined, parse_mesh, primitive, simplified
+from calib.presentation.meshes import Triangles, balls, creased, parse_mesh, primitive, simplified
 from calib.presentation.thin_meshes import thin_mesh
 from calib.robot.sources import examples_folder
 from tests.presentation.test_scene import page_of, render_scene, scene
@@ -28,15 +27,11 @@ def loose_edges(part: Triangles) -> int:
     return int((np.unique(edges, axis=0, return_counts=True)[1] == 1).sum())
 
 
-def points_on(part: Triangles, n: int = 20_000) -> Any:
-    mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
-    return trimesh.sample.sample_surface(mesh, n, seed=0)[0]
-
-
-def apart(a: Triangles, b: Triangles) -> float:
-    """Return how far points on either surface are from the nearest of the other: as Hausdorff has it, but sampled."""
-    on_a, on_b = points_on(a), points_on(b)
-    return float(max(cKDTree(on_a).query(on_b)[0].max(), cKDTree(on_b).query(on_a)[0].max()))
+def farthest(a: Triangles, b: Triangles) -> float:
+    """Return how far points all over a surface are from another, at most: one side of what Hausdorff has."""
+    first, second = (trimesh.Trimesh(part.vertices, part.faces, process=False) for part in (a, b))
+    points = trimesh.sample.sample_surface(first, 3000, seed=0)[0]
+    return float(trimesh.proximity.closest_point(second, points)[1].max())
 
 
 @pytest.mark.parametrize("path", [*UR10, *PANDA], ids=lambda path: path.stem)
@@ -45,19 +40,18 @@ def test_meshes_of_robots_stay_whole(path: Path) -> None:
     mesh = parse_mesh(path.read_bytes(), path.suffix, GREY)
     assert mesh is not None
     welded, thin = simplified(mesh.parts, 10**9), simplified(mesh.parts, 4000)
-    assert sum(len(part.faces) for part in thin) <= 1.25 * 4000
+    assert sum(len(part.faces) for part in thin) <= 2 * 4000
     for before, after in zip(welded, thin, strict=True):
         assert loose_edges(after) <= loose_edges(before)
-    (whole,), (left,) = (joined([replace(part, rgb=GREY) for part in parts]) for parts in (welded, thin))
-    size = float(np.ptp(whole.vertices, axis=0).max())
-    # A screw of a hundredth of an arm may go; and two samples of one surface are apart by as much as the half of this.
-    assert apart(whole, left) < 0.04 * size
+        size = max(float(np.ptp(part.vertices, axis=0).max()) for part in welded)
+        assert farthest(before, after) < 0.01 * size
+        assert farthest(after, before) < 0.01 * size
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.3, 300.0])
 def test_a_ball_stays_a_ball(size: float) -> None:
     (small,) = simplified([balls(np.zeros((1, 3)), size, GREY, subdivisions=5)], 1000)
-    assert 900 <= len(small.faces) <= 1000
+    assert 900 <= len(small.faces) <= 2000
     assert loose_edges(small) == 0
     assert np.abs(np.linalg.norm(small.vertices, axis=1) / size - 1.0).max() < 0.01
     mesh = trimesh.Trimesh(small.vertices, small.faces, process=False)
