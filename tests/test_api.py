@@ -1,5 +1,6 @@
 """``import calib``: what it offers, what it does not load, and the five lines that it promises."""
 
+import ast
 import inspect
 import subprocess
 import sys
@@ -15,6 +16,11 @@ import calib
 from tests.support.cases import CASE, TABLE, copy_case
 
 HEAVY = (
+    "numpy",
+    "scipy",
+    "pinocchio",
+    "pydantic",
+    "rich",
     "sklearn",
     "trimesh",
     "meshcat",
@@ -37,13 +43,15 @@ def test_import_is_light() -> None:
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
-def test_help_is_as_light() -> None:
+@pytest.mark.parametrize("arguments", ["--help", "--version", "calibrate --help", "plan --help", "uncertainty -h"])
+def test_help_is_as_light(arguments: str) -> None:
     code = (
-        f"import sys, atexit; sys.argv = ['calib', '--help']; from calib.cli import main; "
+        f"import sys, atexit; sys.argv = ['calib', *{arguments.split()!r}]; from calib_start import main; "
         f"atexit.register(lambda: print([m for m in {HEAVY!r} if m in sys.modules])); main()"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "['typer']"
+    # By pydantic typer reads the options of a command.
+    assert done.stdout.splitlines()[-1] in ("['typer']", "['pydantic', 'typer']")
 
 
 MODULES = ("commands", "dh", "judging", "measuring", "planning", "positioner")
@@ -54,6 +62,9 @@ def test_public_names_are_there_and_explained() -> None:
     assert len(calib.__all__) <= 52
     for name in calib.__all__:
         assert getattr(calib, name).__doc__, name
+    assert set(calib.__all__) <= set(dir(calib))
+    with pytest.raises(AttributeError, match="module 'calib' has no attribute 'calibrat'"):
+        calib.calibrat  # type: ignore[attr-defined] # noqa: B018
     for module in MODULES:
         assert module in calib.__all__
         for name in getattr(calib, module).__all__:
@@ -67,6 +78,24 @@ def test_no_function_takes_more_than_eight_things() -> None:
             thing = getattr(module, name)
             if inspect.isfunction(thing):
                 assert len(inspect.signature(thing).parameters) <= 8, name
+
+
+def test_names_are_known_to_type_checkers_and_found_where_these_look() -> None:
+    """What a type checker reads, where a running program looks, and ``__all__`` are one list."""
+    tree = ast.parse(Path(calib.__file__).read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    read = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert {name for name, module in read.items() if module == "calib"} == set(MODULES) - {"dh"}
+    assert {name: module for name, module in read.items() if module != "calib"} == calib._MODULES
+    assert sorted(read) == calib.__all__
+
+
+@pytest.mark.parametrize(
+    "name", ["calib.robot.gravity.Payload", "calib.assessment.drift.compare", "calib.positioner", "calib.dh.read_dh"]
+)
+def test_modules_need_no_import_of_their_own(name: str) -> None:
+    code = f"import calib; calib.Payload; {name}"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
 def test_errors_are_one_family() -> None:

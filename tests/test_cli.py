@@ -3,10 +3,12 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
@@ -204,3 +206,71 @@ def test_long_names_stay_within_the_page(folder: Path) -> None:
 
 def test_case_in_the_repository_is_what_was_copied(folder: Path) -> None:
     assert (folder / JOB).read_bytes() == (CASE / JOB).read_bytes()
+
+
+# Help and completion. ---------------------------------------------------------------------------------------------
+
+
+def commands() -> dict[str, str]:
+    """Return the help of every command."""
+    listed = re.findall(r"^  ([a-z0-9]+) ", run("--help").out.partition("Calibrate:")[2], re.MULTILINE)
+    return {name: run(name, "--help").out for name in listed}
+
+
+def test_help_begins_with_the_way_to_a_calibrated_machine() -> None:
+    text = run("--help").out
+    assert re.findall(r"^([A-Z][a-z]+):$", text, re.MULTILINE) == ["Options", "Calibrate", "Prepare", "Judge", "More"]
+    path = text.partition("Calibrate:")[2].partition("Prepare:")[0]
+    assert re.findall(r"^  ([a-z]+) ", path, re.MULTILINE)[:3] == ["check", "calibrate", "view"]
+
+
+def test_every_command_has_an_example_that_it_takes() -> None:
+    found = commands()
+    assert len(found) == 17
+    for name, text in found.items():
+        (example,) = re.findall(r"^  Example: (.*)", text, re.MULTILINE)
+        program, command, *arguments = shlex.split(example)
+        assert (program, command) == ("calib", name)
+        said = run("--help") if name == "demo" else run(command, *arguments, "--help")
+        assert said.code == 0
+        known = {word.rstrip(",") for word in text.split() if word.startswith("-")}
+        assert {word for word in arguments if word.startswith("-")} <= known, name
+
+
+def test_every_command_that_says_something_says_it_as_json_too() -> None:
+    for name, text in commands().items():
+        assert ("--json" in text) == (name not in ("demo", "view")), name
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("calib comp", ["compare", "compensate"]),
+        ("calib dh --conv", ["--convention"]),
+        ("calib export --to o", ["offsets"]),
+    ],
+)
+def test_shells_complete(words: str, offered: list[str]) -> None:
+    said = process(_CALIB_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1))
+    assert said.returncode == 0
+    assert sorted(said.stdout.decode().split()) == offered
+
+
+def test_dh_as_json(folder: Path) -> None:
+    said = run("dh", "arm_cmm.urdf", "--tip", "probe", "-o", "table.csv", "--json")
+    contents = json.loads(said.out)
+    assert (said.code, contents["schema"], contents["file"], contents["convention"]) == (0, 1, "table.csv", "standard")
+    back = run("dh", "table.csv", "-o", "back.urdf", "--json")
+    again = json.loads(back.out)
+    assert [row["joint"] for row in again["rows"]] == [row["joint"] for row in contents["rows"]]
+    assert run("dh", "table.csv", "-o", "more.urdf").out == "7 rows, standard convention; the file is more.urdf.\n"
+    assert run("dh", "table.csv", "-o", "quiet.urdf", "-q") == (0, "", "")
+
+
+def test_cell_as_json(folder: Path) -> None:
+    assert run("calibrate", JOB, "-o", "out", "-q").code == 0
+    said = run("cell", "arm_cmm.urdf", "out", "-o", "cell.urdf", "--json")
+    contents = json.loads(said.out)
+    assert (said.code, contents["file"], contents["scene"]) == (0, "cell.urdf", None)
+    assert contents["joints"]["joint_1"] != "joint_1"
+    assert np.array(contents["placement"]).shape == (4, 4)

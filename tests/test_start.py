@@ -36,7 +36,8 @@ def start(code: str, *arguments: str, options: tuple[str, ...] = ("-W", "error")
 
 @pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "scipy.spatial.transform", "calib.cli.export"])
 def test_interrupted_while_it_is_loaded(module: str) -> None:
-    assert start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "--version") == (130, "", "Error: interrupted.\n")
+    done = start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "check", "nothing.toml")
+    assert done == (130, "", "Error: interrupted.\n")
 
 
 def test_interrupted_while_it_works(tmp_path: Path) -> None:
@@ -68,7 +69,7 @@ def test_windows_is_sent_to_wsl() -> None:
 
 
 def test_what_cannot_be_imported_elsewhere_is_a_bug_and_shown() -> None:
-    code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN)
+    code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN, "check", "nothing.toml")
     assert (code, out) == (1, "")
     assert "Traceback" in err
 

@@ -11,9 +11,7 @@ from typer.core import TyperGroup
 from calib.foundations.json_text import document
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from calib.presentation.console import Steps
+    from calib.presentation.console import Shown, Steps
 
 BAD_INPUT = 1
 NOT_TRUSTED = 3
@@ -72,7 +70,7 @@ class Telling:
 
         return progress(shown=not (self.quiet or self.as_json), steps=steps)
 
-    def tell(self, contents: Callable[[], Mapping[str, Any]], shown: Callable[[], Iterable["RenderableType"]]) -> None:
+    def tell(self, contents: Callable[[], Mapping[str, Any]], shown: Callable[[], Iterable["Shown"]]) -> None:
         """Print the document, or what is shown to a person."""
         from calib.presentation.console import show, write
 

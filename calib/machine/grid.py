@@ -13,7 +13,6 @@ from typing import Any, Final, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.brief import brief
@@ -69,7 +68,7 @@ class SectorGrid:
         nearest edge, and nearest nodes stand for missing ones.
         """
         inside = self._clipped(readings)
-        values = np.asarray(RegularGridInterpolator(self.axes, self.errors)(inside))
+        values = np.asarray(_multilinear(self.axes, self.errors, inside))
         return values if clamp else np.where(self._covered(readings)[:, None], values, np.nan)
 
     def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
@@ -126,8 +125,8 @@ class SectorGrid:
         inside = np.all([_within(readings[:, j], axis) for j, axis in zip(self.joints, self.axes, strict=True)], axis=0)
         if not self.measured.all():
             # A missing node counts only where it has weight: the faces of a whole cell belong to it.
-            missing = RegularGridInterpolator(self.axes, (~self.measured).astype(np.float64))
-            inside &= missing(self._clipped(readings)) <= _ROUNDING
+            missing = _multilinear(self.axes, (~self.measured).astype(np.float64), self._clipped(readings))
+            inside &= missing <= _ROUNDING
         return np.asarray(inside)
 
     def _cells(self, points: Array) -> _Cells:
@@ -146,6 +145,12 @@ def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
     """Return the axes (N, 3, 3) of a grid's frame in the instrument's; arguments as for :meth:`SectorGrid.shifts`."""
     turned = base[:3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
     return np.broadcast_to(turned, (len(tips), 3, 3))
+
+
+def _multilinear(axes: Sequence[Array], values: Array, points: Array) -> Array:
+    from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - slow to load, and few machines have a grid
+
+    return np.asarray(RegularGridInterpolator(axes, values)(points))
 
 
 def _within(values: Array, axis: Array) -> BoolArray:

@@ -12,8 +12,11 @@ from calib.foundations.errors import OutputError
 from calib.presentation.report.document import Prose, Report
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
+# What a command may show: text, and tables.
+Shown = RenderableType
 
-def show(*renderables: RenderableType) -> None:
+
+def show(*renderables: Shown) -> None:
     """Print to standard output, in colours on a terminal and as plain text elsewhere."""
     console = Console(highlight=False, markup=False)
     if console.is_terminal:

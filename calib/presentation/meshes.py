@@ -1,30 +1,31 @@
-"""Triangles: the simple shapes a scene is drawn with, and mesh files read under declared roots.
+"""Triangles: the simple shapes a scene is drawn with, and mesh files.
 
 A mesh is decoration: whatever is wrong with one (missing, outside the roots, broken), the scene is drawn without it.
 """
 
 import io
+import itertools
 import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from calib.foundations.arrays import Array, IntArray
-from calib.foundations.errors import RobotError
-from calib.foundations.files import read_bytes
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.presentation.mesh_counts import MOST_CORNERS, counts
 
 Rgb = tuple[float, float, float]
 
 # Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
 _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
-_LARGEST_FILE = 200_000_000
+LARGEST_FILE = 200_000_000
 # What the readers were seen to raise on damaged files; they have no exception of their own.
 _DAMAGED = (
     *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, OSError),
@@ -32,6 +33,13 @@ _DAMAGED = (
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
+# Of a mesh's size: vertices nearer than this are one.
+_SAME = 1e-6
+# The fewest faces of a body, and how many more faces than asked may be left.
+_LEAST = 4
+_SLACK = 2.0
+# Of the library, which moves a surface at last by sqrt(103^k 1e-9) thousandths of the mesh: 0.3 %, 3 %, then anything.
+_KEENNESS = (5, 6, 7)
 # Of the cells of grids that simplify; the first one is so many times finer than it might be.
 _GROWTH = 1.4
 _SAFETY = 3.0
@@ -46,14 +54,42 @@ class Triangles:
     rgb: Rgb
 
 
+class Mesh(NamedTuple):
+    """The triangles of a file, and how many corners it has or asks for."""
+
+    parts: tuple[Triangles, ...]
+    corners: int
+
+
 def balls(centres: Array, radius: float, rgb: Rgb, subdivisions: int = 0) -> Triangles:
     """Return triangles that draw a ball at each of ``centres`` (N, 3), with 20 faces, times 4 a subdivision."""
-    import trimesh  # noqa: PLC0415 - calib must not load it on import
+    vertices, faces = _ball(subdivisions)
+    return Triangles((centres[:, None] + radius * vertices).reshape(-1, 3), _repeated(faces, len(centres)), rgb)
 
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return Triangles(
-        (centres[:, None] + ball.vertices).reshape(-1, 3), _repeated(np.asarray(ball.faces), len(centres)), rgb
-    )
+
+@cache
+def _ball(subdivisions: int) -> tuple[Array, IntArray]:
+    """Return a ball of radius 1: an icosahedron whose faces are cut in four again and again."""
+    if not subdivisions:
+        g = (1.0 + np.sqrt(5.0)) / 2.0
+        corners = np.array([(0.0, s, t * g) for s in (-1.0, 1.0) for t in (-1.0, 1.0)])
+        vertices = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
+        triples = np.array(list(itertools.combinations(range(12), 3)))
+        # Three corners are a face where all are neighbours; its order makes it look outward.
+        sides = np.linalg.norm(vertices[triples] - vertices[np.roll(triples, 1, axis=1)], axis=2)
+        faces = triples[(sides < 2.1).all(axis=1)]
+        inward = np.linalg.det(vertices[faces]) < 0.0
+        faces[inward] = faces[inward][:, ::-1]
+        return read_only(vertices / np.sqrt(1.0 + g * g)), np.asarray(faces, dtype=np.intp)
+    vertices, faces = _ball(subdivisions - 1)
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    cut, index = np.unique(edges, axis=0, return_inverse=True)
+    middles = vertices[cut].sum(axis=1)
+    a, b, c = faces.T
+    ab, bc, ca = index.reshape(-1, 3).T + len(vertices)
+    quarters = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1).reshape(-1, 3)
+    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+    return read_only(np.concatenate([vertices, middles])), np.asarray(quarters, dtype=np.intp)
 
 
 def sticks(starts: Array, ends: Array, radius: float, rgb: Rgb, sides: int = 4) -> Triangles:
@@ -78,18 +114,16 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) ->
 
     What is round has about so many ``faces``: of a sphere at most 1280, of a cylinder 192, of both at least 20.
     """
-    from trimesh import creation  # noqa: PLC0415
+    if kind == "sphere":
+        halvings = max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)
+        return balls(np.zeros((1, 3)), sizes[0], rgb, halvings)
+    from trimesh import creation  # noqa: PLC0415 - slow to load
 
-    # Of size 1 first: trimesh divides by the size of a sphere, and some have none.
-    scale = 1.0
     if kind == "box":
         mesh = creation.box(extents=sizes)
-    elif kind == "sphere":
-        halvings = max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)
-        mesh, scale = creation.icosphere(subdivisions=halvings), sizes[0]
     else:
         mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=min(max(faces // 4, 5), 48))
-    return Triangles(scale * np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
+    return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 
 def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
@@ -103,27 +137,27 @@ def moved(part: Triangles, T: Array) -> Triangles:
     return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
 
 
-def read_mesh(path: Path, otherwise: Rgb, spare: int = MOST_CORNERS) -> tuple[Triangles, ...] | None:
+def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNERS) -> Mesh | None:
     """Return the triangles of a mesh file in m, in its own colours or ``otherwise``; None when the file is unusable.
 
     It is unusable as well when its triangles have more corners than the file has bytes and ``spare`` ones, or are in
-    too many parts.
-    Nothing but ``path`` is opened: textures and material libraries beside it are not followed.
+    too many parts. ``suffix``: of the file, as ``.stl``.
+    Nothing else is opened: textures and material libraries beside it are not followed.
     """
-    import trimesh  # noqa: PLC0415
+    if suffix not in _FORMATS:
+        return None
+    import trimesh  # noqa: PLC0415 - slow to load
     from collada.common import DaeError  # noqa: PLC0415
 
-    if path.suffix.lower() not in _FORMATS:
-        return None
     try:
-        data = read_bytes(path, RobotError, _LARGEST_FILE)
-        if path.suffix.lower() == ".dae":
+        if suffix == ".dae":
             _refuse_doctype(data)
-        if not counts(data, path.suffix.lower()).within(spare + len(data)):
+        told = counts(data, suffix)
+        if not told.within(spare + len(data)):
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=None)
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None)
             # COLLADA states its unit, and ROS viewers obey it.
             unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
             parts = [
@@ -131,14 +165,11 @@ def read_mesh(path: Path, otherwise: Rgb, spare: int = MOST_CORNERS) -> tuple[Tr
                 for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
                 if isinstance(scene.geometry[name], trimesh.Trimesh)
             ]
-    except (RobotError, DaeError, *_DAMAGED):
+    except (DaeError, *_DAMAGED):
         return None
-    usable = (
-        bool(parts)
-        and all(np.isfinite(part.vertices).all() for part in parts)
-        and 0 < 3 * sum(len(part.faces) for part in parts) <= spare + len(data)
-    )
-    return joined(parts) if usable else None
+    corners = 3 * sum(len(part.faces) for part in parts)
+    usable = 0 < corners <= spare + len(data) and all(np.isfinite(part.vertices).all() for part in parts)
+    return Mesh(joined(parts), max(corners, told.corners)) if usable else None
 
 
 def _refuse_doctype(data: bytes) -> None:
@@ -153,20 +184,45 @@ def _refuse_doctype(data: bytes) -> None:
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
-    """Return the parts with at most ``most_faces`` faces in all: vertices that share a cell of a grid become one.
+    """Return the parts with about ``most_faces`` faces in all, at most twice as many, near the surface they had.
 
-    The first grid, a micrometre, only joins what the file wrote twice; it grows until the faces are few enough, from
-    where so many faces could first cover as much surface.
+    Vertices that the file wrote twice are joined first. Then edges whose end costs the surface least are taken away
+    (M. Garland, P. S. Heckbert, *Surface simplification using quadric error metrics*, SIGGRAPH 1997): what was closed
+    stays closed, and a surface that ends keeps its edge: a flat one could else vanish, for its loss costs nothing. What
+    that leaves too much of, as of loose triangles, is thinned by a grid.
     """
-    cell = 1e-6
-    out = tuple(_clustered(part, cell) for part in parts)
-    cell = 5e-4
-    if sum(len(part.faces) for part in out) > most_faces:
-        while cell < np.sqrt(sum(map(_surface, out)) / most_faces) / _SAFETY:
-            cell *= _GROWTH
+    extent = max((float(np.ptp(part.vertices, axis=0).max()) for part in parts if len(part.vertices)), default=0.0)
+    welded = tuple(_clustered(part, _SAME * extent or 1.0) for part in parts)
+    faces = sum(len(part.faces) for part in welded)
+    if faces <= most_faces:
+        return welded
+    for keenness in _KEENNESS:
+        thin = tuple(_decimated(part, round(most_faces * len(part.faces) / faces), extent, keenness) for part in welded)
+        if sum(len(part.faces) for part in thin) <= _SLACK * most_faces:
+            return thin
+    out = welded
+    # The grid begins where so many faces could first cover as much surface.
+    cell = np.sqrt(sum(map(_surface, out)) / most_faces) / _SAFETY
     while sum(len(part.faces) for part in out) > most_faces:
         out, cell = tuple(_clustered(part, cell) for part in out), _GROWTH * cell
     return out
+
+
+def _decimated(part: Triangles, faces: int, extent: float, keenness: int) -> Triangles:
+    if len(part.faces) <= max(faces, _LEAST):
+        return part
+    import fast_simplification  # noqa: PLC0415 - slow to load
+
+    # In thousandths of the mesh: the library begins with errors of fixed sizes.
+    scale = 1e3 / extent
+    vertices, left = fast_simplification.simplify(
+        part.vertices * scale,
+        part.faces.astype(np.int32),
+        target_count=max(faces, _LEAST),
+        agg=keenness,
+        preserve_border=True,
+    )
+    return Triangles(np.asarray(vertices, dtype=np.float64) / scale, np.asarray(left, dtype=np.intp), part.rgb)
 
 
 def _surface(part: Triangles) -> float:
@@ -176,22 +232,27 @@ def _surface(part: Triangles) -> float:
 
 def creased(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
     """Return the triangles with vertices doubled along sharp edges, which smooth shading would otherwise smear."""
-    import trimesh  # noqa: PLC0415
+    return tuple(_creased(part) if len(part.faces) else part for part in parts)
 
-    if not any(len(part.faces) for part in parts):
-        return tuple(parts)
-    # All at once: a library call for every part of thousands takes longer than all else.
-    whole = _concatenated(parts, parts[0].rgb)
-    mesh = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
-    smooth = mesh.face_adjacency[mesh.face_adjacency_angles <= _CREASE]
-    patch = trimesh.graph.connected_component_labels(smooth, node_count=len(whole.faces))
-    out, end = [], 0
-    for part in parts:
-        start, end = end, end + len(part.faces)
-        corners = np.stack([np.repeat(patch[start:end], 3), part.faces.ravel()], axis=1)
-        doubled, index = np.unique(corners, axis=0, return_inverse=True)
-        out.append(Triangles(part.vertices[doubled[:, 1]], index.reshape(-1, 3), part.rgb))
-    return tuple(out)
+
+def _creased(part: Triangles) -> Triangles:
+    edges = np.sort(part.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    number = edges[:, 0].astype(np.int64) * len(part.vertices) + edges[:, 1]
+    order = np.argsort(number, kind="stable")
+    runs = np.flatnonzero(np.diff(number[order], prepend=-1))
+    # Edges of two faces; where there are more, nobody can say which belong together.
+    first = runs[np.diff(runs, append=len(order)) == 2]
+    beside = np.stack([order[first], order[first + 1]], axis=1) // 3
+    a, b, c = np.swapaxes(part.vertices[part.faces], 0, 1)
+    normals = np.cross(b - a, c - a)
+    sizes = np.linalg.norm(normals, axis=1)
+    normals /= np.where(sizes > 0.0, sizes, 1.0)[:, None]
+    smooth = beside[(normals[beside[:, 0]] * normals[beside[:, 1]]).sum(axis=1) >= np.cos(_CREASE)]
+    n = len(part.faces)
+    _, patch = connected_components(coo_array((np.ones(len(smooth)), smooth.T), shape=(n, n)), directed=False)
+    corners = np.repeat(patch, 3).astype(np.int64) * len(part.vertices) + part.faces.ravel()
+    doubled, index = np.unique(corners, return_inverse=True)
+    return Triangles(part.vertices[doubled % len(part.vertices)], index.reshape(-1, 3), part.rgb)
 
 
 def _triangles(mesh: Any, otherwise: Rgb) -> Triangles:

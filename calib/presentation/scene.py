@@ -5,10 +5,8 @@ meshcat's own viewer script and the commands that its server would have sent, an
 moves, hides and names things is ``pages/scene.js``.
 """
 
-import base64
 import json
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -30,9 +28,18 @@ from calib.presentation.meshes import (
     joined,
     moved,
     primitive,
-    read_mesh,
-    simplified,
     sticks,
+)
+from calib.presentation.thin_meshes import thin_mesh
+from calib.presentation.viewer import (
+    Command,
+    Look,
+    asset,
+    packed,
+    set_lines,
+    set_property,
+    set_transform,
+    set_triangles,
 )
 from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
 from calib.robot.sources import find_mesh
@@ -52,7 +59,6 @@ _GRID: Rgb = (0.80, 0.81, 0.83)
 
 # A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
 _MOST_FACES = 40_000
-_LEAST_FACES = 200  # of a mesh, however many there are
 _MOST_POINTS = 1000
 # Links that are drawn as round sticks; more of them get four sides.
 _MOST_ROUND = 100
@@ -206,8 +212,8 @@ def render_scene(scene: Scene) -> str:
     return template.render(
         title=scene.title,
         legend=_legend(scene, links, errors, edges, cell),
-        licences=(_asset("LICENSE") + _asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace("</", "< /"),
-        viewer=_asset("dist/main.min.js"),
+        licences=(asset("LICENSE") + asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace("</", "< /"),
+        viewer=asset("dist/main.min.js"),
         script=pages.joinpath(_SCRIPT).read_text(encoding="utf-8"),
         page=json.dumps(page, separators=(",", ":")).replace("<", "\\u003c"),
     )
@@ -248,10 +254,7 @@ def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
     shapes = visuals(scene.urdf, _METAL)
     drawn = _drawn(shapes, scene.mesh_roots)
     # Few and large parts: a link's own of one colour.
-    whole = {name: joined([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
-    # One budget for the whole arm, so that every link keeps the same fineness.
-    fine = iter(creased(simplified([part for parts in whole.values() for part in parts], _MOST_FACES)))
-    own = {name: [next(fine) for _ in parts] for name, parts in whole.items()}
+    own = {name: joined([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
     carries: dict[str, list[Array]] = {name: [] for name in drawn}
     for joint in scene.urdf.joints:
         carries[joint.parent].append(T[joint.child][:3, 3])
@@ -259,7 +262,7 @@ def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
         _Link(
             name,
             T[name],
-            tuple(own[name]),
+            own[name],
             np.array(carries[name]).reshape(-1, 3),
             sum(parts is None for parts in found),
         )
@@ -272,18 +275,17 @@ def _drawn(
 ) -> Mapping[str, Sequence[tuple[Triangles, ...] | None]]:
     """Return the triangles of all shapes in their links' frames, None for those that cannot be had, or are too many."""
     every = [shape for found in shapes.values() for shape in found if shape is not None]
+    # One share for all, and not for every mesh what it might need: so each is the same in whatever robot it comes.
     share = _MOST_FACES // max(1, len(every))
     spare = MOST_CORNERS
     meshes: dict[tuple[str, Rgb], tuple[Triangles, ...] | None] = {}
     for shape in every:
         if shape.kind == "mesh" and (shape.file, shape.rgb) not in meshes:
             path = find_mesh(shape.file, roots)
-            parts = None if path is None else read_mesh(path, shape.rgb, spare)
-            if path is not None and parts is not None:
-                spare -= max(0, 3 * sum(len(part.faces) for part in parts) - path.stat().st_size)
-                # It may come very often; four times its share is finer than it will be in the end.
-                parts = simplified(parts, max(4 * share, _LEAST_FACES))
-            meshes[shape.file, shape.rgb] = parts
+            mesh = None if path is None else thin_mesh(path, shape.rgb, share, spare)
+            if mesh is not None:
+                spare -= max(0, mesh.corners - mesh.size)
+            meshes[shape.file, shape.rgb] = None if mesh is None else mesh.parts
     return {
         name: [None if shape is None else _triangles(shape, share, meshes) for shape in found]
         for name, found in shapes.items()
@@ -295,7 +297,7 @@ def _triangles(
 ) -> tuple[Triangles, ...] | None:
     """Return the triangles of a shape in its link's frame, or None when its mesh cannot be had."""
     if shape.kind != "mesh":
-        return (moved(primitive(shape.kind, shape.sizes, shape.rgb, share), shape.T),)
+        return tuple(moved(part, shape.T) for part in creased([primitive(shape.kind, shape.sizes, shape.rgb, share)]))
     parts = meshes[shape.file, shape.rgb]
     if parts is None:
         return None
@@ -376,7 +378,7 @@ def _grid(low: Array, high: Array, cell: float) -> Array:
 def _outline(points: Array) -> Array:
     """Return those of ``points`` (N, 3) that lie furthest out in some direction: what the camera has to take in."""
     u = np.random.default_rng(0).normal(size=(200, 3))
-    return np.asarray(points[np.unique(np.argmax(points @ u.T, axis=0))])
+    return np.asarray(points[np.unique(np.argmax(u @ points.T, axis=1))])
 
 
 def _labels(scene: Scene) -> list[tuple[str, str]]:
@@ -391,44 +393,27 @@ def _labels(scene: Scene) -> list[tuple[str, str]]:
 
 def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
     """Return meshcat's commands, packed as its server sends them, in base64."""
-    with warnings.catch_warnings():
-        # meshcat reaches for IPython on import, which warns.
-        warnings.simplefilter("ignore")
-        import umsgpack  # noqa: PLC0415
-        from meshcat import geometry as g  # noqa: PLC0415
-        from meshcat.commands import SetObject, SetProperty, SetTransform  # noqa: PLC0415
-        from meshcat.path import Path as Node  # noqa: PLC0415
-
-    def placed(path: tuple[str, ...], T: Array) -> Any:
-        return SetTransform(T.astype(float), Node(tuple(map(_node, path))))
-
-    def drawn(path: tuple[str, ...], thing: Any) -> Any:
-        # meshcat names things by the host's address and the clock; a page should tell neither, and repeat exactly.
-        for part, name in ((thing, "object"), (thing.geometry, "geometry"), (thing.material, "material")):
-            part.uuid = "/".join((*path, name))
-        return SetObject(thing, path=Node(tuple(map(_node, path))))
-
-    lines = g.LineSegments(g.PointsGeometry(grid.T.astype(np.float32)), g.LineBasicMaterial(color=_hex(_GRID)))
-    commands: list[Any] = [
+    commands: list[Command] = [
         # The page paints what lies behind: cheaper than a texture over the whole window in every picture.
-        SetProperty("visible", False, Node(("Background",))),
-        SetProperty("visible", False, Node(("Axes",))),
+        set_property(("Background",), "visible", False),
+        set_property(("Axes",), "visible", False),
         # meshcat's lights together bleach a white robot on white paper.
-        SetProperty("intensity", 0.45, Node(("Lights", "AmbientLight", "<object>"))),
-        drawn(("Grid",), lines),
+        set_property(("Lights", "AmbientLight", "<object>"), "intensity", 0.45),
+        set_lines(("Grid",), grid, Look("LineBasicMaterial", _hex(_GRID))),
     ]
     for drawing in drawings:
-        material = g.MeshBasicMaterial if drawing.flat else g.MeshLambertMaterial
-        commands.append(placed(drawing.path, drawing.T))
+        commands.append(set_transform(drawing.path, drawing.T))
+        # Transparent things are drawn last: frames without depth show through the links they sit in.
+        frame = drawing.path[0] == "frames"
+        fading = frame or drawing.opacity < 1.0
         for i, part in enumerate(drawing.parts):
             if len(part.faces):
-                # Transparent things are drawn last: frames without depth show through the links they sit in.
-                frame = drawing.path[0] == "frames"
-                fading = frame or drawing.opacity < 1.0
-                look = material(color=_hex(part.rgb), opacity=drawing.opacity, transparent=fading, depthTest=not frame)
-                mesh = g.Mesh(g.TriangularMeshGeometry(part.vertices, part.faces), look)
-                commands.append(drawn((*drawing.path, str(i)), mesh))
-    return [base64.b64encode(umsgpack.packb(command.lower())).decode() for command in commands]
+                material: Literal["MeshBasicMaterial", "MeshLambertMaterial"] = (
+                    "MeshBasicMaterial" if drawing.flat else "MeshLambertMaterial"
+                )
+                look = Look(material, _hex(part.rgb), drawing.opacity, fading, not frame)
+                commands.append(set_triangles((*drawing.path, str(i)), part.vertices, part.faces, look))
+    return packed(commands)
 
 
 def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges: Array, cell: float) -> dict[str, Any]:
@@ -492,11 +477,3 @@ def _css(rgb: Rgb) -> str:
 def _node(name: str) -> str:
     """Return a name as one step of a path in the viewer's tree."""
     return name.replace("/", "_") or "_"
-
-
-def _asset(name: str) -> str:
-    """Return a text file of meshcat's viewer."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import meshcat  # noqa: PLC0415
-    return (Path(meshcat.viewer_assets_path()) / name).read_text(encoding="utf-8")

@@ -1,18 +1,12 @@
-"""What a URDF says of its looks, shape by shape: one that makes no sense is missing, and costs nothing else.
+"""What a URDF says of its looks, shape by shape: one that makes no sense is missing, and costs nothing else."""
 
-yourdfpy reads them. It gives up a whole robot for one bad number, so it is given every shape by itself, of a document
-that was read strictly before.
-"""
-
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
-from xml.etree import ElementTree
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.rigid import placement, rotation_of_rpy
 from calib.presentation.meshes import Rgb
 from calib.robot.urdf import Element, Urdf, read_document
 
@@ -52,63 +46,60 @@ def visuals(urdf: Urdf, otherwise: Rgb) -> Mapping[str, Sequence[Shape | None]]:
 
 
 def _shape(visual: Element, colours: Mapping[str, Rgb], otherwise: Rgb) -> Shape | None:
-    # Its colour by itself: a bad one is not to hide the shape.
-    link = ElementTree.Element("link", name="link")
-    _copied(replace(visual, children=tuple(c for c in visual.children if c.tag != "material")), link)
-    robot = _read(link)
-    if robot is None:
-        return None
+    parts = {part.tag: part for part in reversed(visual.children)}  # the first of each
     rgb = otherwise
-    for material in _all(visual, "material")[:1]:
-        rgb = _colour(material) or colours.get(material.attributes.get("name", ""), otherwise)
-    (found,) = robot.links[0].visuals
-    T = np.eye(4) if found.origin is None else np.asarray(found.origin, dtype=np.float64)
-    shape, file = found.geometry, ""
-    sizes: Sequence[float]
-    if shape.mesh is not None:
-        scale = [1.0] if shape.mesh.scale is None else np.ravel(shape.mesh.scale).tolist()
-        kind, sizes, file = "mesh", 3 * scale if len(scale) == 1 else scale, shape.mesh.filename or ""
-    elif shape.box is not None:
-        kind, sizes = "box", shape.box.size.tolist()
-    elif shape.sphere is not None:
-        kind, sizes = "sphere", [shape.sphere.radius]
-    else:
-        kind, sizes = "cylinder", [shape.cylinder.radius, shape.cylinder.length]
-    wrong = (kind in ("box", "mesh") and len(sizes) != 3) or (kind != "mesh" and min(sizes) < 0.0)
-    if wrong or not np.all(np.abs([*sizes, *T.ravel()]) <= LARGEST):
+    if "material" in parts:
+        rgb = _colour(parts["material"]) or colours.get(parts["material"].attributes.get("name", ""), otherwise)
+    try:
+        (shape, *_) = parts["geometry"].children
+        sizes = _sizes(shape)
+        origin = parts["origin"].attributes if "origin" in parts else {}
+        xyz, rpy = (np.array(_numbers(origin.get(name, "0 0 0"), 3)) for name in ("xyz", "rpy"))
+    except (LookupError, ValueError):
         return None
-    return Shape(kind, tuple(sizes), file, T, rgb)
+    if not (np.all(np.abs([*sizes, *xyz]) <= LARGEST) and np.isfinite(rpy).all()):
+        return None
+    return Shape(shape.tag, sizes, shape.attributes.get("filename", ""), placement(rotation_of_rpy(rpy), xyz), rgb)
+
+
+def _sizes(shape: Element) -> tuple[float, ...]:
+    """Return the sizes of a shape. Raises KeyError or ValueError where one is missing, no number or below zero."""
+    a = shape.attributes
+    match shape.tag:
+        case "mesh":
+            scale = _numbers(a.get("scale", "1 1 1"))
+            return scale * 3 if len(scale) == 1 else _numbers(a.get("scale", "") or "1 1 1", 3)
+        case "box":
+            sizes = _numbers(a["size"], 3)
+        case "sphere":
+            sizes = _numbers(a["radius"], 1)
+        case "cylinder":
+            sizes = (*_numbers(a["radius"], 1), *_numbers(a["length"], 1))
+        case other:
+            raise KeyError(other)
+    if min(sizes) < 0.0:
+        raise ValueError(sizes)
+    return sizes
 
 
 def _colour(material: Element) -> Rgb | None:
-    around = ElementTree.Element("robot")
-    _copied(material, around)
-    robot = _read(*around)
-    rgba = None if robot is None or robot.materials[0].color is None else robot.materials[0].color.rgba
-    if rgba is None or len(rgba) != 4 or not np.all(np.isfinite(rgba)):
-        return None
-    r, g, b = np.clip(rgba[:3], 0.0, 1.0).tolist()
-    return r, g, b
+    for colour in _all(material, "color")[:1]:
+        try:
+            rgba = _numbers(colour.attributes.get("rgba", "1 1 1 1"), 4)
+        except ValueError:
+            return None
+        if np.isfinite(rgba).all():
+            r, g, b = np.clip(rgba[:3], 0.0, 1.0).tolist()
+            return r, g, b
+    return None
 
 
-def _read(element: ElementTree.Element) -> Any:
-    """Return yourdfpy's robot of one link or material, None if it makes no sense."""
-    import yourdfpy  # noqa: PLC0415 - import calib must not load it
-
-    document = ElementTree.Element("robot", name="robot")
-    document.append(element)
-    source = io.BytesIO(ElementTree.tostring(document))
-    try:
-        with np.errstate(all="ignore"):  # what is not finite is found in the result
-            return yourdfpy.URDF.load(source, load_meshes=False, build_scene_graph=False).robot
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
-        return None
-
-
-def _copied(element: Element, into: ElementTree.Element) -> None:
-    copy = ElementTree.SubElement(into, element.tag, dict(element.attributes))
-    for child in element.children:
-        _copied(child, copy)
+def _numbers(text: str, count: int | None = None) -> tuple[float, ...]:
+    """Return numbers between spaces, or commas, as some write them. Raises ValueError unless there are ``count``."""
+    numbers = tuple(map(float, text.replace(",", " ").split()))
+    if count not in (None, len(numbers)):
+        raise ValueError(text)
+    return numbers
 
 
 def _all(element: Element, tag: str) -> list[Element]:

@@ -1,5 +1,6 @@
 """The directive ``commands``: a section for every command, as ``typer utils docs`` describes it."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +26,7 @@ class Commands(SphinxDirective):
         ).stdout
         # What stands before the first command is the list of them all.
         _, heading, text = described.partition("\n## ")
+        text = re.sub(r"^Example: (.*)$", r"Example: `\1`", text, flags=re.MULTILINE)
         for path in (ROOT / "calib" / "cli").glob("*.py"):
             self.env.note_dependency(str(path))
         return self.parse_text_to_nodes(heading.lstrip("\n") + text, allow_section_headings=True)

@@ -44,7 +44,7 @@ from calib.measurement.kinds import Kind
 from calib.measurement.table import read_table
 from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
-from calib.presentation.meshes import primitive, read_mesh
+from calib.presentation.meshes import parse_mesh, primitive
 from calib.presentation.visuals import visuals
 from calib.results.calibration import Calibration
 from calib.results.folder import result, robot_errors
@@ -294,7 +294,8 @@ _MESHES = (".stl", ".obj", ".ply", ".off", ".glb", ".dae")
 
 def _mesh(data: bytes) -> None:
     kind = _MESHES[data[0] % len(_MESHES)] if data else ".stl"
-    for part in read_mesh(_file(f"mesh{kind}", data[1:]), (0.5, 0.5, 0.5)) or ():
+    mesh = parse_mesh(data[1:], kind, (0.5, 0.5, 0.5))
+    for part in () if mesh is None else mesh.parts:
         assert np.isfinite(part.vertices).all(), "a vertex that is no number"
 
 

@@ -261,7 +261,7 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def preload() -> None:
     """Import what takes long, and forget calib and its tests again, so that every fork imports its own."""
-    for name in ("calib.cli", "scipy.spatial.transform", "scipy.stats", "yourdfpy"):
+    for name in ("calib.cli", "calib.job.calibrate", "scipy.spatial.transform", "scipy.stats", "trimesh"):
         importlib.import_module(name)
     for name in [name for name in sys.modules if name.partition(".")[0] in ("calib", "tests")]:
         del sys.modules[name]

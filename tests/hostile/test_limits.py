@@ -16,7 +16,8 @@ from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
 from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
-from calib.presentation.meshes import read_mesh, simplified
+from calib.presentation.meshes import parse_mesh, simplified
+from calib.presentation.thin_meshes import ThinMesh, thin_mesh
 from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.load import load_robot
 from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
@@ -153,7 +154,7 @@ def test_meshes_that_swell_are_not_made(tmp_path: Path, name: str, size: int, mo
     data = path.read_bytes()
     found = counts(data, path.suffix)
     assert found.corners > MOST_CORNERS + len(data) or found.parts > MOST_PARTS
-    assert read_mesh(path, GREY) is None
+    assert parse_mesh(path.read_bytes(), path.suffix, GREY) is None
 
 
 @pytest.mark.parametrize(
@@ -163,28 +164,28 @@ def test_meshes_that_swell_are_not_made(tmp_path: Path, name: str, size: int, mo
 def test_meshes_that_do_not_are_read_and_counted_right(tmp_path: Path, name: str) -> None:
     fill(name, tmp_path, 3_000)
     (path,) = tmp_path.glob("m.*")
-    parts = read_mesh(path, GREY)
-    assert parts is not None
+    mesh = parse_mesh(path.read_bytes(), path.suffix, GREY)
+    assert mesh is not None
     said = counts(path.read_bytes(), path.suffix)
-    assert 3 * sum(len(part.faces) for part in parts) <= max(said.corners, len(path.read_bytes()))
+    assert 3 * sum(len(part.faces) for part in mesh.parts) <= max(said.corners, len(path.read_bytes()))
 
 
 def test_nodes_that_have_each_other_in_a_circle(tmp_path: Path) -> None:
     fill("dae doubling", tmp_path, 400)
     path = tmp_path / "m.dae"
     path.write_bytes(path.read_bytes().replace(b'<node id="n0">', b'<node id="n0"><instance_node url="#n1"/>'))
-    assert read_mesh(path, GREY) is None
+    assert parse_mesh(path.read_bytes(), path.suffix, GREY) is None
 
 
 def test_a_mesh_that_comes_often_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fill("one mesh often", tmp_path, 5_000)
     read: list[Path] = []
 
-    def counted(path: Path, rgb: meshes.Rgb, spare: int) -> tuple[meshes.Triangles, ...] | None:
+    def counted(path: Path, rgb: meshes.Rgb, most: int, spare: int) -> ThinMesh | None:
         read.append(path)
-        return read_mesh(path, rgb, spare)
+        return thin_mesh(path, rgb, most, spare)
 
-    monkeypatch.setattr(scene, "read_mesh", counted)
+    monkeypatch.setattr(scene, "thin_mesh", counted)
     shapes = visuals(read_urdf(tmp_path / "arm_cmm.urdf"), GREY)
     drawn = scene._drawn(shapes, (tmp_path,))
     assert read == [tmp_path / "m.stl"]
@@ -192,7 +193,7 @@ def test_a_mesh_that_comes_often_is_read_once(tmp_path: Path, monkeypatch: pytes
 
 
 def test_simplifying_begins_where_it_can_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of random triangles the first forty grids would change nothing."""
+    """Of random triangles, which no edge can be taken from, the first forty grids would change nothing."""
     chance = np.random.default_rng(0)
     soup = meshes.Triangles(chance.uniform(-1, 1, (30_000, 3)), np.arange(30_000).reshape(-1, 3), GREY)
     grids: list[float] = []

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
-from calib.presentation.meshes import primitive, read_mesh
+from calib.presentation.meshes import parse_mesh, primitive
 from calib.presentation.visuals import visuals
 from calib.robot.load import MOST_JOINTS, load_robot
 from calib.robot.robot import Coupling
@@ -166,7 +166,7 @@ def test_a_mesh_is_xml_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     path = tmp_path / "part.dae"
     for doctype in (f'<!DOCTYPE r [<!ENTITY l0 "ha">{LAUGHS}]>', '<!DOCTYPE r [<!ENTITY x SYSTEM "/etc/passwd">]>'):
         path.write_text(f"{doctype}<COLLADA>&l9;&x;</COLLADA>", encoding="utf-8")
-        assert read_mesh(path, (0.5, 0.5, 0.5)) is None
+        assert parse_mesh(path.read_bytes(), path.suffix, (0.5, 0.5, 0.5)) is None
 
 
 GOOD = '<geometry><sphere radius="0.1"/></geometry>'

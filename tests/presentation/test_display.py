@@ -32,9 +32,10 @@ def test_printed_it_is_its_table(fit: Fit) -> None:
 
 
 def test_any_way_to_a_fit_leads_through_the_front_door() -> None:
-    code = "from calib.identification.fit import Fit; print('_repr_html_' in vars(Fit), Fit.__str__.__name__)"
+    code = "import calib.identification.fit, sys; from calib.foundations.showing import shower; "
+    code += "print('calib.presentation.display' in sys.modules, shower().table.__name__, shower().html.__name__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "True table\n"
+    assert done.stdout == "False table html\n"
 
 
 def test_a_notebook_shows_the_same_words(fit: Fit) -> None:
@@ -46,7 +47,7 @@ def test_a_notebook_shows_the_same_words(fit: Fit) -> None:
         def handle_data(self, data: str) -> None:
             self.found.append(data)
 
-    shown: str = fit._repr_html_()  # type: ignore[attr-defined]
+    shown = fit._repr_html_()
     words = Words()
     words.feed(shown)
     assert "<script" not in shown

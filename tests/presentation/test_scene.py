@@ -16,8 +16,9 @@ from calib.foundations.rigid import inverse, placement, rotation_about
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.presentation.arm import arm_of, link_placements
-from calib.presentation.meshes import balls, read_mesh, simplified, sticks
+from calib.presentation.meshes import balls, parse_mesh, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
+from calib.presentation.thin_meshes import thin_mesh
 from calib.results.scene import scene_of
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
@@ -121,15 +122,6 @@ def test_balls_and_sticks_lie_where_they_are_told() -> None:
     np.testing.assert_allclose(np.linalg.norm(stick.vertices - (stick.vertices @ axis)[:, None] * axis, axis=1), 0.1)
 
 
-def test_simplified_keeps_the_budget_and_the_shape() -> None:
-    ball = balls(np.zeros((1, 3)), 0.3, RED, subdivisions=5)
-    (small,) = simplified([ball], 1000)
-    assert 100 < len(small.faces) <= 1000
-    assert np.abs(np.linalg.norm(small.vertices, axis=1) - 0.3).max() < 1e-9
-    (same,) = simplified([ball], 10**6)
-    assert len(same.faces) == len(ball.faces)
-
-
 def test_meshes_are_found_below_their_roots_and_nowhere_else(tmp_path: Path) -> None:
     root, secret = tmp_path / "share", tmp_path / "secret.stl"
     mesh = root / "arm" / "meshes" / "base.stl"
@@ -174,16 +166,16 @@ def test_meshes_are_read_and_damaged_ones_are_not(kind: str, tmp_path: Path) -> 
     whole, damaged = tmp_path / f"whole.{kind}", tmp_path / f"damaged.{kind}"
     whole.write_bytes(box.encode() if isinstance(box, str) else box)
     damaged.write_bytes(b"\x00\xff<broken>" * 40)
-    parts = read_mesh(whole, RED)
-    assert parts is not None
-    np.testing.assert_allclose(np.ptp(np.concatenate([part.vertices for part in parts]), axis=0), [1.0, 2.0, 3.0])
-    assert read_mesh(damaged, RED) is None
+    mesh = parse_mesh(whole.read_bytes(), whole.suffix, RED)
+    assert mesh is not None
+    np.testing.assert_allclose(np.ptp(np.concatenate([part.vertices for part in mesh.parts]), axis=0), [1.0, 2.0, 3.0])
+    assert parse_mesh(damaged.read_bytes(), damaged.suffix, RED) is None
 
 
 def test_only_meshes_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.zip").write_bytes(b"PK\x03\x04")
-    assert read_mesh(tmp_path / "a.zip", RED) is None
-    assert read_mesh(tmp_path / "absent.stl", RED) is None
+    assert thin_mesh(tmp_path / "a.zip", RED, 100) is None
+    assert thin_mesh(tmp_path / "absent.stl", RED, 100) is None
 
 
 def test_page_stands_alone_and_repeats_exactly() -> None:
