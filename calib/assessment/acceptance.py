@@ -16,6 +16,7 @@ import numpy as np
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.uncertainty import NoiseLevel, Uncertainty, common_errors, refuse_lacking
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError, PoseError
@@ -88,6 +89,7 @@ class Verification:
         return self.within_limit is not False and self.decisive.test.passed
 
 
+@checked
 def verify(
     uncertainty: Uncertainty,
     data: Measurements,

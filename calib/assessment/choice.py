@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.validation import FOLDS, HeldOut, folds, groups, held_out, one_standard_error
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
@@ -152,6 +153,7 @@ def candidates(
     return tuple(found)
 
 
+@checked
 def choose_terms(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],

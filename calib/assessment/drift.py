@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.uncertainty import Uncertainty, squared_bound, tool_motions
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
@@ -72,6 +73,7 @@ class Comparison:
         return together or any(change.moved for change in self.changes)
 
 
+@checked
 def compare(old: Uncertainty, new: Uncertainty, *, seed: int = 0) -> Comparison:
     """Compare two calibrations of one machine. Raises MeasurementError when they are of different ones."""
     robot = old.robot

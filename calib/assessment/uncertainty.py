@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError
@@ -139,6 +140,7 @@ def squared_bound(probability: float, dimensions: int, degrees_of_freedom: float
     return bound(probability, dimensions, degrees_of_freedom)
 
 
+@checked
 def uncertainty_of(fit: Fit) -> Uncertainty:
     """Return the doubts about the machine of a fit, in the frames of its URDF."""
     source, machine = Layout(fit.robot), fit.machine
@@ -169,6 +171,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     )
 
 
+@checked
 def tool_uncertainty(
     uncertainty: Uncertainty,
     readings: npt.ArrayLike,
@@ -227,6 +230,7 @@ class UncertaintyMap:
     unseen: Array
 
 
+@checked
 def uncertainty_map(
     uncertainty: Uncertainty,
     samples: int = 2000,
@@ -361,12 +365,15 @@ def _root_trace(covariance: Array) -> Array:
 # ---- the identified set
 
 
+@checked
 def outside_identified(uncertainty: Uncertainty, readings: Array) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
     Beyond the outermost pose by more than a twentieth of the range; whole turns of a revolute joint do not count. A
-    model is only proven where it was measured: outside, the stated sigmas hold if the model is right.
+    model is only proven where it was measured: outside, the stated sigmas hold if the model is right. Raises
+    MeasurementError for readings of another shape.
     """
+    readings = _readings(uncertainty, readings)
     said = []
     low, high = uncertainty.identified.T
     slack = 0.05 * (high - low)

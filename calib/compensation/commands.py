@@ -14,6 +14,7 @@ import numpy as np
 from calib.compensation.grid import Frame
 from calib.compensation.model_file import CalibratedModel
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
@@ -37,6 +38,8 @@ _NOTHING = 1e-12
 _SINGULAR = 1e-2
 # Limits are written in degrees with few digits; this is what rounding takes.
 _LIMIT_SLACK = 1e-9
+# Far above what anybody would call reached, in m or rad.
+_LARGEST_TOLERANCE = 10.0
 # Null motion left, in rad or m, where a redundant arm is as near to its start as it gets.
 _NEAREST = 1e-9
 # Two answers whose distances from the start differ by less are equally near.
@@ -88,6 +91,7 @@ class Corrections:
         return len(self.reached)
 
 
+@checked
 def for_joint_targets(
     model: CalibratedModel,
     readings: Array,
@@ -118,6 +122,7 @@ def for_joint_targets(
     return _solve(model, _Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
 
 
+@checked
 def for_poses(
     model: CalibratedModel,
     poses: Array,
@@ -365,8 +370,11 @@ def _solve(model: CalibratedModel, asked: _Asked, how: _How) -> Corrections:
     what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
-    if not all(np.isfinite(value) and value > 0.0 for value in tolerances):
-        raise JobError(f"the tolerances are {tolerances[0]} and {tolerances[1]}; allowed are positive numbers.")
+    if not all(0.0 < value <= _LARGEST_TOLERANCE for value in tolerances):
+        raise JobError(
+            f"the tolerances are {tolerances[0]:g} and {tolerances[1]:g}; allowed are positive numbers up to "
+            f"{_LARGEST_TOLERANCE:g} (m and rad)."
+        )
     with one_thread():
         rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
         blocks = [_solve_block(model, asked.subset(block), how) for block in rows]

@@ -24,6 +24,7 @@ from calib.compensation.gaussian import GaussianResiduals, load_gaussian
 from calib.compensation.grid import SectorGrid, load_grid
 from calib.compensation.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
@@ -194,6 +195,7 @@ class CalibratedModel:
     residual_model: SectorGrid | GaussianResiduals | None = None
     uncertainty: Uncertainty | None = None
 
+    @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
@@ -201,6 +203,7 @@ class CalibratedModel:
         """
         return self.robot.tips(readings, self.deviations, conditions)
 
+    @checked
     def placements(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link, positions shifted by the residual model.
 
@@ -209,6 +212,7 @@ class CalibratedModel:
         tips = self.tips(readings, conditions)
         return tips if self.residual_model is None else shifted(self.residual_model, tips, readings)
 
+    @checked
     def predict(self, readings: Array, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame. Raises KeyError for an unknown tool.
 
@@ -278,6 +282,7 @@ def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:
     )
 
 
+@checked
 def load_model(folder: str | Path) -> CalibratedModel:
     """Read the calibrated machine from the folder that ``calib calibrate`` wrote.
 

@@ -18,11 +18,12 @@ class RobotError(CalibError, ValueError):
 class PoseError(RobotError):
     """The arm cannot take a pose. ``row``: which of the readings, from 0; ``reason``: why, without the row.
 
-    ``rows``: all for which the same was found at once, this one among them; there may be others still.
+    ``rows``: all for which the same was found at once, this one among them; there may be others still. ``where``: file
+    and line of the row, where it has them.
     """
 
-    def __init__(self, row: int, reason: str, rows: Sequence[int] = ()) -> None:
-        super().__init__(f"row {row}: {reason}.")
+    def __init__(self, row: int, reason: str, rows: Sequence[int] = (), where: str = "") -> None:
+        super().__init__(f"{where or f'row {row}'}: {reason}.")
         self.row = row
         self.rows = tuple(rows) or (row,)
         self.reason = reason

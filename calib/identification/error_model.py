@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
@@ -167,6 +168,7 @@ class ErrorModel:
         return Frames(self.base_pose, np.stack([self.tool_poses.get(tool, np.eye(4)) for tool in tools]))
 
 
+@checked
 def error_model(
     robot: Robot,
     *,
@@ -282,7 +284,7 @@ def error_model(
     freed = [pair for pair, name in zip(every, names, strict=True) if name in set(chosen)]
     for name, target in (targets or {}).items():
         refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
-    frames = None if dh == "none" else dh_frames(robot, dh_convention, dh_parallel)
+    frames = None if isinstance(dh, str) and dh == "none" else dh_frames(robot, dh_convention, dh_parallel)
     if frames is not None:
         numbers, own = _select_dh(dh, frames)
         _refuse_shared_frames(frames, freed, numbers)
@@ -306,7 +308,11 @@ def error_model(
         *(JointTerm(joint, "bending") for joint in _select_links(robot, bending, "bending")),
         *(
             JointTerm(joint, "expansion")
-            for joint in ([""] if expansion == "arm" else _select_links(robot, expansion, "expansion", "arm"))
+            for joint in (
+                [""]
+                if isinstance(expansion, str) and expansion == "arm"
+                else _select_links(robot, expansion, "expansion", "arm")
+            )
         ),
     )
     model = ErrorModel(

@@ -17,8 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.ranges import refuse_sigma
 from calib.identification.axes import (
     Axis,
     PrismaticAxis,
@@ -113,6 +115,7 @@ class FivePoint:
         return _robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
 
 
+@checked
 def five_point(
     P1: npt.ArrayLike,
     P2: npt.ArrayLike,
@@ -146,8 +149,7 @@ def five_point(
     P = np.stack([_point(p, f"P{i + 1}") for i, p in enumerate((P1, P2, P3, P4, P5))])
     if angles is not None and (len(angles) != 4 or not np.isfinite(angles).all()):
         raise JobError("angles: there must be four, of P2, P3 (rotary), P4 and P5 (tilt), in rad.")
-    if not (np.isfinite(sigma) and sigma >= 0.0):
-        raise JobError(f"sigma: {sigma} is not a standard deviation in m.")
+    refuse_sigma(sigma, "sigma")
     frames, findings = [], []
     for axis, i in (("rotary", 1), ("tilt", 3)):
         names = (f"P{i + 1}", f"P{i + 2}")
@@ -274,6 +276,7 @@ def _doubts(
 # ---- as a machine
 
 
+@checked
 def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
     """Return a URDF machine with the given axes, the one that carries all others first; its tip link is ``table``.
 
@@ -310,6 +313,7 @@ def _robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
     return load_robot(parse_urdf(text.encode(), "positioner"), "table", "base")
 
 
+@checked
 def axes_model(robot: Robot) -> ErrorModel:
     """Return the error model whose unknowns are the lines of all axes of ``robot``, and the marks on its table.
 
@@ -344,6 +348,7 @@ class TableError:
     held: int
 
 
+@checked
 def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Array:
     """Return where table points are, in the instrument's frame, at ``angles`` (N, k), by an identified positioner.
 
@@ -356,6 +361,7 @@ def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Arra
     return np.asarray((moved[:, :3, :3] @ x[:, :, None])[..., 0] + moved[:, :3, 3])
 
 
+@checked
 def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> TableError:
     """Return how far off table points are expected to be that an identified positioner predicts.
 

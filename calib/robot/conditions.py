@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 
 # Lengths are stated at this temperature (ISO 1), in degC.
@@ -22,6 +23,9 @@ class Conditions:
     approach: Array | None = None
     temperature: Array | None = None
     torque: Array | None = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""

@@ -16,6 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 
@@ -37,6 +38,9 @@ class DhRow:
     alpha: float
     theta: float
     beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
     @property
     def along(self) -> Array:
@@ -63,6 +67,7 @@ class DhTable:
     tool: Array = field(default_factory=lambda: read_only(np.eye(4)))
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
         check_convention(self.convention)
         names = [row.joint for row in self.rows]
         for row in self.rows:
