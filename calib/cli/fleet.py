@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.options import BAD_INPUT, INTERRUPTED, NOT_TRUSTED, Json, Quiet, app
+from calib.foundations.folders import made_folder
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
 from calib.job.fleet_summary import fleet_lines, summary_json, write_summary
 from calib.presentation.console import progress, sentence, show, show_error, warning, write
@@ -44,13 +45,14 @@ def fleet(
     """
     chosen = fleet_jobs(jobs, out)
     try:
-        with progress(shown=not (quiet or as_json), steps=len(chosen)) as say:
-            finished = run_fleet(chosen, workers, dask, say, again=again)
+        with made_folder(out):
+            with progress(shown=not (quiet or as_json), steps=len(chosen)) as say:
+                finished = run_fleet(chosen, workers, dask, say, again=again)
+            lines = fleet_lines(finished)
+            write_summary(lines, out)
     except KeyboardInterrupt:
         show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
         raise typer.Exit(INTERRUPTED) from None
-    lines = fleet_lines(finished)
-    write_summary(lines, out)
     if as_json:
         write(summary_json(lines))
     elif not quiet:
