@@ -13,11 +13,11 @@ from calib.assessment.candidates import Observed
 from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures, read_cycles
 from calib.assessment.uncertainty import Uncertainty, outside_identified, tool_uncertainty, uncertainty_map
-from calib.cli.options import MOST_POSES, NOT_TRUSTED, Json, Quiet, ResultFolder, app
+from calib.cli.options import NOT_TRUSTED, Json, Quiet, ResultFolder, app
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
-from calib.foundations.files import refuse_taken, write_atomically
+from calib.foundations.files import refuse_taken, write_new
 from calib.foundations.ranges import RANGES, parse_within
 from calib.measurement.read import read_measurements
 from calib.presentation.acceptance_tables import (
@@ -29,6 +29,7 @@ from calib.presentation.acceptance_tables import (
     verification_table,
 )
 from calib.presentation.console import progress, sentence, show, warning, write
+from calib.robot.sampling import MOST_POSES
 
 _NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False, readable=False)
 _CYCLES = typer.Argument(
@@ -184,7 +185,7 @@ def uncertainty(
         factors = np.array([units[r.dimension][1] for r in readings])
         both = np.array([1e3, 180.0 / np.pi])
         rows = np.hstack([found.readings * factors, found.positions * 1e3, found.sigmas * both, found.unseen * both])
-        write_atomically(out, csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)]))
+        write_new(out, csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)]))
     if as_json:
         percentiles = {str(p): np.percentile(found.sigmas, p, axis=0).tolist() for p in (5, 50, 95, 100)}
         seen = {name: float(np.mean(near.seen[:, k])) for k, name in enumerate(("position", "orientation"))}

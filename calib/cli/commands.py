@@ -38,7 +38,7 @@ from calib.compensation.cell import PlacedIn, calibrated_cell
 from calib.compensation.commands import PoseFrame, What
 from calib.compensation.model_file import load_model
 from calib.foundations.errors import JobError
-from calib.foundations.files import refuse_taken, write_atomically
+from calib.foundations.files import refuse_taken, write_new
 from calib.identification.error_model import with_terms
 from calib.identification.observability import observability
 from calib.job.calibrate import STEPS_OF_LOADING
@@ -147,7 +147,7 @@ def compensate(
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
-        write_atomically(out, targets_of.corrected_csv(model, wanted, found))
+        write_new(out, targets_of.corrected_csv(model, wanted, found))
     if as_json:
         missed_rows = [
             {"row": row + 1, "reason": reason}
@@ -222,6 +222,8 @@ def sensitivity(
     At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
     the tip error when one kind of identified errors is ten times as large, and a tenth.
     """
+    if plot is not None:
+        refuse_taken(plot)
     with progress(shown=not (quiet or as_json), steps=STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")
@@ -237,7 +239,7 @@ def sensitivity(
             except JobError as e:
                 raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
-        write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
+        write_new(plot, figure_bytes(sensitivity_figure(found), plot))
     if as_json:
         contents = {"schema": 1, "parameters": found.records(), "groups": [] if study is None else study.records()}
         write(json.dumps(contents, indent=2, allow_nan=False) + "\n")
@@ -303,13 +305,15 @@ def cell(
     for file in (out, scene):
         if file is not None:
             refuse_taken(file)
+    if scene == out:
+        raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    write_atomically(out, found.cell.document)
+    write_new(out, found.cell.document)
     if scene is not None and page is not None:
-        write_atomically(scene, page)
+        write_new(scene, page)
     if not quiet:
         renamed = [new for names in (found.cell.links, found.cell.joints) for old, new in names.items() if old != new]
         changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
@@ -333,6 +337,6 @@ def dh_view(
         raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
     refuse_taken(out)
     if out.suffix.lower() == ".urdf":
-        write_atomically(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
+        write_new(out, dh.dh_to_urdf(dh.read_dh(source, convention), out.stem))
     else:
-        write_atomically(out, dh.write_dh(dh.dh_of(load_robot(source, tip, base), convention or "standard")))
+        write_new(out, dh.write_dh(dh.dh_of(load_robot(source, tip, base), convention or "standard")))

@@ -13,7 +13,7 @@ from calib.cli.options import Json, Quiet, ResultFolder, app
 from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
 from calib.compensation.model_file import CalibratedModel, load_model
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import refuse_taken, write_atomically
+from calib.foundations.files import refuse_taken, write_new
 from calib.foundations.folders import reading_folder
 from calib.job.results import DH_FILE
 from calib.presentation.console import sentence, show, warning, write
@@ -54,7 +54,7 @@ def export_command(
         found = export_dh(model, table) if to == "dh" else _EXPORTS[to](model)
     except CalibError as e:
         raise OutputError(f"{results}: cannot be exported to {to}: {e}") from e
-    write_atomically(out, found.text)
+    write_new(out, found.text)
     if as_json:
         left = [{"part": part.part, "cost": _known(part.cost)} for part in found.left_out]
         contents = {"schema": 1, "file": str(out), **asdict(found), "left_out": left}

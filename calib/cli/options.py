@@ -18,8 +18,6 @@ BAD_INPUT = 1
 NOT_TRUSTED = 3
 # As a shell has it: 128 and the number of the signal.
 INTERRUPTED = 130
-# Of random ones: what a person waits for, and a memory holds.
-MOST_POSES = 1_000_000
 
 # What cannot be read is bad input and no wrong usage, and whoever opens it says so: hence readable=False of all paths.
 JobFile = Annotated[

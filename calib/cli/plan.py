@@ -13,12 +13,12 @@ from calib.assessment.candidates import Setup, Sight, possible, random_candidate
 from calib.assessment.design import Criterion
 from calib.assessment.planning import Plan
 from calib.assessment.planning import plan as plan_of
-from calib.cli.options import MOST_POSES, Json, Quiet, app
+from calib.cli.options import Json, Quiet, app
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.files import refuse_taken, write_atomically
+from calib.foundations.files import refuse_taken, write_new
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import Dimension
 from calib.foundations.words import shown
@@ -33,6 +33,7 @@ from calib.robot.collision import self_collision
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
+from calib.robot.sampling import MOST_POSES
 from calib.robot.sources import EXAMPLE, examples_folder
 from calib.robot.transmission import lacking
 
@@ -116,7 +117,7 @@ def plan(
             measured=None if measured is None else _table(measured, robot),
             target=None if target is None else _length(target, "target"),
         )
-        write_atomically(out, pose_table(robot, planned.readings))
+        write_new(out, pose_table(robot, planned.readings))
     if as_json:
         contents = {
             "schema": 1,
