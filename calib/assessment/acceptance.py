@@ -19,7 +19,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.chance import exceeded
-from calib.foundations.errors import MeasurementError, PoseError
+from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
 from calib.identification.alignment import Known, Rows, align
 from calib.identification.machine import Frames, Machine
@@ -103,8 +103,8 @@ def verify(
     the instrument's noise, that of the calibration stands in.
 
     Raises MeasurementError when a tool was not identified, when a joint term needs a condition that the rows do not
-    have, when orientations are judged by a calibration that saw none, when a loop does not close, or when the base is
-    to be found anew from fewer than three positions or from such as do not show it.
+    have, when orientations are judged by a calibration that saw none, or when the base is to be found anew from fewer
+    than three positions or from such as do not show it; RobotError when a loop does not close.
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
@@ -113,7 +113,7 @@ def verify(
     data = _known_tools(uncertainty, data)
     refuse_lacking(uncertainty.robot, data.conditions, data.where)
     sigma = _sigma(uncertainty, data)
-    _refuse_open_loops(uncertainty, data)
+    data.tips(uncertainty.robot, uncertainty.machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(uncertainty, uncertainty.machine, data, sigma, base=False)
     refitted, moved, shown = None, None, True
     if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(uncertainty, data)):
@@ -141,13 +141,6 @@ def _known_tools(uncertainty: Uncertainty, data: Measurements) -> Measurements:
             raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
     number = np.array([uncertainty.tools.index(tool) for tool in data.tools], dtype=np.intp)
     return replace(data, tools=uncertainty.tools, tool=number[data.tool])
-
-
-def _refuse_open_loops(uncertainty: Uncertainty, data: Measurements) -> None:
-    try:
-        data.tips(uncertainty.robot, uncertainty.machine.deviations)
-    except PoseError as e:
-        raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:

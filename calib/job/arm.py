@@ -13,7 +13,7 @@ from calib.assessment.performance import read_touches
 from calib.assessment.uncertainty import refuse_lacking
 from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model, residual_file
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import UNITS, Dimension, parse_quantity
 from calib.identification.pivot import pivot
 from calib.job.schema import InstrumentSection
@@ -88,7 +88,9 @@ def _pivoted(arm: Arm, file: str, folder: Path) -> Arm:
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
     refuse_lacking(arm.model.robot, touches.conditions, touches.where)
-    found = pivot(arm.model.placements(touches.readings, touches.conditions), touches.words["target"])
+    with naming_rows(touches.where, touches.lines):
+        placements = arm.model.placements(touches.readings, touches.conditions)
+    found = pivot(placements, touches.words["target"])
     if found.rank < 3:
         raise MeasurementError(
             f"{touches.where}: the orientations turn about {'one axis only' if found.rank else 'no axis'}, and do not "
@@ -131,7 +133,8 @@ def touched(path: Path, arm: Arm, robot: Robot, columns: Mapping[str, str]) -> t
     arms = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})
     conditions = conditions_of(arms, arm.model.robot.readings)
     refuse_lacking(arm.model.robot, conditions, table.where)
-    points = arm.points(stacked(table, own), conditions)
+    with naming_rows(table.where, table.lines):
+        points = arm.points(stacked(table, own), conditions)
     position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
     doubts = check(

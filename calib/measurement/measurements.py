@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
-from calib.foundations.errors import MeasurementError, PoseError
+from calib.foundations.errors import MeasurementError, naming_rows
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -81,10 +81,8 @@ class Measurements:
 
         Raises as :meth:`calib.Robot.tips` does.
         """
-        try:
+        with naming_rows(self.where, self.lines):
             return robot.tips(self.readings, deviations, self.conditions)
-        except PoseError as e:
-            raise PoseError(e.row, e.reason, e.rows, f"{self.where}:{self.lines[e.row]}") from e
 
     @property
     def seen_targets(self) -> tuple[str, ...]:

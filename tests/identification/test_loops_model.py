@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
+from calib.assessment.performance import Touches, performance
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
@@ -127,3 +128,6 @@ def test_a_pose_that_cannot_be_is_named_by_file_and_line() -> None:
         system.residuals(robot, [late], calib.identify(calib.error_model(robot), data).machine)
     with pytest.raises(calib.CalibError, match=rf"^poses\.csv:{line}: .*parallelogram"):
         calib.identify(calib.error_model(robot, offsets="all"), late)
+    cone = Touches("cone", far, {"target": ("a",) * len(far)}, {}, "cone.csv", late.lines)
+    with pytest.raises(calib.RobotError, match=rf"^cone\.csv:{line}: .*parallelogram"):
+        performance(robot.tips, [cone], None, np.zeros(3))
