@@ -16,10 +16,11 @@ import numpy as np
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
-from calib.foundations.errors import MeasurementError, PoseError
+from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
 from calib.identification.alignment import Known, Rows, align
 from calib.machine.calibrated import CalibratedMachine
@@ -114,6 +115,7 @@ class Verification:
         }
 
 
+@checked
 def verify(
     machine: CalibratedMachine,
     data: Measurements,
@@ -127,9 +129,9 @@ def verify(
     the instrument's noise, that of the calibration stands in.
 
     Raises MeasurementError when the machine does not say how sure it is, when a tool was not identified, when a joint
-    term needs a condition that the rows do not have, when orientations are judged by a calibration that saw none, when
-    a loop does not close, or when the base is to be found anew from fewer than three positions or from such as do not
-    show it.
+    term needs a condition that the rows do not have, when orientations are judged by a calibration that saw none, or
+    when the base is to be found anew from fewer than three positions or from such as do not
+    show it; RobotError when a loop does not close.
     """
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
@@ -138,7 +140,7 @@ def verify(
     data = _of_this_machine(machine, data)
     refuse_lacking(machine.robot, data.conditions, data.where)
     sigma = _sigma(machine.known_uncertainty, data)
-    _refuse_open_loops(machine, data)
+    data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(machine, data, sigma, base=False)
     refitted, moved, shown = None, None, True
     if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(machine, data)):
@@ -161,13 +163,6 @@ def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurem
     if data.reading_names != names:
         raise MeasurementError(f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}.")
     return machine.with_own_tools(data)
-
-
-def _refuse_open_loops(machine: CalibratedMachine, data: Measurements) -> None:
-    try:
-        data.tips(machine.robot, machine.deviations)
-    except PoseError as e:
-        raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:

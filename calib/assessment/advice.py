@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
@@ -50,6 +51,7 @@ class Advice:
     remedies: tuple[str, ...] = ()
 
 
+@checked
 def advice(fit: Fit) -> tuple[Advice, ...]:
     """Return what the data of a fit leave open: blind directions with remedies, weak parameters, and correlated ones.
 

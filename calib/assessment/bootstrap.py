@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from calib.assessment.validation import groups
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
@@ -53,6 +54,7 @@ class Bootstrap:
         return np.asarray(np.sqrt(np.sum(np.var(self.positions, axis=0, ddof=1), axis=1)))
 
 
+@checked
 def bootstrap(
     fit: Fit,
     readings: npt.ArrayLike,

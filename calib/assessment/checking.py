@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from calib.foundations.arguments import checked
 from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import unseen
@@ -11,6 +12,7 @@ from calib.measurement.checks import check as check_table
 from calib.measurement.measurements import Measurements
 
 
+@checked
 def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what looks wrong with measurements, and what they cannot show: an empty tuple where nothing does.
 

@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from calib.assessment.validation import HeldOut, folds, groups, held_out, one_standard_error
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
@@ -119,6 +120,7 @@ def candidates(
     return tuple(Candidate(offered[first]) for first in ordered(robot, offered))
 
 
+@checked
 def choose_terms(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
@@ -31,6 +32,8 @@ CONFIDENCE = 0.95
 _BLIND_SHARE = 0.02
 # Unseen directions of two calibrations that differ by less, as the sine of an angle, are the same.
 _SAME_DIRECTION = 0.05
+# What varies by less than this share of the rest, or of an ordinary deviation, varies by rounding.
+_ROUNDING = 1e-9
 _SAMPLES = 500
 
 
@@ -90,6 +93,7 @@ class Comparison:
         }
 
 
+@checked
 def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) -> Comparison:
     """Compare two calibrations of one machine.
 
@@ -134,7 +138,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         )
     statistic, freedom, probability = None, 0, None
     if np.array_equal(free_old, free_new):
-        statistic, freedom = _together(before, after, difference, C, free_old)
+        statistic, freedom = _together(before, after, difference, free_old)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
     tool = next(name for name in old.tools if name in new.tools)
@@ -170,23 +174,33 @@ def _state(deviations: Deviations) -> Array:
 
 
 def _free(u: Uncertainty, count: int) -> BoolArray:
-    return np.asarray(np.any(u.factor[:count], axis=1) | np.any(u.unseen[:count], axis=1))
+    size = np.hypot(np.linalg.norm(u.factor[:count], axis=1), np.linalg.norm(u.unseen[:count], axis=1))
+    return np.asarray(size > _ROUNDING * DEFAULT_SIGMA)
 
 
 def _blind(u: Uncertainty, count: int) -> BoolArray:
     return np.asarray(np.linalg.norm(u.unseen[:count], axis=1) > _BLIND_SHARE * DEFAULT_SIGMA)
 
 
-def _together(old: Uncertainty, new: Uncertainty, d: Array, C: Array, free: BoolArray) -> tuple[float, int]:
-    """Return the statistic of the difference in the combinations that both have seen, and their number."""
+def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> tuple[float, int]:
+    """Return the statistic of the difference in the combinations that both have seen, and their number.
+
+    One parameter may move several entries, as DH parameters do: no more combinations vary than there are parameters.
+    """
     count = len(free)
     unseen = np.hstack([old.unseen[:count], new.unseen[:count]])[free] / DEFAULT_SIGMA
-    scaled = C[np.ix_(free, free)] / DEFAULT_SIGMA**2
     U, values, _ = np.linalg.svd(unseen, full_matrices=True)
     hidden = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
     Q = U[:, hidden:]
-    z = Q.T @ d[free] / DEFAULT_SIGMA
-    return float(z @ np.linalg.solve(Q.T @ scaled @ Q, z)), Q.shape[1]
+    factors = [Q.T @ u.factor[:count][free] for u in (old, new)]
+    both = np.hstack(factors)
+    size = np.linalg.norm(both, axis=1)
+    size[size == 0.0] = 1.0
+    # Of both together a few more seem to vary: what a parameter moves differs a little from one machine to the other.
+    varying = max(np.linalg.matrix_rank(factor / size[:, None], rtol=_ROUNDING) for factor in factors)
+    V, spread, _ = np.linalg.svd(both / size[:, None], full_matrices=False)
+    z = V[:, :varying].T @ (Q.T @ d[free] / size) / spread[:varying]
+    return float(z @ z), int(varying)
 
 
 def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from calib.assessment.disagreement import Jump, OutlyingGroup, groups_of, jumps_of
 from calib.assessment.influence import ALONE, Influence, Residue, Rows
 from calib.foundations import linear
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.identification.fit import Fit
@@ -70,6 +71,7 @@ class Outliers:
         return tuple(group for group in self.groups if group.chance < LEVEL)
 
 
+@checked
 def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
     """Return rows, targets and groups of a fit with what becomes of it without them, the least likely first.
 

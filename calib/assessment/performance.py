@@ -21,7 +21,7 @@ import numpy as np
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import MeasurementError, naming_rows
 from calib.foundations.units import Dimension, Unit, unit_of
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.conditions import conditions, refuse_lacking
@@ -344,6 +344,11 @@ def before_and_after(
     return performance(machine.robot.tips, tests, probe, tool), performance(machine.tips, tests, probe, tool)
 
 
+def _placed(tips: Tips, test: Touches) -> Array:
+    with naming_rows(test.where, test.lines):
+        return tips(test.readings, conditions=test.conditions)
+
+
 def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, guess: Array) -> Performance:
     """Return the performance of the arm whose tip link is where ``tips`` says; ``guess`` (3,) as in probe_point.
 
@@ -354,13 +359,13 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
     cones = [test for test in tests if test.kind == "cone"] if probe is None else [probe]
     point = guess
     if cones:
-        frames = np.concatenate([tips(cone.readings, conditions=cone.conditions) for cone in cones])
+        frames = np.concatenate([_placed(tips, cone) for cone in cones])
         # The same name in two tables is not the same cone.
         names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
         point = probe_point(frames, names, guess)
     results: list[Result] = []
     for test in tests:
-        frames = tips(test.readings, conditions=test.conditions)
+        frames = _placed(tips, test)
         results += _results(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
     return Performance(read_only(point), tuple(results))
 

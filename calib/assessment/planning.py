@@ -9,6 +9,7 @@ import numpy as np
 from calib.assessment import design
 from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
 from calib.assessment.design import Space
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Criterion
@@ -71,6 +72,7 @@ class Plan:
         }
 
 
+@checked
 def plan(
     model: ErrorModel,
     count: int = 40,

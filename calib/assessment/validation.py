@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
@@ -67,6 +68,7 @@ def groups(measurements: Sequence[Measurements], *, places: bool = False) -> Int
     return np.asarray(rank[component][cell], dtype=np.intp)
 
 
+@checked
 def hold_out(
     data: Measurements, share: float = 0.25, *, places: Sequence[str] | None = None
 ) -> tuple[Measurements, Measurements]:

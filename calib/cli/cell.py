@@ -47,10 +47,13 @@ def cell(
     """
     with loading():
         from calib.compensation.cell import calibrated_cell
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.errors import JobError
+        from calib.foundations.files import refuse_taken, write_new
         from calib.presentation.cell_scene import cell_scene
         from calib.presentation.console import sentence
         from calib.presentation.scene import render_scene
+    if scene == out:
+        raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
     for file in (out, scene):
         if file is not None:
             refuse_taken(file)
@@ -58,9 +61,9 @@ def cell(
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    write_atomically(out, found.cell.document)
+    write_new(out, found.cell.document)
     if scene is not None and page is not None:
-        write_atomically(scene, page)
+        write_new(scene, page)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(

@@ -47,7 +47,7 @@ def compensate(
     """
     with loading():
         from calib.compensation import targets as targets_of
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.presentation.console import sentence, warning
@@ -59,7 +59,7 @@ def compensate(
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
-        write_atomically(out, targets_of.corrected_csv(model, wanted, found))
+        write_new(out, targets_of.corrected_csv(model, wanted, found))
     outside: tuple[str, ...] = ()
     if model.uncertainty is not None and found.reached.any():
         outside = tuple(outside_identified(model, found.readings[found.reached]))

@@ -35,7 +35,7 @@ def dh(
     """
     with loading():
         from calib.foundations.errors import JobError
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.presentation.console import sentence
         from calib.robot import dh as dh_of
         from calib.robot.load import load_robot
@@ -45,10 +45,10 @@ def dh(
     refuse_taken(out)
     if out.suffix.lower() == ".urdf":
         table = dh_of.read_dh(source, convention)
-        write_atomically(out, dh_of.dh_to_urdf(table, out.stem))
+        write_new(out, dh_of.dh_to_urdf(table, out.stem))
     else:
         table = dh_of.dh_of(load_robot(source, tip, base), convention or "standard")
-        write_atomically(out, dh_of.write_dh(table))
+        write_new(out, dh_of.write_dh(table))
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), **table.contents()},
         lambda: [sentence(f"{len(table.rows)} rows, {table.convention} convention; the file is {out}.")],

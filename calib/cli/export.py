@@ -33,7 +33,7 @@ def export(
     with loading():
         from calib.compensation.controllers import exported
         from calib.foundations.errors import CalibError, OutputError
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.folders import reading_folder
         from calib.machine.model_file import load_machine
         from calib.presentation.console import sentence, warning
@@ -48,7 +48,7 @@ def export(
         found = exported(model, to, table)
     except CalibError as e:
         raise OutputError(f"{results}: cannot be exported to {to}: {e}") from e
-    write_atomically(out, found.text)
+    write_new(out, found.text)
     where = "within the joints' limits" if model.uncertainty is None else "of the identified range"
     machine = "the nominal URDF with this file alone" if to == "ros" else "the machine of the file"
     Telling(as_json, quiet).tell(

@@ -33,7 +33,7 @@ def five_point(
     residual to check it by: calib calibrate takes any number of points.
     """
     with loading():
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.positioner import five_point_of
         from calib.presentation.console import sentence, warning
@@ -42,7 +42,7 @@ def five_point(
         refuse_taken(out)
     found = five_point_of(points, sigma=parse_within(sigma, RANGES["sigma"], "sigma"))
     if out is not None:
-        write_atomically(out, found.robot().urdf.source)
+        write_new(out, found.robot().urdf.source)
     Telling(as_json, quiet).tell(
         found.contents,
         lambda: [

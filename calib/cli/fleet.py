@@ -40,6 +40,7 @@ def fleet(
     same command goes on. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
+        from calib.foundations.folders import made_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
         from calib.presentation.console import sentence, show_error, warning
@@ -48,13 +49,14 @@ def fleet(
     telling = Telling(as_json, quiet)
     chosen = fleet_jobs(jobs, out)
     try:
-        with telling.progress(len(chosen)) as say:
-            finished = run_fleet(chosen, workers, dask, say, again=again)
+        with made_folder(out):
+            with telling.progress(len(chosen)) as say:
+                finished = run_fleet(chosen, workers, dask, say, again=again)
+            lines = fleet_lines(finished)
+            write_summary(lines, out)
     except KeyboardInterrupt:
         show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
         raise typer.Exit(INTERRUPTED) from None
-    lines = fleet_lines(finished)
-    write_summary(lines, out)
     earlier = sum(done.earlier for done in finished)
     unchanged = f" Unchanged and not run again: {earlier}." if earlier else ""
     telling.tell(

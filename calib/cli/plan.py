@@ -62,7 +62,7 @@ def plan(
         from calib.assessment.planning import plan as plan_of
         from calib.cli import plan_inputs as given
         from calib.foundations import rigid
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
         from calib.presentation.console import sentence, warning
@@ -102,7 +102,7 @@ def plan(
             measured=None if measured is None else given.table(measured, robot),
             target=None if target is None else given.length(target, "target"),
         )
-        write_atomically(out, given.pose_table(robot, planned.readings))
+        write_new(out, given.pose_table(robot, planned.readings))
     rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
     telling.tell(
         lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": notes},

@@ -42,7 +42,7 @@ def sensitivity(
         from calib.assessment.sensitivity import group_study, read_errors
         from calib.assessment.sensitivity import sensitivity as sensitivity_of
         from calib.foundations.errors import JobError
-        from calib.foundations.files import write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.identification.error_model import with_terms
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
@@ -50,6 +50,8 @@ def sensitivity(
         from calib.presentation.plots import figure_bytes, sensitivity_figure
         from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
         from calib.results.folder import robot_errors
+    if plot is not None:
+        refuse_taken(plot)
     telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
@@ -68,7 +70,7 @@ def sensitivity(
             except JobError as e:
                 raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
-        write_atomically(plot, figure_bytes(sensitivity_figure(found), plot))
+        write_new(plot, figure_bytes(sensitivity_figure(found), plot))
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},
         lambda: [

@@ -32,7 +32,7 @@ def uncertainty(
     """
     with loading():
         from calib.cli.judged import sure_machine
-        from calib.foundations.files import refuse_taken, write_atomically
+        from calib.foundations.files import refuse_taken, write_new
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.presentation.acceptance_tables import map_csv, map_table
         from calib.presentation.console import sentence
@@ -50,7 +50,7 @@ def uncertainty(
         )
         near = tool_uncertainty(machine, found.readings, tool)
     if out is not None:
-        write_atomically(out, map_csv(found, machine.robot.readings))
+        write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
         lambda: {"sigmas": found.percentiles(), "seen": near.shares()},
         lambda: [

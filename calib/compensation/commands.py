@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
@@ -36,6 +37,8 @@ _NOTHING = 1e-12
 _SINGULAR = 1e-2
 # Limits are written in degrees with few digits; this is what rounding takes.
 _LIMIT_SLACK = 1e-9
+# Far above what anybody would call reached, in m or rad.
+_LARGEST_TOLERANCE = 10.0
 # Null motion left, in rad or m, where a redundant arm is as near to its start as it gets.
 _NEAREST = 1e-9
 # Two answers whose distances from the start differ by less are equally near.
@@ -97,6 +100,7 @@ class Corrections:
         }
 
 
+@checked
 def for_joint_targets(
     model: CalibratedMachine,
     readings: Array,
@@ -126,6 +130,7 @@ def for_joint_targets(
     return _solve(model, _Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
 
 
+@checked
 def for_poses(
     model: CalibratedMachine,
     poses: Array,
@@ -372,8 +377,11 @@ def _solve(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
     what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
-    if not all(np.isfinite(value) and value > 0.0 for value in tolerances):
-        raise JobError(f"the tolerances are {tolerances[0]} and {tolerances[1]}; allowed are positive numbers.")
+    if not all(0.0 < value <= _LARGEST_TOLERANCE for value in tolerances):
+        raise JobError(
+            f"the tolerances are {tolerances[0]:g} and {tolerances[1]:g}; allowed are positive numbers up to "
+            f"{_LARGEST_TOLERANCE:g} (m and rad)."
+        )
     with one_thread():
         rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
         blocks = [_solve_block(model, asked.subset(block), how) for block in rows]

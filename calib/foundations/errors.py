@@ -4,7 +4,11 @@ Every message is one clear sentence: what is wrong, where (file and line, joint,
 The command line prints it and exits with 1; anything else that escapes is a bug and shows its traceback.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import numpy.typing as npt
 
 
 class CalibError(Exception):
@@ -18,14 +22,24 @@ class RobotError(CalibError, ValueError):
 class PoseError(RobotError):
     """The arm cannot take a pose. ``row``: which of the readings, from 0; ``reason``: why, without the row.
 
-    ``rows``: all for which the same was found at once, this one among them; there may be others still.
+    ``rows``: all for which the same was found at once, this one among them; there may be others still. ``where``: file
+    and line of the row, where it has them.
     """
 
-    def __init__(self, row: int, reason: str, rows: Sequence[int] = ()) -> None:
-        super().__init__(f"row {row}: {reason}.")
+    def __init__(self, row: int, reason: str, rows: Sequence[int] = (), where: str = "") -> None:
+        super().__init__(f"{where or f'row {row}'}: {reason}.")
         self.row = row
         self.rows = tuple(rows) or (row,)
         self.reason = reason
+
+
+@contextmanager
+def naming_rows(where: str, lines: Sequence[int] | npt.NDArray[np.intp]) -> Iterator[None]:
+    """Let a PoseError of the block name the file ``where`` and, of the ``lines`` of all its rows, that of its row."""
+    try:
+        yield
+    except PoseError as e:
+        raise PoseError(e.row, e.reason, e.rows, f"{where}:{lines[e.row]}") from e
 
 
 class MeasurementError(CalibError, ValueError):

@@ -139,15 +139,23 @@ def encoded(text: str) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
-def write_atomically(path: Path, data: bytes | str) -> None:
+def write_new(path: Path, data: bytes | str) -> None:
+    """Write a file that is not there yet, as :func:`write_atomically`; raise OutputError when something is."""
+    write_atomically(path, data, new=True)
+
+
+def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> None:
     """Write a file so that a reader sees the old contents or the new ones, never a part.
 
+    ``new``: there are no old ones, not even some that somebody wrote since that was looked at.
     Raises OutputError when the folder is missing, read-only or full, or when ``path`` is there and no regular file
     (a link, a folder, a device); what is there is then untouched.
     """
     data = encoded(data) if isinstance(data, str) else data
     try:
         with opened_folder(path.parent) as folder:
+            if new:
+                refuse_taken(path)
             found = lstat(path.name, folder)
             if found is not None and not stat.S_ISREG(found.st_mode):
                 kind = "a link" if stat.S_ISLNK(found.st_mode) else "not a regular file"
@@ -155,7 +163,8 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             temporary = f".{path.name}.{secrets.token_hex(4)}.part"
             try:
                 create(temporary, folder, data)
-                os.replace(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+                if not (new and _linked(temporary, path, folder)):
+                    os.replace(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder)
             except BaseException:
                 with contextlib.suppress(OSError):
                     os.unlink(temporary, dir_fd=folder)
@@ -167,3 +176,16 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         raise OutputError(f"{path}: cannot be written ({e.strerror}).") from e
     except ValueError as e:  # such as a zero byte in the name
         raise OutputError(f"{str(path)!r}: is not the name of a file.") from e
+
+
+def _linked(temporary: str, path: Path, folder: int) -> bool:
+    """Give a file in a folder its name, which must be free, in one step; False where the disk has no hard links."""
+    try:
+        os.link(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
+    except FileExistsError:
+        refuse_taken(path)
+        raise
+    except OSError:
+        return False
+    os.unlink(temporary, dir_fd=folder)
+    return True

@@ -67,23 +67,43 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
     ``older`` none may be there. Raises OutputError when the disk is full, the folder read-only, or another run keeps it
     for too long.
     """
-    made: list[Path] = []
     try:
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir()):
             raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
-        made = [folder for folder in path.parents if not folder.exists()]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with opened_folder(path.parent) as above:
+        with _made(path.parent), opened_folder(path.parent) as above:
             _write(_Place(path, above), files, older)
-        made = []
     except CalibError:
         raise
     except (OSError, RuntimeError, ValueError) as e:
         raise OutputError(f"{path}: the results cannot be written ({_why(e)}).") from e
-    finally:
+
+
+@contextlib.contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Make a folder, and those above it, that are not there yet; an error in the block leaves none of them empty.
+
+    Raises OutputError when they cannot be made, or something in the block could not be written.
+    """
+    try:
+        with _made(path):
+            yield
+    except OSError as e:
+        if isinstance(e, CalibError):
+            raise
+        raise OutputError(f"{path}: cannot be made or written ({_why(e)}).") from e
+
+
+@contextlib.contextmanager
+def _made(path: Path) -> Iterator[None]:
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
         for folder in made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
+        raise
 
 
 def real_folder(path: Path) -> Path:

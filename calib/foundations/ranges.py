@@ -142,6 +142,12 @@ def refuse_beyond(values: npt.ArrayLike, name: str, where: str, error: type[Cali
             raise error(f"{where} is {value:g}{_si(RANGES[name])}; allowed is {RANGES[name]}.")
 
 
+def refuse_sigma(value: float | None, where: str) -> None:
+    """Raise JobError when a standard deviation of a length, in m, is given and out of range."""
+    if value is not None:
+        refuse_beyond(value, "instruments.sigma", where)
+
+
 def parse_within(text: str, of: Range, where: str, error: type[CalibError] = JobError) -> float:
     """Return the SI value of a quantity like ``"0.02 mm"``, or raise ``error`` when it is none, or out of range."""
     value = parse_quantity(text, of.dimension, where, error)

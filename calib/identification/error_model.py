@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -169,6 +170,7 @@ class ErrorModel:
         return Frames(self.base_pose, np.stack([self.tool_poses.get(tool, np.eye(4)) for tool in tools]))
 
 
+@checked
 def error_model(
     robot: Robot,
     *,

@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.linear import one_thread
@@ -27,6 +28,7 @@ from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
 
 
+@checked
 def identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],

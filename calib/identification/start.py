@@ -37,7 +37,7 @@ def start(model: ErrorModel, sets: Sequence[Measurements]) -> Start:
     """
     given = model.given_frames(sets[0].tools)
     sets = [_thinned(data) for data in sets]
-    tips = [model.robot.tips(data.readings) for data in sets]
+    tips = [data.tips(model.robot) for data in sets]
     base, tools, placed = given.base, given.tools, np.zeros(len(given.tools), dtype=np.bool_)
     unshown = np.zeros_like(placed)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]

@@ -201,7 +201,9 @@ def _block_by_block(
             own = evaluate(data.readings[rows], data.conditions.subset(rows))
             end = None if other is None else evaluate(other.readings[rows], other.conditions.subset(rows))
         except PoseError as e:
-            raise PoseError(start + e.row, e.reason, [start + row for row in e.rows]) from e
+            row = start + e.row
+            line = f"{data.where}:{data.lines[row]}"
+            raise PoseError(row, e.reason, [start + row for row in e.rows], line) from e
         yield rows, own, end
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
@@ -96,6 +97,7 @@ class Trace:
         return "\n".join([head, *lines, f"Stopped after {len(self.iterations) - 1} iterations: {self.reason}."])
 
 
+@checked
 def total_differential(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.assessment.performance import read_touches
 from calib.foundations.arrays import read_only
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import parse_quantity
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
@@ -71,7 +71,9 @@ def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Pat
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
     refuse_lacking(arm.machine.robot, touches.conditions, touches.where)
-    found = pivot(arm.machine.tips(touches.readings, touches.conditions), touches.words["target"])
+    with naming_rows(touches.where, touches.lines):
+        placements = arm.machine.tips(touches.readings, touches.conditions)
+    found = pivot(placements, touches.words["target"])
     if found.rank < 3:
         raise MeasurementError(
             f"{touches.where}: the orientations turn about {'one axis only' if found.rank else 'no axis'}, and do not "

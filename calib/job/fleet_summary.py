@@ -116,10 +116,6 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
 
 def write_summary(lines: Sequence[JobLine], out: Path) -> None:
     """Write the page and both summaries of a fleet into its folder. Raises OutputError as ``write_atomically`` does."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise OutputError(f"{out}: cannot be made ({e.strerror}).") from e
     for name, contents in (
         (SUMMARY_JSON, document(summary(lines))),
         (SUMMARY_CSV, summary_csv(lines)),

@@ -11,7 +11,7 @@ import numpy as np
 from calib.assessment.validation import hold_out
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import JobError, MeasurementError, PoseError
+from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, Known, error_model
@@ -223,10 +223,8 @@ def _payload(section: PayloadSection) -> Payload:
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
     for data in sets:
         for end in data.ends:
-            try:
+            with naming_rows(data.where, data.lines):
                 robot.joint_positions(end.readings)
-            except PoseError as e:
-                raise MeasurementError(f"{data.where}:{data.lines[e.row]}: {e.reason}.") from e
 
 
 def _refuse(findings: Sequence[Finding]) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.fit import Fit
@@ -42,6 +43,7 @@ class CalibratedMachine:
     residual_model: ResidualModel | None = None
     uncertainty: Uncertainty | None = None
 
+    @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
@@ -51,6 +53,7 @@ class CalibratedMachine:
         """
         return shifted(self.residual_model, self.robot.tips(readings, self.deviations, conditions), readings)
 
+    @checked
     def predict(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame at readings (N, nr), in rad and m.
 
@@ -58,6 +61,7 @@ class CalibratedMachine:
         """
         return np.asarray(self.base @ self.tips(readings, conditions) @ self.tools[self.tool_named(tool)])
 
+    @checked
     def tool_jacobian(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return how the tool's pose follows the state of the machine (N, 6, n), at readings (N, nr).
 
@@ -80,6 +84,7 @@ class CalibratedMachine:
         J[:, :3] = (self.base @ placed)[:, :3, :3] @ J[:, :3]
         return J
 
+    @checked
     def residuals(self, data: Measurements) -> Array:
         """Return measured minus predicted (N, 3 or 6) of positions or poses, in m and rad.
 
@@ -145,6 +150,7 @@ class CalibratedMachine:
         )
 
 
+@checked
 def machine_of(fit: Fit, residual_model: ResidualModel | None = None) -> CalibratedMachine:
     """Return the calibrated machine of a fit, in the frames of its URDF, with its uncertainty.
 

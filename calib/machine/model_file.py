@@ -18,6 +18,7 @@ from pydantic import (
 )
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
@@ -211,6 +212,7 @@ def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:
     )
 
 
+@checked
 def load_machine(folder: str | Path) -> CalibratedMachine:
     """Read the calibrated machine from the folder that ``calib calibrate`` or :func:`calib.save` wrote.
 

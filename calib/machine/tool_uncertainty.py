@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
@@ -24,6 +25,7 @@ from calib.robot.sampling import random_readings
 _BLOCK = 500
 
 
+@checked
 def tool_uncertainty(
     machine: CalibratedMachine,
     readings: npt.ArrayLike,
@@ -68,6 +70,7 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     return found
 
 
+@checked
 def uncertainty_map(
     machine: CalibratedMachine,
     samples: int = 2000,
@@ -137,13 +140,16 @@ def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
 # ---- the identified set
 
 
+@checked
 def outside_identified(machine: CalibratedMachine, readings: Array) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
     Beyond the outermost pose by more than a twentieth of the range; whole turns of a revolute joint do not count. A
-    model is only proven where it was measured: outside, the stated sigmas hold if the model is right.
+    model is only proven where it was measured: outside, the stated sigmas hold if the model is right. Raises
+    MeasurementError for readings of another shape.
     """
     said = []
+    readings = _readings(machine, readings)
     low, high = machine.known_uncertainty.identified.T
     slack = 0.05 * (high - low)
     for j, reading in enumerate(machine.robot.readings):

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import MeasurementError, naming_rows
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding, check
@@ -76,7 +76,8 @@ def touched(
     arms = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})
     conditions = conditions_of(arms, arm.machine.robot.readings)
     refuse_lacking(arm.machine.robot, conditions, table.where)
-    points = arm.points(stacked(table, own), conditions)
+    with naming_rows(table.where, table.lines):
+        points = arm.points(stacked(table, own), conditions)
     position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
     doubts = check(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
 from calib.foundations.files import read_bytes, write_atomically
@@ -86,6 +87,7 @@ def lost_in_urdf(
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
+@checked
 def write_urdf(fit: Fit, path: str | Path) -> None:
     """Write the calibrated URDF of a fit; never over the nominal one.
 

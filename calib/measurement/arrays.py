@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.errors import MeasurementError
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
@@ -17,6 +18,7 @@ from calib.robot.robot import Robot
 _ROTATION = 1e-6
 
 
+@checked
 def positions(
     robot: Robot,
     readings: npt.ArrayLike,
@@ -37,6 +39,7 @@ def positions(
     return read_measurements(_columns(robot, readings, xyz, tool), robot, "position", sigma=sigma)
 
 
+@checked
 def poses(
     robot: Robot,
     readings: npt.ArrayLike,
@@ -65,6 +68,7 @@ def poses(
     return read_measurements(columns, robot, "pose", sigma=(sigma, sigma_angle))
 
 
+@checked
 def distances(
     robot: Robot,
     readings: npt.ArrayLike,
@@ -82,6 +86,7 @@ def distances(
     return read_measurements(columns | {"target": _names(anchor, len(found), "anchor")}, robot, "distance", sigma=sigma)
 
 
+@checked
 def sockets(
     robot: Robot,
     readings: npt.ArrayLike,

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -56,6 +57,8 @@ def measurements_from_table(
     not of unit length, when a pair has not two rows or two lengths, and when the noise is said twice or of coordinates
     that there are not; JobError when ``sigma``, ``instrument`` or ``offset`` cannot be used.
     """
+    if kind not in get_args(Kind):
+        raise JobError(f"observes: {kind!r} is not one of {', '.join(get_args(Kind))}.")
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     require(table, dimensions, "of a joint")
     refuse_unknown(table, dimensions, unread)

@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -33,6 +34,7 @@ class LaserTracker:
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
         refuse_beyond(self.sigma, "instruments.sigma", "laser tracker: sigma")
         refuse_beyond(self.sigma_per_metre, "sigma_per_metre", "laser tracker: sigma_per_metre")
         refuse_beyond(self.station, "position, station, point", "laser tracker: station")
@@ -69,6 +71,7 @@ class Camera:
     sigma: float = 0.0
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
         if self.camera_on not in get_args(CameraPlace):
             raise JobError(f"camera: camera_on is {self.camera_on!r}; allowed are {', '.join(get_args(CameraPlace))}.")
         for names in ("fx, fy", "cx, cy", "k1, k2, p1, p2, k3"):

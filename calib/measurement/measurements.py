@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.brief import brief
+from calib.foundations.errors import MeasurementError, naming_rows
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -76,12 +78,14 @@ class Measurements:
         own = End(self.readings, self.tool, self.conditions)
         return (own,) if self.other is None else (own, self.other)
 
+    @checked
     def tips(self, robot: Robot, deviations: Deviations | None = None) -> Array:
         """Return the tip placements (N, 4, 4) of a robot in its base link, under the conditions of the rows.
 
         Raises as :meth:`calib.Robot.tips` does.
         """
-        return robot.tips(self.readings, deviations, self.conditions)
+        with naming_rows(self.where, self.lines):
+            return robot.tips(self.readings, deviations, self.conditions)
 
     @property
     def seen_targets(self) -> tuple[str, ...]:
@@ -110,9 +114,16 @@ class Measurements:
             other=None if other is None else replace(other, tool=read_only_view(number[other.tool])),
         )
 
+    @checked
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
-        """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay."""
-        index = np.arange(len(self))[np.asarray(rows, dtype=None if len(rows) else np.intp)]
+        """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay.
+
+        Raises MeasurementError when there are no such rows.
+        """
+        try:
+            index = np.arange(len(self))[np.asarray(rows, dtype=None if len(rows) else np.intp)]
+        except IndexError as e:
+            raise MeasurementError(f"{self.where}: there are no such rows among {len(self)} ({e}).") from e
         other = self.other
         return replace(
             self,

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from calib.foundations.arguments import checked
 from calib.measurement.from_table import Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
@@ -12,6 +13,7 @@ from calib.measurement.table import Frame, read_table, table_from_arrays, table_
 from calib.robot.robot import Robot
 
 
+@checked
 def read_measurements(
     source: str | Path | Mapping[str, Any] | Frame,
     robot: Robot,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +66,7 @@ class Table:
         return len(self.lines)
 
 
+@runtime_checkable
 class Frame(Protocol):
     """What is asked of a pandas DataFrame, so that pandas need not be there."""
 

@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, MeasurementError
+from calib.foundations.ranges import refuse_beyond, refuse_sigma
 from calib.measurement.measurements import Measurements
 
 _MOST_STEPS = 100
@@ -113,6 +115,7 @@ class PrismaticAxis:
 Axis = RevoluteAxis | PrismaticAxis
 
 
+@checked
 def circle_axis(
     points: npt.ArrayLike,
     angles: npt.ArrayLike | None = None,
@@ -128,6 +131,7 @@ def circle_axis(
     Raises IdentificationError when the points do not determine an axis, such as points on a line.
     """
     x, mark = _checked(points, marks)
+    refuse_sigma(sigma, "sigma")
     q = None if angles is None else _readings(angles, len(x))
     n = int(mark.max()) + 1
     if 2 * len(x) < 4 + 2 * n:
@@ -165,6 +169,7 @@ def circle_axis(
     )
 
 
+@checked
 def line_axis(
     points: npt.ArrayLike,
     travels: npt.ArrayLike | None = None,
@@ -179,6 +184,7 @@ def line_axis(
     Raises IdentificationError when the points do not determine a direction.
     """
     x, mark = _checked(points, marks)
+    refuse_sigma(sigma, "sigma")
     q = None if travels is None else _readings(travels, len(x))
     d = x - _means(x, mark)[mark]
     if len(x) <= mark.max() + 1:
@@ -203,13 +209,16 @@ def line_axis(
     )
 
 
+@checked
 def expected_circle_error(radius: float, angles: npt.ArrayLike, sigma: float) -> float:
     """Return the expected error (rms, rad) of a circle's axis direction, to first order.
 
     From points at ``angles`` (N,) rad on a circle of ``radius`` m, touched with ``sigma`` m per coordinate: the normal
     of the plane through them. Infinite where they do not determine one.
     """
-    a = np.asarray(angles, dtype=np.float64)
+    a = _row(angles)
+    refuse_sigma(sigma, "sigma")
+    refuse_beyond(radius, "position, station, point", "radius")
     X = np.stack([np.ones_like(a), radius * np.cos(a), radius * np.sin(a)], axis=-1)
     values = np.linalg.svd(X / np.array([1.0, max(radius, 1e-12), max(radius, 1e-12)]), compute_uv=False)
     if len(a) < 3 or not values[2] > _RANK * values[0] or radius <= 0.0:
@@ -217,13 +226,16 @@ def expected_circle_error(radius: float, angles: npt.ArrayLike, sigma: float) ->
     return float(sigma * np.sqrt(np.trace(np.linalg.inv(X.T @ X)[1:, 1:])))
 
 
+@checked
 def expected_line_error(travels: npt.ArrayLike, sigma: float) -> float:
     """Return the expected error (rms, rad) of a line's direction from points at ``travels`` (N,) m, to first order."""
-    s = np.asarray(travels, dtype=np.float64)
+    s = _row(travels)
+    refuse_sigma(sigma, "sigma")
     spread = float(np.sum((s - s.mean()) ** 2))
     return float(sigma * np.sqrt(2.0 / spread)) if spread > 0.0 else float("inf")
 
 
+@checked
 def circle_point_analysis(
     data: Measurements, kinds: Sequence[Literal["revolute", "prismatic"]], sigma: float | None = None
 ) -> tuple[Axis, ...]:
@@ -388,6 +400,13 @@ def _checked(points: npt.ArrayLike, marks: Sequence[object] | None) -> tuple[Arr
         raise MeasurementError(f"there are {len(x)} points and {len(names)} marks.")
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     return x, np.array([number[name] for name in names], dtype=np.intp)
+
+
+def _row(values: npt.ArrayLike) -> Array:
+    row = np.asarray(values, dtype=np.float64)
+    if row.ndim != 1 or not len(row) or not np.isfinite(row).all():
+        raise MeasurementError("the readings of a sweep must be finite numbers (N,), one or more.")
+    return row
 
 
 def _readings(values: npt.ArrayLike, n: int) -> Array:

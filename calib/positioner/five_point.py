@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.ranges import refuse_sigma
 from calib.measurement.checks import Finding
 from calib.measurement.columns import stacked
 from calib.measurement.table import Table, read_table
@@ -100,6 +102,7 @@ class FivePoint:
         return revolute_robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
 
 
+@checked
 def five_point(
     P1: npt.ArrayLike,
     P2: npt.ArrayLike,
@@ -133,8 +136,7 @@ def five_point(
     P = np.stack([_point(p, f"P{i + 1}") for i, p in enumerate((P1, P2, P3, P4, P5))])
     if angles is not None and (len(angles) != 4 or not np.isfinite(angles).all()):
         raise JobError("angles: there must be four, of P2, P3 (rotary), P4 and P5 (tilt), in rad.")
-    if not (np.isfinite(sigma) and sigma >= 0.0):
-        raise JobError(f"sigma: {sigma} is not a standard deviation in m.")
+    refuse_sigma(sigma, "sigma")
     frames, findings = [], []
     for axis, i in (("rotary", 1), ("tilt", 3)):
         names = (f"P{i + 1}", f"P{i + 2}")
@@ -258,6 +260,7 @@ def _doubts(
     return found
 
 
+@checked
 def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FivePoint:
     """Find the axes from a table of the five places: columns ``tilt``, ``rotary``, ``x``, ``y``, ``z``, with units.
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
@@ -23,6 +24,7 @@ from calib.robot.urdf import parse_urdf
 # ---- as a machine
 
 
+@checked
 def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
     """Return a URDF machine with the given axes, the one that carries all others first; its tip link is ``table``.
 
@@ -59,6 +61,7 @@ def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) ->
     return load_robot(parse_urdf(text.encode(), "positioner"), "table", "base")
 
 
+@checked
 def axes_model(robot: Robot) -> ErrorModel:
     """Return the error model whose unknowns are the lines of all axes of ``robot``, and the marks on its table.
 
@@ -95,6 +98,7 @@ class TableError:
     held: int
 
 
+@checked
 def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Array:
     """Return where table points are, in the instrument's frame, at ``angles`` (N, k), by an identified positioner.
 
@@ -107,6 +111,7 @@ def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Arra
     return np.asarray((moved[:, :3, :3] @ x[:, :, None])[..., 0] + moved[:, :3, 3])
 
 
+@checked
 def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> TableError:
     """Return how far off table points are expected to be that an identified positioner predicts.
 

@@ -15,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
+from calib.foundations.ranges import refuse_sigma
 
 # A direction of p in which the link turns by less than this (rms, rad) is not seen: readings scatter by as much.
 _SEEN = 1e-3
@@ -66,6 +68,7 @@ class Pivot:
         return f"{text}."
 
 
+@checked
 def pivot(
     placements: npt.ArrayLike,
     targets: Sequence[str] | None = None,
@@ -82,10 +85,13 @@ def pivot(
     Raises MeasurementError when the placements are none. Too few orientations are told by the rank.
     """
     T, names = _checked(placements, targets)
+    refuse_sigma(sigma, "sigma")
     kept = tuple(dict.fromkeys(names))
     own = np.array([[name == target for target in kept] for name in names], dtype=np.float64)
     share = own / own.sum(axis=0)
     p0 = np.asarray(guess, dtype=np.float64)
+    if p0.shape != (3,) or not np.isfinite(p0).all():
+        raise MeasurementError("the guess of a tool point must be three finite numbers, in m.")
     # Taking out every target's mean removes its fixed point.
     R, t = T[:, :3, :3], T[:, :3, 3]
     R_mean, t_mean = np.einsum("nm,nij->mij", share, R), share.T @ t

@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, MeasurementError
+from calib.foundations.ranges import refuse_sigma
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
 _LINE = 1e-7
@@ -48,6 +50,7 @@ class RelativeBase:
         return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", J, self.covariance, J)))
 
 
+@checked
 def relative_base(
     points_a: npt.ArrayLike,
     points_b: npt.ArrayLike,
@@ -66,6 +69,8 @@ def relative_base(
     a, b = (np.asarray(points, dtype=np.float64) for points in (points_a, points_b))
     if a.ndim != 2 or a.shape != b.shape or a.shape[1:] != (3,) or not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise MeasurementError(f"the points must be two sets of as many finite (N, 3); they are {a.shape}, {b.shape}.")
+    refuse_sigma(sigma_a, "sigma_a")
+    refuse_sigma(sigma_b, "sigma_b")
     centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
     spread = [np.linalg.svd(points, compute_uv=False) for points in (a - centre_a, b - centre_b)]
     if len(a) < 3 or any(not values[1] > _LINE * values[0] for values in spread):

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from calib.assessment.metrics import error_norms
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
@@ -18,6 +19,7 @@ _BEFORE, _AFTER, _SOFT = "#d55e00", "#0072b2", "#8a949d"
 _ROW = 0.2  # inches for one parameter and its name
 
 
+@checked
 def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "errors") -> "Figure":
     """Return a matplotlib figure of a fit: ``figure.savefig("name.svg")``.
 

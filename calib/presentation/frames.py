@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.errors import OutputError
 from calib.identification.fit import Fit
 from calib.presentation.correlation import correlation
@@ -15,6 +16,7 @@ _LENGTHS = ("x", "y", "z")
 _ANGLES = ("rx", "ry", "rz")
 
 
+@checked
 def data_frame(fit: Fit, what: Literal["parameters", "residuals", "correlations"] = "parameters") -> "DataFrame":
     """Return the parameters of a fit, its residuals, or the correlations of the parameters that the data see.
 

@@ -5,12 +5,14 @@ loops nor errors. Here its viewer, which the page of a scene holds, is served by
 what moves is computed by the calibrated model.
 """
 
+import contextlib
 import json
 import os
 import socket
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -60,7 +62,7 @@ async def _run(
 
     from tornado.httpserver import HTTPServer  # noqa: PLC0415
     from tornado.web import Application, RequestHandler  # noqa: PLC0415
-    from tornado.websocket import WebSocketHandler  # noqa: PLC0415
+    from tornado.websocket import WebSocketClosedError, WebSocketHandler  # noqa: PLC0415
 
     listening: set[Any] = set()
 
@@ -82,12 +84,27 @@ async def _run(
             self.set_header("Referrer-Policy", "no-referrer")
 
     class Live(WebSocketHandler):
-        def open(self, *_: str, **__: str) -> None:
-            listening.add(self)
-            self.write_message(json.dumps({"readings": sliders(model)}))
+        def prepare(self) -> None:
+            try:
+                urlsplit(self.request.headers.get("Origin", ""))
+            except ValueError:  # tornado would show where it failed
+                self.send_error(403)
 
-        def on_message(self, message: str | bytes) -> None:
-            self.write_message(json.dumps(answer(model, message)))
+        async def open(self, *_: str, **__: str) -> None:
+            listening.add(self)
+            await self.tell({"readings": sliders(model)})
+
+        async def on_message(self, message: str | bytes) -> None:
+            # Waited for: who asks and does not read is not asked on.
+            await self.tell(answer(model, message))
+
+        async def tell(self, contents: dict[str, Any]) -> None:
+            with contextlib.suppress(WebSocketClosedError):  # the page has gone meanwhile
+                await self.write_message(json.dumps(contents))
+
+        def log_exception(self, *what: Any) -> None:
+            if what[0] is not asyncio.CancelledError:  # Ctrl-C, while something was told
+                super().log_exception(*what)
 
         def on_close(self) -> None:
             listening.discard(self)
@@ -114,8 +131,9 @@ async def _run(
                     model, seen = load_machine(folder), now
                 except CalibError:  # half way through an exchange; the next look finds it
                     continue
-                for page in listening:
-                    page.write_message(json.dumps({"reload": True}))
+                telling = [asyncio.create_task(page.tell({"reload": True})) for page in listening]
+                if telling:  # who does not read is not waited for
+                    await asyncio.wait(telling, timeout=_EVERY)
     finally:
         server.stop()
         await server.close_all_connections()

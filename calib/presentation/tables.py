@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.assessment.metrics import metrics
+from calib.foundations.arguments import checked
 from calib.identification.fit import Fit
 from calib.identification.identifiability import BlindDirection
 from calib.presentation.report.document import Sheet
@@ -24,6 +25,7 @@ from calib.presentation.sheets import (
 WIDTH = 80
 
 
+@checked
 def table(fit: Fit) -> str:
     """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
     sentences = (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))

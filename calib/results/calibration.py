@@ -11,6 +11,7 @@ from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.trust import doubts, remarks
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.identification.fit import Fit
@@ -113,6 +114,7 @@ def _shown(found: Metrics) -> str:
     return f"{found.rms * factor:.4g} {unit}"
 
 
+@checked
 def assess(
     fit: Fit,
     held_out: Measurements | Sequence[Measurements] = (),

@@ -11,6 +11,7 @@ import numpy as np
 from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
+from calib.foundations.arguments import checked
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
@@ -122,6 +123,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
 
 
+@checked
 def save(found: Calibration | Fit, folder: str | Path) -> Path:
     """Write a calibration as ``calib calibrate`` does: model, URDF, figures, residuals, report and scene.
 
@@ -135,11 +137,13 @@ def save(found: Calibration | Fit, folder: str | Path) -> Path:
     return out
 
 
+@checked
 def report(found: Calibration | Fit) -> str:
     """Return the report of a calibration as one HTML page that needs no other file."""
     return render_page(report_of(judged(found)))
 
 
+@checked
 def scene(found: Calibration | Fit) -> str:
     """Return the 3D scene of a calibration as one HTML page that needs no other file.
 

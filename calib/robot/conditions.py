@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 
@@ -25,6 +26,9 @@ class Conditions:
     approach: Array | None = None
     temperature: Array | None = None
     torque: Array | None = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.robot.flexures import Mechanism
 from calib.robot.kinematics import Frame, Kinematics, Mass
@@ -25,6 +26,9 @@ class Payload:
 
     mass: float
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Literal, cast
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
@@ -23,6 +24,7 @@ from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
 _LARGEST_MULTIPLE = 1e6
 
 
+@checked
 def load_robot(
     urdf: str | Path | Urdf,
     tip: str | None = None,
@@ -209,7 +211,7 @@ def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving:
         if axis not in ("x", "y", "z"):
             raise RobotError(f"{where}: closes {axis!r}, which is not one of x, y, z.")
     for what, given in (("closes", loop.closes), ("passive", loop.passive)):
-        if not given or len(set(given)) < len(given):
+        if len(given) == 0 or len(set(given)) < len(given):
             raise RobotError(f"{where}: {what} {list(given)} must name at least one, and each once.")
     if len(loop.closes) != len(loop.passive):
         raise RobotError(

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -47,6 +48,9 @@ class Coupling:
     drivers: Mapping[str, float]
     offset: float = 0.0
 
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
@@ -59,6 +63,9 @@ class ClosedLoop:
     frames: tuple[str, str]
     closes: tuple[Literal["x", "y", "z"], ...]
     passive: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +97,9 @@ class Deviations:
     placements: Array
     offsets: Array
     terms: Array = field(default_factory=lambda: read_only(np.zeros(0)))
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
 
 class TipMotion(NamedTuple):
@@ -198,6 +208,7 @@ class Robot:
             read_only(np.zeros(len(self.terms))),
         )
 
+    @checked
     def joint_positions(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> Array:
@@ -208,12 +219,14 @@ class Robot:
         """
         return TipModel(self, deviations).joint_positions(self._own(readings), conditions)
 
+    @checked
     def tips(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
         return TipModel(self, deviations).tips(self._own(readings), conditions)
 
+    @checked
     def motion(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> TipMotion:
@@ -240,6 +253,7 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
         d = deviations or robot.no_deviations()
+        _refuse_shapes(robot, d)
         m = robot.mechanism
         s = skeleton(m.segments, m.deviations(d.placements))
         end = int(m.carrying[robot.tip_joint])
@@ -314,6 +328,17 @@ class TipModel:
         active[passive] = 0.0
         rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
         return np.asarray(by_joint @ active + by_joint[:, :, passive] @ rates)
+
+
+def _refuse_shapes(robot: Robot, d: Deviations) -> None:
+    """Raise RobotError for deviations of another arm: there is one for each of what this one has."""
+    for name, found, needed in (
+        ("placements", d.placements.shape, (len(robot.chain), 6)),
+        ("offsets", d.offsets.shape, (len(robot.moving),)),
+        ("terms", d.terms.shape, (len(robot.terms),)),
+    ):
+        if found != needed:
+            raise RobotError(f"deviations: {name} has the shape {found}; of this arm it is {needed}.")
 
 
 def segments(robot: Robot) -> list[Segment]:

@@ -9,6 +9,8 @@ from calib.foundations.errors import PoseError, RobotError
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
 
+# What a person waits for, and a memory holds.
+MOST_POSES = 1_000_000
 # Hardly any pose: fewer than one in so many, when so many were tried.
 _RARELY = 200
 _ENOUGH = 1000
@@ -56,6 +58,11 @@ def random_readings(
     them does.
     """
     bounds = joint_limits(robot) if limits is None else limits
+    width = len(robot.readings)
+    if bounds.shape != (width, 2) or not (np.isfinite(bounds).all() and np.all(bounds[:, 0] <= bounds[:, 1])):
+        raise RobotError(f"limits: needs finite numbers ({width}, 2), for every reading its lower and its upper one.")
+    if not 1 <= count <= MOST_POSES or seed < 0:
+        raise RobotError(f"{count} random poses, seed {seed}: allowed are 1 to {MOST_POSES} and no negative seed.")
     rng = np.random.default_rng(seed)
     found = np.zeros((0, len(bounds)))
     tried = 0

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -226,6 +227,21 @@ def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -
     found = compare(machine_of(calibrated(true, 1)), machine_of(calib.identify(some, seen(true, 60, 2))))
     assert (found.statistic, found.probability) == (None, None)
     assert found.tip_rms > 5e-4
+
+
+@pytest.mark.parametrize("blind", ["minimal", "nearest"])
+def test_parameters_that_move_several_entries_are_compared(blind: Literal["minimal", "nearest"]) -> None:
+    """A DH number moves more than one component of a placement: fewer combinations vary than there are components."""
+    robot, true, _ = machine()
+    model = calib.error_model(robot, dh="all")
+    fits = [calib.identify(model, seen(true, 60, seed), blind=blind) for seed in (1, 2)]
+    found = compare(*map(machine_of, fits))
+    placements = compare(*(machine_of(calibrated(true, seed)) for seed in (1, 2)))
+    # The same machines in other words.
+    assert found.degrees_of_freedom == placements.degrees_of_freedom == 18
+    assert found.statistic == pytest.approx(placements.statistic, rel=0.05)
+    assert found.tip_rms == pytest.approx(placements.tip_rms, rel=0.05)
+    assert not found.moved
 
 
 def test_other_machines_are_not_compared() -> None:

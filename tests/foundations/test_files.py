@@ -1,6 +1,7 @@
 """Files are read with a guard, and appear whole or not at all."""
 
 import contextlib
+import errno
 import os
 import subprocess
 import sys
@@ -9,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from calib.foundations import files
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_bytes, read_inside, sha256, write_atomically
+from calib.foundations.files import read_bytes, read_inside, sha256, write_atomically, write_new
 from tests.support.swaps import at_operation, swap
 
 as_root = os.geteuid() == 0
@@ -136,6 +138,33 @@ def test_write_atomically_leaves_other_names_of_the_file_alone(tmp_path: Path) -
     (tmp_path / "a").hardlink_to(tmp_path / "mine")
     write_atomically(tmp_path / "a", "new")
     assert ((tmp_path / "mine").read_text(), (tmp_path / "a").read_text()) == ("mine", "new")
+
+
+def test_what_is_to_be_new_takes_the_place_of_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_new(tmp_path / "a", "new")
+    assert (tmp_path / "a").read_text() == "new"
+    with pytest.raises(OutputError, match=r"a: is there already; choose another name\.$"):
+        write_new(tmp_path / "a", "newer")
+    # Somebody writes it between the look and the deed; with and without hard links.
+    for links in (True, False):
+        path = tmp_path / f"links {links}"
+        monkeypatch.setattr(files, "refuse_taken", lambda path: None)
+        if not links:
+            monkeypatch.setattr(os, "link", refused)
+        path.write_text("mine")
+        if links:
+            with pytest.raises(OutputError, match=r"cannot be written \(File exists\)"):
+                write_new(path, "new")
+            assert path.read_text() == "mine"
+        else:
+            path.unlink()
+            write_new(path, "new")
+            assert path.read_text() == "new"
+    assert not [name for name in names(tmp_path) if name.endswith(".part")]
+
+
+def refused(*_: object, **__: object) -> None:
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
 
 
 def test_write_atomically_stays_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
+from calib.assessment.performance import Touches, performance
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
@@ -98,3 +99,22 @@ def test_a_truth_that_the_model_can_express_is_found(planar: bool) -> None:
     tips = frames.base @ robot.tips(np.radians(unseen), fit.machine.deviations) @ frames.tools[0]
     assert len(fit.parameters) - len(fit.blind_directions) == 31
     assert np.abs(tips[:, :3, 3] * 1e3 - true.tcp(unseen)).max() < (1e-6 if planar else 1e-5)
+
+
+def test_a_pose_that_cannot_be_is_named_by_file_and_line() -> None:
+    robot = calib.load_robot(URDF, "tool0", loops=[LOOP])
+    q = np.radians(commands_deg(20, 3))
+    data = measurements(robot, q, robot.tips(q)[:, :3, 3])
+    far = q.copy()
+    far[7, 1:3] = np.pi / 2.0, 0.0  # crank and lower arm lie in line
+    late = replace(data, readings=far, where="poses.csv")
+    line = late.lines[7]
+    with pytest.raises(calib.RobotError, match=rf"^poses\.csv:{line}: .*parallelogram"):
+        late.tips(robot)
+    with pytest.raises(calib.RobotError, match=rf"^poses\.csv:{line}: .*parallelogram"):
+        system.residuals(robot, [late], calib.identify(calib.error_model(robot), data).machine)
+    with pytest.raises(calib.CalibError, match=rf"^poses\.csv:{line}: .*parallelogram"):
+        calib.identify(calib.error_model(robot, offsets="all"), late)
+    cone = Touches("cone", far, {"target": ("a",) * len(far)}, {}, "cone.csv", late.lines)
+    with pytest.raises(calib.RobotError, match=rf"^cone\.csv:{line}: .*parallelogram"):
+        performance(robot.tips, [cone], None, np.zeros(3))

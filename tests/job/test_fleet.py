@@ -1,6 +1,7 @@
 """Many jobs at once: the bytes of single runs, whatever becomes of the others."""
 
 import csv
+import errno
 import io
 import json
 import os
@@ -14,6 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from calib.foundations import files
 from calib.foundations.errors import JobError, OutputError
 from calib.job import fleet as fleets
 from calib.job.fleet import Done, FleetJob, fleet_jobs, run_fleet, unchanged
@@ -170,6 +172,17 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(OutputError, match="read-only"):
         fleet_jobs([], folder / "a/b")
+
+
+def test_a_fleet_that_cannot_be_written_leaves_no_empty_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(files, "create", full)  # of the summary; the job is a bad one
+    said = run("fleet", "jobs/bad.toml", "-o", "deep/out", "-j", "1", "-q")
+    assert (said.code, said.out) == (1, "")
+    assert said.err == "Error: deep/out/summary.json: cannot be written (No space left on device).\n"
+    assert not (folder / "deep").exists()
 
 
 # When something dies. ---------------------------------------------------------------------------------------------

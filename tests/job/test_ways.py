@@ -80,6 +80,10 @@ def test_sensitivity_and_performance(tmp_path: Path) -> None:
     assert by_name["base.x"]["rms"] == pytest.approx(1.0)
     assert plot.read_text().startswith("<?xml")
     assert run("sensitivity", CASE / "calibration.toml", "--plot", tmp_path / "plot.txt").code == 1
+    plot.write_text("mine")
+    said = run("sensitivity", CASE / "calibration.toml", "--plot", plot)
+    assert said == (1, "", f"Error: {plot}: is there already; choose another name.\n")
+    assert plot.read_text() == "mine"
 
 
 def test_commands_are_corrected(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import os
 import re
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import urllib.error
@@ -123,6 +125,40 @@ def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Po
     np.testing.assert_allclose(told["positions"]["robot"], arm.positions[0], atol=1e-12)
     apart = 1e3 * np.linalg.norm((model.tips(u) - model.robot.tips(u))[0, :3, 3])
     assert f"are {apart:.3f} mm apart" in told["sentence"]
+
+
+def asked(address: str, origin: str = "") -> tuple[socket.socket, bytes]:
+    """A WebSocket of the server, and the first line of its answer."""
+    port = int(address.rstrip("/").rpartition(":")[2])
+    page = socket.create_connection(("127.0.0.1", port), timeout=20)
+    page.sendall(
+        f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        f"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n{origin}\r\n".encode()
+    )
+    return page, page.recv(10_000).splitlines()[0]
+
+
+def test_pages_that_leave_while_they_are_answered_are_nothing_to_speak_of(
+    server: tuple[subprocess.Popen[str], str],
+) -> None:
+    process, address = server
+    text = json.dumps({"readings": [0.0] * 6, "apart": 1.0}).encode()
+    question = bytes([0x81, 0x80 | len(text)]) + bytes(4) + text  # one frame, masked by zeros
+    for _ in range(10):
+        page, first = asked(address)
+        assert b"101" in first
+        page.sendall(50 * question)
+        page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        page.close()  # at once, as when the browser ends
+    page, first = asked(address, "Origin: http://[::1\r\n")
+    page.close()
+    assert b"403" in first
+    page, first = asked(address)
+    assert b"101" in first
+    page.sendall(50 * question)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=20)[1] == ""
+    page.close()
 
 
 def test_questions_without_sense_are_answered_in_words(results: Path) -> None:

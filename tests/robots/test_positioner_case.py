@@ -161,4 +161,6 @@ def test_cells_that_cannot_be_are_one_sentence(results: Path, tmp_path: Path) ->
     ):  # fmt: skip
         said = run("cell", *arguments, "-o", out)
         assert (said.code, said.err) == (1, f"Error: {sentence}\n")
+    said = run("cell", welder, results, "-o", out, "--scene", out)
+    assert said.err == f"Error: {out}: cannot be the cell and its scene; choose another name for one of them.\n"
     assert not out.exists()

@@ -18,6 +18,7 @@ from typing import cast, get_args
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.choices import Convention
 from calib.foundations.csv_text import csv_cell, has_formula
@@ -47,6 +48,7 @@ _POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 _Line = tuple[str, list[str]]  # the place for the start of a sentence, and the cells
 
 
+@checked
 def read_dh(path: str | Path, convention: Convention | None = None) -> DhTable:
     """Read a DH table; ``convention`` is for a file that does not state its own, and "standard" where neither does.
 
@@ -59,6 +61,7 @@ def read_dh(path: str | Path, convention: Convention | None = None) -> DhTable:
     return parse_dh(read_bytes(Path(path), RobotError, _LARGEST_FILE), str(path), convention)
 
 
+@checked
 def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> DhTable:
     """Return the table of a file's contents; as :func:`read_dh`. ``where`` names it in sentences."""
     before, header, body = _parts(_lines(data, where), where)
@@ -76,6 +79,7 @@ def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> D
         raise RobotError(f"{where}: {e}") from e
 
 
+@checked
 def write_dh(table: DhTable) -> str:
     """Return the CSV text of a table in mm and deg. Its rows read back equal, base and tool to rounding."""
     lines = [f"convention, {table.convention}"]

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -32,6 +33,7 @@ from calib.robot.robot import ChainJoint, Deviations, Robot
 # Neighbouring axes nearer to parallel than this, in rad, have no common normal that one would build by: its foot would
 # stand a hundred link lengths away. They get d as it is (0 where nothing says otherwise) and beta.
 PARALLEL = 0.01
+MOST_PARALLEL = 0.5
 
 # A frame of the URDF is a DH frame when it misses by less; the numbers themselves are computed to rounding either way.
 _IS_DH = 1e-9
@@ -154,6 +156,7 @@ def own_motion(row: DhRow) -> str | None:
     return {"revolute": "theta", "prismatic": "d", "fixed": None}[row.type]
 
 
+@checked
 def dh_of(robot: Robot, convention: Convention = "standard", parallel: float = PARALLEL) -> DhTable:
     """Return the DH table of a serial arm: the same tips at the same joint positions, to rounding.
 
@@ -169,9 +172,12 @@ def dh_of(robot: Robot, convention: Convention = "standard", parallel: float = P
     return dh_frames(robot, convention, parallel).table()
 
 
+@checked
 def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float = PARALLEL) -> DhFrames:
     """Return the arm in DH frames; see :func:`dh_of` for how they are chosen. Raises RobotError."""
     check_convention(convention)
+    if not 0.0 <= parallel <= MOST_PARALLEL:
+        raise RobotError(f"parallel: {parallel!r} is not an angle between 0 and {MOST_PARALLEL} rad.")
     if robot.loops:
         raise RobotError(f"{robot.urdf.where}: an arm with closed loops is no DH table; free placements instead.")
     modified = convention == "modified"

@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -38,6 +39,9 @@ class DhRow:
     alpha: float
     theta: float
     beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
     @property
     def along(self) -> Array:
@@ -66,6 +70,7 @@ class DhTable:
     tool: Array = field(default_factory=lambda: read_only(np.eye(4)))
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
         check_convention(self.convention)
         names = [row.joint for row in self.rows]
         for row in self.rows:

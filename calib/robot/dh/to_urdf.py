@@ -7,6 +7,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.robot.dh.table import DhTable
 from calib.robot.urdf import parse_urdf
@@ -18,6 +19,7 @@ _NO_LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 _RADIUS, _SHORTEST = 0.02, 1e-3
 
 
+@checked
 def dh_to_urdf(table: DhTable, name: str = "arm", limits: Mapping[str, tuple[float, float]] = _NO_LIMITS) -> bytes:
     """Return a URDF whose joints are the rows of the table, all about or along z, and whose tip link is ``tip``.
 

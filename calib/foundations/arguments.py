@@ -1,0 +1,221 @@
+"""What callers give to public functions, held against the annotations: of another kind, it is refused in a sentence.
+
+Kinds alone, as a number or a list of texts; ranges, names and shapes are for whoever knows what they mean. Without it a
+slip shows itself as a TypeError somewhere deep inside.
+"""
+
+import functools
+import inspect
+from collections import abc
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from numbers import Integral, Real
+from types import MappingProxyType, NoneType, UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations.errors import JobError
+from calib.foundations.words import LONGEST_SHOWN, shortened, shown
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+# By the letter of a numpy type: what of other types may stand for it.
+_STANDS_FOR = {"f": "fiub", "i": "iu", "b": "b"}
+_PLAIN = MappingProxyType({str: "a text", bytes: "bytes", float: "a number", int: "a whole number", bool: "a bool"})
+_SEQUENCES = (abc.Sequence, abc.Collection, abc.Iterable, list)
+
+
+def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Make a function raise JobError for an argument that is not of the kind that its annotation says."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            _refuse_other(value, signature.parameters[name].annotation, f"{function.__name__}: {name}")
+        return function(*args, **kwargs)
+
+    return call
+
+
+def refuse_fields(made: Any) -> None:
+    """Raise JobError when a field of a dataclass is not of the kind that its annotation says."""
+    cls: Any = type(made)
+    hints = _hints(cls)
+    for field in fields(made):
+        _refuse_other(getattr(made, field.name), hints[field.name], f"{cls.__name__}: {field.name}")
+
+
+@functools.cache
+def _hints(of: Any) -> dict[str, Any]:
+    return get_type_hints(of)
+
+
+def _refuse_other(value: object, hint: Any, where: str) -> None:
+    if not _fits(value, hint):
+        raise JobError(f"{where} is {_told(value)}; needs {_joined(_needed(hint))}.")
+
+
+# ---- does it fit?
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    if hint in (Any, object, inspect.Parameter.empty):
+        return True
+    if _is_array_like(hint):
+        return _is_numbers(value) or (value is None and NoneType in get_args(hint))
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is Literal:  # which words are allowed, the function says
+        return isinstance(value, tuple(map(type, inner)))
+    if origin is not None:
+        return _fits_generic(value, origin, inner)
+    if hint in (None, NoneType):
+        return value is None
+    if hint is float:
+        return not isinstance(value, bool) and isinstance(value, Real) and _is_float(value)
+    if hint is int:
+        return isinstance(value, Integral)
+    if hint is bool:
+        return isinstance(value, bool | np.bool_)
+    return isinstance(value, hint) if isinstance(hint, type) else True
+
+
+def _fits_generic(value: Any, origin: Any, inner: tuple[Any, ...]) -> bool:
+    if origin is np.ndarray:
+        allowed = _STANDS_FOR[np.dtype(get_args(inner[1])[0]).kind]
+        return isinstance(value, np.ndarray) and not _is_masked(value) and value.dtype.kind in allowed
+    if origin is abc.Mapping:
+        keys, values = inner
+        return isinstance(value, abc.Mapping) and all(_fits(k, keys) and _fits(v, values) for k, v in value.items())
+    if origin is tuple:
+        # A list is as good.
+        alike = len(inner) == 2 and inner[1] is Ellipsis
+        own = _elements(value)
+        if own is None or not (alike or len(own) == len(inner)):
+            return False
+        return all(_fits(one, kind) for one, kind in zip(own, inner[:1] * len(own) if alike else inner, strict=True))
+    if origin in _SEQUENCES:
+        own = _elements(value)
+        return own is not None and all(_fits(one, inner[0]) for one in own)
+    if origin is abc.Callable:
+        return callable(value)
+    return isinstance(value, origin)
+
+
+def _elements(value: Any) -> list[Any] | None:
+    """Return what is in a list or what serves as one; None of a text, a mapping, or what is no collection."""
+    if isinstance(value, str | bytes | abc.Mapping) or not isinstance(value, abc.Collection):
+        return None
+    try:
+        return list(value)
+    except TypeError:  # an array without dimensions
+        return None
+
+
+def _is_array_like(hint: Any) -> bool:
+    """Tell whether a hint is, or with None in it is, numpy's own for whatever makes an array."""
+    own, inner = get_args(npt.ArrayLike), get_args(hint)
+    return hint == npt.ArrayLike or (len(own) > 0 and all(one in inner for one in own))
+
+
+def _is_numbers(value: Any) -> bool:
+    try:
+        return value is not None and not _is_masked(value) and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
+    except (TypeError, ValueError):  # lists of several lengths
+        return False
+
+
+def _is_masked(value: object) -> bool:
+    """Tell whether an array says that some of its numbers are none; nobody here would listen."""
+    return isinstance(value, np.ma.MaskedArray)
+
+
+def _is_float(value: Real) -> bool:
+    """Tell whether a float can hold a number; infinity and NaN it can."""
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
+# ---- words
+
+
+def _told(value: object) -> str:
+    """Return what was given, in a few words of one line: its value where that is short, else its kind."""
+    simple = bool, float, int, str, bytes, NoneType
+    if isinstance(value, str):
+        return shown(value)
+    plain = value if isinstance(value, list | tuple) else [value]
+    if len(plain) <= LONGEST_SHOWN and all(isinstance(one, simple) for one in plain):
+        try:
+            text = repr(value)
+        except ValueError:  # a whole number of thousands of digits
+            text = ""
+        if 0 < len(text) <= LONGEST_SHOWN:
+            return text
+    name = type(value).__name__
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    if isinstance(value, list | tuple):
+        return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
+    return f"{_article(name)} {name}"
+
+
+def _needed(hint: Any) -> list[str]:
+    """Return the kinds that are allowed, in words, each once."""
+    if _is_array_like(hint):
+        return ["an array of numbers", *(["None"] if NoneType in get_args(hint) else [])]
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return list(dict.fromkeys(word for one in inner for word in _needed(one)))
+    if origin is Literal:
+        return [f'"{one}"' if isinstance(one, str) else repr(one) for one in inner]
+    if origin is np.ndarray:
+        return [f"an array of {_plural(_element(inner))}"]
+    if origin is abc.Mapping:
+        return [f"a mapping of {_plural(_needed(inner[0])[0])} to {_joined(map(_plural, _needed(inner[1])))}"]
+    if origin is tuple and inner[1:] != (Ellipsis,):
+        return [f"{len(inner)} {_plural(_needed(inner[0])[0])}"]
+    if origin is tuple or origin in _SEQUENCES:
+        return [f"a list of {_joined(map(_plural, _needed(inner[0])))}"]
+    if origin is abc.Callable:
+        return ["a function"]
+    if hint in (None, NoneType):
+        return ["None"]
+    if hint in (Any, object):
+        return ["anything"]
+    name = getattr(hint, "__name__", str(hint))
+    return [_PLAIN.get(hint, f"{_article(name)} {name}")]
+
+
+def _element(inner: tuple[Any, ...]) -> str:
+    kind = np.dtype(get_args(inner[1])[0]).kind
+    return {"f": "a number", "i": "a whole number", "b": "a bool"}[kind]
+
+
+def _article(name: str) -> str:
+    return "an" if name[0] in "AEIOUaeiou" else "a"
+
+
+def _plural(words: str) -> str:
+    """Return several of ``a number``: ``numbers``; what is no kind but a word of its own stays."""
+    for article in ("a ", "an "):
+        if words.startswith(article):
+            own, of, rest = words.removeprefix(article).partition(" of ")
+            return f"{own}{'' if own.endswith('s') else 's'}{of}{rest}"
+    return words
+
+
+def _joined(words: Iterable[str]) -> str:
+    """Return alternatives in a row; a comma parts them where one has alternatives of its own."""
+    *others, last = words
+    if any(" or " in word for word in (*others, last)):
+        return ", or ".join((*others, last))
+    return f"{', '.join(others)} or {last}" if others else last

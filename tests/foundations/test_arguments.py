@@ -1,0 +1,206 @@
+"""What public functions are given, held against their annotations: of another kind, it is one sentence."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from tests.job.cases import CASE, TABLE
+
+import calib
+from calib.foundations.arguments import checked, refuse_fields
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import JobError
+
+
+@checked
+def takes(
+    number: float = 1.0,
+    count: int = 1,
+    flag: bool = False,
+    text: str | Path = "",
+    names: Literal["all"] | Sequence[str] = "all",
+    amounts: Mapping[str, float | None] | None = None,
+    point: tuple[float, float] = (0.0, 0.0),
+    array: Array | None = None,
+    rows: IntArray | BoolArray | None = None,
+    numbers: npt.ArrayLike | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+    anything: Any = None,
+) -> None:
+    """Take one of every kind."""
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"number": 1},
+        {"number": np.float32(1.0)},
+        {"number": float("nan")},  # for the function to judge
+        {"count": np.int64(3)},
+        {"flag": np.bool_(True)},
+        {"text": Path("x")},
+        {"names": "all"},
+        {"names": "other"},  # likewise
+        {"names": ["a", "b"]},
+        {"names": ("a",)},
+        {"names": np.array(["a", "b"])},
+        {"names": pd.Series(["a"])},
+        {"amounts": {"a": 1.0, "b": None}},
+        {"point": [1, 2.0]},
+        {"point": np.zeros(2)},
+        {"array": np.zeros((2, 3), dtype=int)},
+        {"rows": np.array([True])},
+        {"numbers": [[1, 2], [3, 4]]},
+        {"numbers": pd.DataFrame({"a": [1.0]})},
+        {"progress": print},
+        {"anything": object()},
+    ],
+)
+def test_what_fits_is_taken(given: dict[str, Any]) -> None:
+    takes(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"number": "0.02 mm"}, "number is '0.02 mm'; needs a number."),
+        ({"number": True}, "number is True; needs a number."),
+        ({"number": 10**400}, "number is an int; needs a number."),
+        ({"number": 10**5000}, "number is an int; needs a number."),
+        ({"number": 1j}, "number is a complex; needs a number."),
+        ({"number": np.zeros(3)}, "number is an array of float64; needs a number."),
+        ({"count": 1.5}, "count is 1.5; needs a whole number."),
+        ({"flag": None}, "flag is None; needs a bool."),
+        ({"text": 5}, "text is 5; needs a text or a Path."),
+        ({"text": b"x"}, "text is b'x'; needs a text or a Path."),
+        ({"names": None}, 'names is None; needs "all" or a list of texts.'),
+        ({"names": ["a", None]}, "names is ['a', None]; needs \"all\" or a list of texts."),
+        ({"names": {"a": 1}}, 'names is a dict; needs "all" or a list of texts.'),
+        ({"amounts": {"a": "x"}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),
+        ({"amounts": {1: 1.0}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),
+        ({"point": (1.0,)}, "point is (1.0,); needs 2 numbers."),
+        ({"point": "12"}, "point is '12'; needs 2 numbers."),
+        ({"array": [1.0]}, "array is [1.0]; needs an array of numbers or None."),
+        ({"array": np.zeros(2, dtype=complex)}, "array is an array of complex128; needs an array of numbers or None."),
+        ({"array": np.ma.masked_all(2)}, "array is an array of float64; needs an array of numbers or None."),
+        (
+            {"rows": np.zeros(2)},
+            "rows is an array of float64; needs an array of whole numbers, an array of bools or None.",
+        ),
+        ({"numbers": [[1.0], [1.0, 2.0]]}, "numbers is a list of list; needs an array of numbers or None."),
+        ({"numbers": [None]}, "numbers is [None]; needs an array of numbers or None."),
+        ({"numbers": "abc"}, "numbers is 'abc'; needs an array of numbers or None."),
+        ({"progress": 5}, "progress is 5; needs a function."),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_in_a_sentence(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(JobError) as caught:
+        takes(**given)
+    assert str(caught.value) == f"takes: {said}"
+
+
+def test_long_texts_are_cut() -> None:
+    with pytest.raises(JobError) as caught:
+        takes(number="x" * 10_000)  # type: ignore[arg-type]
+    assert len(str(caught.value)) < 150
+
+
+def test_fields_are_held_against_their_annotations() -> None:
+    @dataclass(frozen=True)
+    class Thing:
+        size: float
+        name: str = ""
+
+        def __post_init__(self) -> None:
+            refuse_fields(self)
+
+    Thing(1.0, "a")
+    with pytest.raises(JobError, match=r"^Thing: name is None; needs a text\.$"):
+        Thing(1.0, None)  # type: ignore[arg-type]
+
+
+# ---- what is public
+
+
+def test_every_public_function_looks_at_what_it_is_given() -> None:
+    rooms = (calib, calib.commands, calib.dh, calib.positioner)
+    for room in rooms:
+        names = getattr(room, "__all__", None) or [name for name in vars(room) if name.startswith("for_")]
+        for name in names:
+            value = getattr(room, name)
+            if inspect.isfunction(value):
+                assert hasattr(value, "__wrapped__"), name
+
+
+def test_slips_of_python_users_are_sentences() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
+    model = calib.error_model(robot, offsets="all")
+    fit = calib.identify(model, data)
+    for slip, said in (
+        (lambda: calib.load_robot(None), "load_robot: urdf is None; needs a text, a Path or an Urdf."),  # type: ignore[arg-type]
+        (lambda: calib.error_model(robot, offsets=5), 'offsets is 5; needs "all", "none" or a list of texts.'),  # type: ignore[arg-type]
+        (lambda: calib.error_model(robot, offsets=None), "offsets is None"),  # type: ignore[arg-type]
+        (lambda: calib.identify(model, fit), "identify: measurements is a Fit; needs a Measurements"),  # type: ignore[arg-type]
+        (lambda: calib.identify(model, [data, None]), "measurements is a list of Measurements, NoneType"),  # type: ignore[list-item]
+        (lambda: calib.identify(model, data, free="base.x"), "free is 'base.x'; needs a list of texts or None."),
+        (lambda: calib.verify(fit, data), "verify: uncertainty is a Fit; needs an Uncertainty."),  # type: ignore[arg-type]
+        (lambda: calib.read_measurements(CASE / TABLE, robot, "postion"), "observes: 'postion' is not one of position"),  # type: ignore[arg-type]
+        (lambda: robot.tips([[0.0] * 6]), "tips: readings is a list of list; needs an array of numbers."),  # type: ignore[arg-type]
+        (lambda: calib.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
+        (lambda: calib.Deviations(None, np.zeros(6)), "Deviations: placements is None; needs an array of numbers."),  # type: ignore[arg-type]
+        (lambda: data.subset([99]), "there are no such rows among 60"),
+    ):  # fmt: skip
+        with pytest.raises(calib.CalibError) as caught:
+            slip()
+        assert said in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_deviations_of_another_arm_are_refused() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    none, q = robot.no_deviations(), np.zeros((1, 6))
+    for d, said in (
+        (calib.Deviations(np.zeros((3, 6)), none.offsets), r"placements has the shape \(3, 6\); of this arm"),
+        (calib.Deviations(none.placements, np.zeros(5)), r"offsets has the shape \(5,\); of this arm it is \(6,\)"),
+        (calib.Deviations(none.placements, none.offsets, np.zeros(1)), r"terms has the shape \(1,\)"),
+    ):  # fmt: skip
+        with pytest.raises(calib.RobotError, match=said):
+            robot.tips(q, d)
+
+
+def test_numbers_out_of_range_are_refused_where_they_come_in() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
+    u = calib.uncertainty_of(calib.identify(calib.error_model(robot, offsets="all"), data))
+    t = np.linspace(0.0, 3.0, 8)
+    circle, line = np.c_[np.cos(t), np.sin(t), 0.0 * t], np.c_[t, 0.0 * t, 0.0 * t]
+    at = calib.positioner
+    for slip, said in (
+        (lambda: calib.uncertainty_map(u, 0), "0 random poses, seed 0: allowed are 1 to 1000000"),
+        (lambda: calib.uncertainty_map(u, 10**9), "1000000000 random poses"),
+        (lambda: calib.uncertainty_map(u, 5, seed=-1), "no negative seed"),
+        (lambda: calib.uncertainty_map(u, 5, limits=np.zeros((2, 6))), "limits: needs finite numbers (6, 2)"),
+        (lambda: calib.uncertainty_map(u, 5, limits=np.full((6, 2), np.nan)), "limits: needs finite numbers (6, 2)"),
+        (lambda: calib.compare(u, u, seed=-1), "no negative seed"),
+        (lambda: calib.outside_identified(u, np.zeros(6)), "readings of shape (6,)"),
+        (lambda: calib.dh.dh_of(robot, parallel=5.0), "parallel: 5.0 is not an angle between 0 and 0.5 rad"),
+        (lambda: calib.dh.dh_of(robot, parallel=float("nan")), "parallel: nan"),
+        (lambda: at.circle_axis(circle, sigma=1e300), "sigma is 1e+300 m; allowed is 0, or 1e-06 to 1000 mm"),
+        (lambda: at.line_axis(line, sigma=float("inf")), "sigma is inf m"),
+        (lambda: at.expected_circle_error(float("nan"), t, 1e-4), "radius is nan m"),
+        (lambda: at.expected_circle_error(1.0, 5.0, 1e-4), "must be finite numbers (N,)"),
+        (lambda: at.expected_line_error([], 1e-4), "must be finite numbers (N,)"),
+        (lambda: at.relative_base(circle, circle, sigma_a=-1.0, sigma_b=1e-4), "sigma_a is -1 m"),
+        (lambda: at.pivot(np.eye(4)[None], guess=[0.0]), "the guess of a tool point must be three finite numbers"),
+        (lambda: at.pivot(np.eye(4)[None], sigma=float("nan")), "sigma is nan m"),
+    ):  # fmt: skip
+        with pytest.raises(calib.CalibError) as caught:
+            slip()
+        assert said in str(caught.value)
