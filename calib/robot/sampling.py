@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.choices import MOST_POSES
 from calib.foundations.errors import PoseError, RobotError
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
 
 # What a person waits for, and a memory holds.
-MOST_POSES = 1_000_000
 # Hardly any pose: fewer than one in so many, when so many were tried.
 _RARELY = 200
 _ENOUGH = 1000

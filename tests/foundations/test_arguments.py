@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
-from tests.job.cases import CASE, TABLE
 
 import calib
 from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import JobError
+from tests.support.cases import CASE, TABLE
 
 
 @checked
