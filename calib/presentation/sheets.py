@@ -11,22 +11,14 @@ from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
 from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
+from calib.robot.terms import KINDS
 
 # What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
 SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
     "px": (1.0, "px"),
-    "1": (1e6, "ppm"),
-    "rad/Nm": (1e6, "urad/Nm"),
-    "m/N": (1e6, "um/N"),
-    "kg rad/Nm": (1e6, "kg urad/Nm"),
-    "kg m rad/Nm": (1e6, "kg m urad/Nm"),
-    "kg m/N": (1e6, "kg um/N"),
-    "kg m2/N": (1e6, "kg m um/N"),
-    "rad/K": (1e6, "urad/K"),
-    "m/K": (1e6, "um/K"),
-    "1/K": (1e6, "ppm/K"),
+    **{unit: (1e6, shown) for kind in KINDS for unit, shown in kind.shown.items()},
 }
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]

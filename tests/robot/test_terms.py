@@ -11,6 +11,7 @@ from calib.assessment.choice import Candidate, candidates
 from calib.foundations.errors import JobError, RobotError
 from calib.identification.parameters import TERM_WIDTH
 from calib.job.schema import ErrorModelSection
+from calib.presentation.sheets import SHOWN
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import foreign, ordered, parts
 from calib.robot.robot import Deviations, Robot, TipModel
@@ -76,6 +77,7 @@ def test_a_parameter_has_its_name_unit_and_size(kind: Kind) -> None:
     for parameter, term in zip(found, terms, strict=True):
         assert term.name.startswith(f"{term.reading or 'arm'}.{term.kind}")
         assert (parameter.unit, parameter.scale) == kind.amount(term, "angle")
+        assert parameter.unit in SHOWN
         assert parameter.weak == TERM_WIDTH * parameter.scale
     for dimension, name in kind.priors.items():
         if dimension == "angle":

@@ -18,6 +18,7 @@ class Bending(LinkKind):
     names = ("bending",)
     key = "bending"
     amounts = {"length": Amount("rad/Nm", 1e-5)}
+    shown = {"rad/Nm": "urad/Nm"}
     masses = "stated"
 
     def basis(self, shares: Shares) -> Basis:

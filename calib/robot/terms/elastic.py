@@ -11,6 +11,7 @@ class Elastic(Kind):
     names = ("elastic",)
     key = "elastic"
     amounts = {"angle": Amount("rad/Nm", 1e-5), "length": Amount("m/N", 1e-7)}
+    shown = {"rad/Nm": "urad/Nm", "m/N": "um/N"}
     masses = "stated"
     priors = {"angle": "elastic", "length": "elastic_sliding"}
 

@@ -18,6 +18,7 @@ class Expansion(LinkKind):
     key = "expansion"
     words = (WHOLE_ARM,)
     amounts = {"length": Amount("1/K", 1e-5)}
+    shown = {"1/K": "ppm/K"}
 
     def basis(self, shares: Shares) -> Basis:
         """Return what every link grows by."""

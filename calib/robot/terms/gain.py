@@ -11,6 +11,7 @@ class Gain(Kind):
     names = ("gain",)
     key = "gain"
     amounts = {"angle": Amount("1", 1e-3), "length": Amount("1", 1e-3)}
+    shown = {"1": "ppm"}
 
     def basis(self, shares: Shares) -> Basis:
         """Return the readings."""

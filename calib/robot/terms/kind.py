@@ -95,8 +95,9 @@ class Kind(ABC):
 
     ``names``: what its terms are called in files and among parameters. ``key``: what chooses them in a job, with other
     ``words`` than "all" and "none", and ``options`` beside it. ``amounts``: by the dimension of the reading; where
-    there is none, ``only`` says of what such terms are. ``masses``: which ones its basis asks for. ``priors``: the
-    field of :class:`calib.Priors`, by the dimension of the reading.
+    there is none, ``only`` says of what such terms are. ``shown``: what a millionth of a unit is called in tables;
+    lengths and angles are in mm and deg there. ``masses``: which ones its basis asks for. ``priors``: the field of
+    :class:`calib.Priors`, by the dimension of the reading.
     """
 
     names: ClassVar[tuple[str, ...]]
@@ -104,6 +105,7 @@ class Kind(ABC):
     words: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Option]] = MappingProxyType({})
     amounts: ClassVar[Mapping[Dimension, Amount]]
+    shown: ClassVar[Mapping[str, str]] = MappingProxyType({})
     only: ClassVar[str] = ""
     masses: ClassVar[Literal["none", "stated", "unknown"]] = "none"
     priors: ClassVar[Mapping[Dimension, str]] = MappingProxyType({})

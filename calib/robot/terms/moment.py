@@ -17,6 +17,12 @@ class Moment(Kind):
     names = ("moment",)
     key = "moments"
     amounts = {"angle": Amount("kg m rad/Nm", 1e-4), "length": Amount("kg m2/N", 1e-6)}
+    shown = {
+        "kg rad/Nm": "kg urad/Nm",
+        "kg m rad/Nm": "kg m urad/Nm",
+        "kg m/N": "kg um/N",
+        "kg m2/N": "kg m um/N",
+    }
     masses = "unknown"
 
     def basis(self, shares: Shares) -> Basis:

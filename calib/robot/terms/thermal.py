@@ -14,6 +14,7 @@ class Thermal(Kind):
     names = ("thermal",)
     key = "thermal"
     amounts = {"angle": Amount("rad/K", 1e-5), "length": Amount("m/K", 1e-5)}
+    shown = {"rad/K": "urad/K", "m/K": "um/K"}
 
     def basis(self, shares: Shares) -> Basis:
         """Return the same for all."""

@@ -14,6 +14,7 @@ class Torque(Kind):
     names = ("torque",)
     key = "torque"
     amounts = {"angle": Amount("rad/Nm", 1e-5)}
+    shown = {"rad/Nm": "urad/Nm"}
     only = "torques are of joints that turn"
 
     def basis(self, shares: Shares) -> Basis:
