@@ -19,7 +19,7 @@ from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.grid import Frame
+from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, TipModel
 from calib.robot.transmission import lacking
@@ -47,24 +47,6 @@ _NO_NEARER = 1e-7
 _REMARKABLE = 0.1
 _STARTS = 12
 _BLOCK = 4096
-
-
-class ResidualModel(Protocol):
-    """What the calibrated model leaves unexplained: a sector grid, a Gaussian process, or another."""
-
-    @property
-    def frame(self) -> Frame:
-        """Whose axes the vectors have: those of the base or of the tip link."""
-
-    def at(self, readings: Array, *, clamp: bool = False) -> Array:
-        """Return vectors (N, 3) in m to add to predicted positions at readings (N, nr), finite where it clamps."""
-
-    def outside(self, readings: Array) -> tuple[str, ...]:
-        """Return for every row why the model does not know it, or an empty text."""
-
-    @property
-    def when_clamped(self) -> str:
-        """What is added in such rows where it clamps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,6 +39,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     found = assess(
         fit,
         inputs.validate,
+        data=inputs.identify,
         residual_model=known,
         names=(*inputs.tables("identify"), *inputs.tables("validate")),
         findings=inputs.findings,

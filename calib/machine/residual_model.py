@@ -1,6 +1,6 @@
 """What a machine adds to the positions of its kinematics, where its errors were measured: a grid, or a process."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from calib.foundations.arrays import Array
 from calib.machine.grid import Frame
 
 
+@runtime_checkable
 class ResidualModel(Protocol):
     """Errors of positions over joint space that no model of the arm explains."""
 

@@ -119,6 +119,7 @@ def assess(
     fit: Fit,
     held_out: Measurements | Sequence[Measurements] = (),
     *,
+    data: Sequence[Measurements] | None = None,
     residual_model: ResidualModel | None = None,
     names: Sequence[str] | None = None,
     findings: Sequence[Finding] = (),
@@ -130,25 +131,27 @@ def assess(
         found = calib.assess(fit, held_out)
         found.metrics["validation"]["after"]["position"].rms  # m
 
-    ``residual_model``: what the machine adds to positions. ``names``: of the tables, first those that were identified
-    from; by default where they come from. ``findings``: what was doubtful in the data. ``trace``: of a total
-    differential that has led to the fit. Raises MeasurementError when data held out are of tools or targets that the
-    fit does not know.
+    ``data``: the tables to identify from, where the fit is a level that took some of them. ``residual_model``: what the
+    machine adds to positions. ``names``: of the tables, first those to identify from; by default where they come from.
+    ``findings``: what was doubtful in the data. ``trace``: of a total differential that has led to the fit. Raises
+    MeasurementError when data held out are of tools or targets that the fit does not know.
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
-    given = tuple(names) if names is not None else tuple(data.where for data in (*fit.measurements, *validation))
-    if len(given) != len(fit.measurements) + len(validation):
-        raise MeasurementError(f"{len(given)} names are given for {len(fit.measurements) + len(validation)} tables.")
+    own = fit.measurements if data is None else tuple(data)
+    tables = (*own, *validation)
+    given = tuple(names) if names is not None else tuple(table.where for table in tables)
+    if len(given) != len(tables):
+        raise MeasurementError(f"{len(given)} names are given for {len(tables)} tables.")
     machine = machine_of(fit, residual_model)
-    uses: list[tuple[Use, tuple[Measurements, ...]]] = [("identification", fit.measurements)]
+    uses: list[tuple[Use, tuple[Measurements, ...]]] = [("identification", own)]
     if validation:
         uses.append(("validation", validation))
     sets: list[JudgedSet] = []
-    for use, tables in uses:
-        before, after = residuals_of(fit, tables, fit.nominal), residuals_of(fit, tables, fit.machine)
-        for data, b, a in zip(tables, before, after, strict=True):
-            left = a if data.position is None else machine.less_shifts(a, data)
-            sets.append(JudgedSet(use, given[len(sets)], data, b, left))
+    for use, some in uses:
+        before, after = residuals_of(fit, some, fit.nominal), residuals_of(fit, some, fit.machine)
+        for table, b, a in zip(some, before, after, strict=True):
+            left = a if table.position is None else machine.less_shifts(a, table)
+            sets.append(JudgedSet(use, given[len(sets)], table, b, left))
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
             "before": metrics((judged.data.kind, judged.before) for judged in sets if judged.use == use),
@@ -166,7 +169,7 @@ def assess(
         figures,
         (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
         (*findings, *remarks(fit)),
-        outliers(fit, files={data.where: name for name, data in zip(given, fit.measurements, strict=False)}),
+        outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)}),
         lost_in_urdf(
             fit.robot,
             fit.deviations,

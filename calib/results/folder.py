@@ -186,7 +186,8 @@ def result_json(found: Calibration) -> str:
 def result(found: Calibration) -> dict[str, Any]:
     """Return what ``result.json`` holds: plain data, lengths in m and angles in rad, None for what is not known."""
     fit = found.fit
-    files = [judged.file for judged in found.sets]
+    names = {judged.data.where: judged.file for judged in found.sets}
+    files = [names.get(data.where, data.where) for data in fit.measurements]
     contents: dict[str, Any] = {
         "trusted": not found.doubts,
         "doubts": list(found.doubts),
