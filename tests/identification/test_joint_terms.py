@@ -193,7 +193,7 @@ def test_a_prior_holds_them_back() -> None:
         ({"harmonics": ["elbow"]}, "harmonics: 'elbow' matches no joint of the arm"),
         ({"gain": "some"}, "gain: 'some' is not"),
         ({"harmonics": "all", "harmonic_orders": (1, 0)}, "harmonic_orders: 0 is not a whole number from 1 to 1000."),
-        ({"harmonics": "all", "harmonic_orders": (1.5,)}, "harmonic_orders is (1.5,)"),
+        ({"harmonics": "all", "harmonic_orders": (1.5,)}, r"harmonic_orders is \(1\.5,\)"),
         ({"prior_harmonics": 0.0}, "prior harmonics: 0.0 is not a positive number"),
         ({"prior_elastic": float("inf")}, "prior elastic is inf rad/Nm; allowed is 1e-09 to "),
         ({"prior_elastic_sliding": -1.0}, "prior elastic sliding: -1.0 is not a positive number"),
