@@ -6,9 +6,11 @@ The command line prints it and exits with 1; anything else that escapes is a bug
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
+if TYPE_CHECKING:  # whoever only names an error, such as a command's help, loads no numpy
+    import numpy as np
+    import numpy.typing as npt
 
 
 class CalibError(Exception):
@@ -34,7 +36,7 @@ class PoseError(RobotError):
 
 
 @contextmanager
-def naming_rows(where: str, lines: Sequence[int] | npt.NDArray[np.intp]) -> Iterator[None]:
+def naming_rows(where: str, lines: "Sequence[int] | npt.NDArray[np.intp]") -> Iterator[None]:
     """Let a PoseError of the block name the file ``where`` and, of the ``lines`` of all its rows, that of its row."""
     try:
         yield

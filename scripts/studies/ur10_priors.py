@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 import calib
 from calib.assessment.choice import choose_terms
+from calib.assessment.gaussian_choice import bought
 from calib.assessment.validation import groups
 from calib.identification.identify import residuals_of
-from calib.machine.gaussian import bought, gaussian_from_residuals
+from calib.machine.gaussian import gaussian_from_residuals
 from calib.presentation.sheets import prior_sentences
 from scripts.examples.ur10_leica_job import NotTheDatasetError, read, table_columns
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 import calib
 from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.gaussian_choice import Bought, bought
 from calib.assessment.validation import groups
 from calib.identification.identify import residuals_of
-from calib.machine.gaussian import Bought, GaussianResiduals, bought, gaussian_from_residuals
+from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from scripts.examples.ur10_leica_job import NotTheDatasetError, read, table_columns
 
 Array = NDArray[np.float64]

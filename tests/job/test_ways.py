@@ -16,7 +16,7 @@ def test_dh_parameters_come_back_as_a_table(tmp_path: Path) -> None:
     assert run("calibrate", job, "-o", tmp_path / "out", "-q") == (0, "", "")
     model = calib.load_machine(tmp_path / "out")
     table = calib.dh.read_dh(tmp_path / "out" / "calibrated_dh.csv")
-    assert run("dh", tmp_path / "out" / "calibrated_dh.csv", "-o", tmp_path / "again.urdf") == (0, "", "")
+    assert run("dh", tmp_path / "out" / "calibrated_dh.csv", "-o", tmp_path / "again.urdf", "-q") == (0, "", "")
     again = calib.load_robot(tmp_path / "again.urdf")
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6))
     expected = np.linalg.inv(table.base) @ model.tips(q) @ np.linalg.inv(table.tool)

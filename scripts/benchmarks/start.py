@@ -1,6 +1,6 @@
 """What does a start cost? Processor time of whole processes, as multiples of what no program of this kind can go below.
 
-    python scripts/start.py [repeats]
+    python scripts/benchmarks/start.py [repeats]
 
 Compared are ``calib --help`` with ``import numpy``, and a calibration of a UR10 from 100 rows, from the command line to
 its folder of results, with ``import scipy.optimize``: with the meshes of its scene kept in the cache from a run before,
