@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.errors import IdentificationError, JobError
+from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
 from calib.identification.identifiability import Directions
 from calib.identification.least_squares import LeastSquares
@@ -36,6 +36,8 @@ _ROUNDING = 1e-10
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton. Weak priors hold what else would
 # be far, and what the data hardly tell is then left to steps that correct themselves.
 _ROUGH, _MOST_ROUGH_STEPS, _MOST_WITH_WEAK_PRIORS = 1e-3, 10, 3
+# A whitened residual beyond all others.
+_NOWHERE = 1e12
 # Singular values below this share of the largest are rounding.
 _SINGULAR = 1e-14
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
@@ -324,7 +326,11 @@ class _Search(NamedTuple):
                 z = tried.z + (tried.full if tried.length < _SHORTER * good.length else tried.correction)
             else:
                 z = good.z + (good.step(damping) if damping else _accelerated(path))
-            evaluation = self.evaluator(z, noise.sigmas)
+            try:
+                evaluation = self.evaluator(z, noise.sigmas)
+            except PoseError:  # a step that opens a loop tells nothing of the cost, and a shorter one may
+                tried, damping, path = good, max(10.0 * damping, _LEAST_DAMPING), [good]
+                continue
             as_before = self._inverted(evaluation, noise._replace(factors=np.ones(len(self.fixed))))
             trial = _Point.of(z, evaluation, noise, as_before)
             cost, before = trial.cost(noise), good.cost(noise)
@@ -399,8 +405,14 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
     def rows(z: Array) -> Array:
         return np.concatenate([search.evaluator(z, sigmas).rows, search.prior.rows(z)])
 
+    # Where a trial step opens a loop, nothing is nearer.
+    nowhere = np.full(len(rows(z0)), _NOWHERE)
+
     def residual(z: Array) -> Array:
-        return rows(z)[:, -1]
+        try:
+            return rows(z)[:, -1]
+        except PoseError:
+            return nowhere
 
     def jacobian(z: Array) -> Array:
         return rows(z)[:, :-1]

@@ -15,6 +15,7 @@ from scipy import stats
 
 from calib.foundations import linear
 from calib.foundations.arrays import Array
+from calib.foundations.errors import PoseError
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Component, Evaluation
@@ -157,3 +158,29 @@ def test_values_sigmas_and_intervals_are_those_that_nist_certifies(name: str) ->
     # Half the width of the interval of 95 %: Student's t of the degrees of freedom that the fit itself found.
     half = np.sqrt(squared_bound(0.95, 1, found.redundancies[0])) * sigmas
     assert digits(half, stats.t.ppf(0.975, freedom) * np.array(certified["sigmas"])) > least
+
+
+class Walled(Curve):
+    """A curve that cannot be far from where it is right, as a loop that does not close there; counts the trials."""
+
+    def __init__(self, name: str, start: Sequence[float], share: float) -> None:
+        super().__init__(name, start)
+        right = np.array(DATA[name]["values"])
+        self._middle, self._most = right, share * np.abs(np.array(start) - right)
+        self.refused = 0
+
+    def evaluate(self, sigmas: Sequence[Array], b: Array) -> Evaluation:
+        if np.any(np.abs(b - self._middle) > self._most):
+            self.refused += 1
+            raise PoseError(0, "a loop does not close")
+        return super().evaluate(sigmas, b)
+
+
+@pytest.mark.parametrize("name", ["Gauss1", "Misra1a", "Rat42", "Thurber"])
+def test_steps_to_where_nothing_can_be_are_not_taken(name: str) -> None:
+    begin = DATA[name]["starts"][0]
+    problem = Walled(name, begin, 1.5)
+    found = solve(problem, np.array(begin))
+    assert problem.refused > 0
+    assert found.converged
+    assert digits(found.x, np.array(DATA[name]["values"])) > 5.0
