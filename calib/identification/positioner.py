@@ -11,7 +11,6 @@ Source of the closed form: a patent of the South China University of Technology 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.xml_text import quoted
 from calib.identification.axes import (
     Axis,
     PrismaticAxis,
@@ -292,7 +292,7 @@ def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
 def _robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
     """Return the machine whose joints stand at placements (4, 4) in the base, all of readings zero, along z."""
     links = ["base", *(f"{name}_carrier" for name in names[:-1]), "table"]
-    lines = [f"<link name={quoteattr(link)}/>" for link in links]
+    lines = [f"<link name={quoted(link)}/>" for link in links]
     carrier = np.eye(4)
     for (kind, T), name, parent, child in zip(placed, names, links, links[1:], strict=False):
         origin = rigid.inverse(carrier) @ T
@@ -302,8 +302,8 @@ def _robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
         )
         limits = '<limit lower="-1e3" upper="1e3" effort="0" velocity="0"/>' if kind == "prismatic" else ""
         lines.append(
-            f"<joint name={quoteattr(name)} type={quoteattr('continuous' if kind == 'revolute' else kind)}>"
-            f'<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/><origin xyz="{xyz}" rpy="{rpy}"/>'
+            f"<joint name={quoted(name)} type={quoted('continuous' if kind == 'revolute' else kind)}>"
+            f'<parent link={quoted(parent)}/><child link={quoted(child)}/><origin xyz="{xyz}" rpy="{rpy}"/>'
             f'<axis xyz="0 0 1"/>{limits}</joint>'
         )
     text = "\n".join(['<robot name="positioner">', *lines, "</robot>", ""])

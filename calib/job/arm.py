@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.assessment.performance import read_touches
 from calib.assessment.uncertainty import refuse_lacking
 from calib.compensation.model_file import MODEL_FILE, NOMINAL_FILE, CalibratedModel, load_model, residual_file
 from calib.foundations.arrays import Array, read_only
@@ -84,6 +83,8 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> Arm:
 
 
 def _pivoted(arm: Arm, file: str, folder: Path) -> Arm:
+    from calib.assessment.performance import read_touches  # noqa: PLC0415 - of arms that were touched alone
+
     touches = read_touches(folder / file, arm.model.robot)
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
