@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.performance import read_touches
 from calib.foundations.arrays import read_only
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import parse_quantity
@@ -67,6 +66,8 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
 
 
 def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Path) -> ReadArm:
+    from calib.assessment.performance import read_touches  # noqa: PLC0415 - of arms that were touched alone
+
     touches = read_touches(folder / file, arm.machine.robot)
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +11,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.xml_text import quoted
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
 from calib.machine.calibrated import machine_of
@@ -43,7 +43,7 @@ def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
 def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
     """Return the machine whose joints stand at placements (4, 4) in the base, all of readings zero, along z."""
     links = ["base", *(f"{name}_carrier" for name in names[:-1]), "table"]
-    lines = [f"<link name={quoteattr(link)}/>" for link in links]
+    lines = [f"<link name={quoted(link)}/>" for link in links]
     carrier = np.eye(4)
     for (kind, T), name, parent, child in zip(placed, names, links, links[1:], strict=False):
         origin = rigid.inverse(carrier) @ T
@@ -53,8 +53,8 @@ def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) ->
         )
         limits = '<limit lower="-1e3" upper="1e3" effort="0" velocity="0"/>' if kind == "prismatic" else ""
         lines.append(
-            f"<joint name={quoteattr(name)} type={quoteattr('continuous' if kind == 'revolute' else kind)}>"
-            f'<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/><origin xyz="{xyz}" rpy="{rpy}"/>'
+            f"<joint name={quoted(name)} type={quoted('continuous' if kind == 'revolute' else kind)}>"
+            f'<parent link={quoted(parent)}/><child link={quoted(child)}/><origin xyz="{xyz}" rpy="{rpy}"/>'
             f'<axis xyz="0 0 1"/>{limits}</joint>'
         )
     text = "\n".join(['<robot name="positioner">', *lines, "</robot>", ""])

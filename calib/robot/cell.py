@@ -7,13 +7,14 @@ the second, only names change that both use, wherever they are referred to.
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr, unescape
+from xml.sax.saxutils import unescape
 
 import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.rigid import rpy_of
+from calib.foundations.xml_text import quoted
 from calib.robot.urdf import Urdf, UrdfJoint, parse_urdf, read_document
 from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded, numbers
 
@@ -67,9 +68,9 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
         mount = f"{prefix}_{mount}"
     xyz, rpy = numbers(placement[:3, 3]), numbers(rpy_of(placement[:3, :3]))
     fixed = (
-        f'\n  <joint name={quoteattr(mount)} type="fixed">'
-        f"\n    <parent link={quoteattr(parent)}/>"
-        f"\n    <child link={quoteattr(links[second.root])}/>"
+        f'\n  <joint name={quoted(mount)} type="fixed">'
+        f"\n    <parent link={quoted(parent)}/>"
+        f"\n    <child link={quoted(links[second.root])}/>"
         f'\n    <origin xyz="{xyz}" rpy="{rpy}"/>'
         "\n  </joint>"
     )

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
+from calib.foundations.xml_text import quoted
 from calib.robot.dh.table import DhTable
 from calib.robot.urdf import parse_urdf
 
@@ -33,11 +33,11 @@ def dh_to_urdf(table: DhTable, name: str = "arm", limits: Mapping[str, tuple[flo
     joints = list(_joints(table))
     links = ["base_link", *(f"link_{n}" for n in range(1, len(joints))), "tip"]
     radius = _RADIUS * (sum(float(np.hypot(row.a, row.d)) for row in table.rows) or 1.0)
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>", f'  <link name="{links[0]}"/>']
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoted(name)}>", f'  <link name="{links[0]}"/>']
     steps = [origin for _, _, origin in joints[1:]] + [np.eye(4)]
     for (joint, kind, origin), parent, child, ahead in zip(joints, links, links[1:], steps, strict=False):
         lines += [
-            f'  <joint name={quoteattr(joint)} type="{kind}">',
+            f'  <joint name={quoted(joint)} type="{kind}">',
             f'    <parent link="{parent}"/><child link="{child}"/>',
             f'    <origin xyz="{_text(origin[:3, 3])}" rpy="{_text(rigid.rpy_of(origin[:3, :3]))}"/>',
         ]
