@@ -46,6 +46,10 @@ _NO_NEARER = 1e-7
 # A reading that changes by more (rad or m) than any calibration error asks is worth a remark.
 _REMARKABLE = 0.1
 _STARTS = 12
+# Links that bend and errors of positions make an arm longer by less than this share.
+_SPARE = 0.05
+# A search that comes nearer by less than this share so often in a row ends: there is nothing nearer.
+_HARDLY_NEARER, _IN_A_ROW = 1e-3, 5
 _BLOCK = 4096
 
 
@@ -156,9 +160,12 @@ def for_poses(
             )
         return _solve(model, _Asked(poses, tools, start, ("",) * n, conditions), how)
     found: Corrections | None = None
+    refused = _out_of_reach(model, poses, tools)
     for row in _starting_places(model):
-        left = np.arange(n) if found is None else np.flatnonzero(~found.reached)
-        asked = _Asked(poses, tools, np.broadcast_to(row, (n, len(row))), ("",) * n, conditions)
+        left = np.arange(n) if found is None else np.flatnonzero(~found.reached & [not text for text in refused])
+        if found is not None and not len(left):
+            break
+        asked = _Asked(poses, tools, np.broadcast_to(row, (n, len(row))), refused, conditions)
         more = _solve(model, asked.subset(left), how)
         found = more if found is None else _better(found, more, left)
         if found.reached.all():
@@ -200,6 +207,18 @@ def _are_placements(poses: Array) -> bool:
     R = poses[:, :3, :3]
     orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-6
     return bool(orthogonal and (np.linalg.det(R) > 0.0).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
+
+
+def _out_of_reach(model: CalibratedMachine, poses: Array, tools: Array) -> tuple[str, ...]:
+    """Return why no search is needed for poses (N, 4, 4) in the base link: farther than all links in one line."""
+    d = model.deviations
+    longest = model.robot.reach + float(np.sum(np.linalg.norm(d.placements[:, :3], axis=1)) + np.sum(np.abs(d.offsets)))
+    reach = (1.0 + _SPARE) * longest + np.linalg.norm(tools[:, :3, 3], axis=1)
+    away = np.linalg.norm(poses[:, :3, 3], axis=1)
+    return tuple(
+        f"is {there:.4g} m from the base, and all links in one line are {most:.4g} m" if there > most else ""
+        for there, most in zip(away, reach, strict=True)
+    )
 
 
 def _starting_places(model: CalibratedMachine) -> Array:
@@ -455,6 +474,7 @@ def _newton(
     """
     q, goal = q.copy(), _GOAL * tolerance
     steps, damping = np.zeros(len(q), dtype=np.intp), np.zeros(len(q))
+    hardly = np.zeros(len(q), dtype=np.intp)
     seen = machine.look(rows, q)
     gap, slope, cost = seen.gap.copy(), seen.slope.copy(), seen.cost
     for _ in range(_MOST_STEPS):
@@ -465,6 +485,7 @@ def _newton(
         trial = q[open_] + step
         seen = machine.look(rows[open_], trial)
         better = seen.cost < cost[open_]
+        hardly[open_] = np.where(seen.cost < (1.0 - _HARDLY_NEARER) * cost[open_], 0, hardly[open_] + 1)
         to = open_[better]
         q[to], gap[to], slope[to], cost[to] = trial[better], seen.gap[better], seen.slope[better], seen.cost[better]
         steps[open_] += 1
@@ -473,6 +494,7 @@ def _newton(
         damping[worse] = np.maximum(damping[worse] * 10.0, 1e-6)
         # Where not even rounding is left to gain, it is over.
         damping[worse[np.abs(step[~better]).max(axis=1, initial=0.0) < 1e-13]] = _MOST_DAMPING
+        damping[hardly >= _IN_A_ROW] = _MOST_DAMPING
     spare = free.sum(axis=1) > gap.shape[1]
     open_ = np.flatnonzero(spare & (cost <= tolerance) & (np.abs(q - start).max(axis=1, initial=0.0) > 0.0))
     first, hit = q.copy(), cost <= tolerance
