@@ -530,6 +530,19 @@ def group_sheet(of: Study) -> Sheet:
     return Sheet(("group", "factor", "smallest [mm]", "mean [mm]", "largest [mm]"), tuple(rows))
 
 
+def range_sheet(of: Study, printed: dict[str, list[float]]) -> Sheet:
+    """The range that the text prints for each group, tenfold and a tenth together, beside the computed one."""
+    plan = group_study(of.model, of.readings, of.sets["A"])
+    changes = of.by_set(lambda errors: group_study(of.model, of.readings, errors).changes) / MM
+    rows = []
+    for group, change in zip(plan.groups, changes, strict=True):
+        name = "theta" if group == "offset" else group
+        ends = [*printed[name], float(change.min()), float(change.max())]
+        rows.append((name, *(number(end, 2, signed=True) for end in ends)))
+    heads = ("group", "printed from [mm]", "printed to [mm]", "computed from [mm]", "computed to [mm]")
+    return Sheet(heads, tuple(rows))
+
+
 def error_model(paper: dict[str, Any]) -> list[Block]:
     of = study(paper)
     apart = sensitivity(of.model, of.readings)
@@ -571,9 +584,11 @@ def error_model(paper: dict[str, Any]) -> list[Block]:
         Picture("Motion of the probe with each of the 25 parameters over the 20 poses", FIGURE),
         Heading(3, "Each group of errors times ten, and divided by ten"),
         """The paper's own study: the change of the true error |E| over the 20 poses when one group of errors is scaled,
-        every row with its set. The figures that its text gives for tenfold errors do not follow from its tables and are
-        not repeated here; these do.""",
+        every row with its set:""",
         group_sheet(of),
+        """Its text prints one range for each group, of both factors together. The lower ends for angles follow from its
+        tables; the upper ends, and those for lengths, do not:""",
+        range_sheet(of, paper["ranges"]),
         "Its conclusion holds: errors of angle are amplified by the links, errors of length are not.",
     ]
 

@@ -461,5 +461,7 @@ def test_tables_that_cannot_be_used(change: dict[str, Any], said: str) -> None:
 def test_nothing_can_be_reached() -> None:
     model = model_of(robot_of("ur10"))
     wanted = targets.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
-    with pytest.raises(MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: is 9 m from the base"):
+    with pytest.raises(
+        MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: is 9 m from the base"
+    ):
         targets.corrections(model, wanted)
