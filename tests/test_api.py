@@ -180,6 +180,7 @@ def test_python_writes_the_folder_of_the_command(found: calib.Calibration, tmp_p
     there, by_command = ({path.name for path in folder.iterdir()} for folder in (out, tmp_path / "by_command"))
     assert there == by_command - {"job.json"}
     assert (out / "report.html").read_text(encoding="utf-8") == calib.report(found)
+    assert "Made from Python." in calib.report(found)
     assert (out / "scene.html").read_text(encoding="utf-8") == calib.scene(found)
     again = calib.load_machine(out)
     readings = found.sets[0].data.readings

@@ -309,7 +309,7 @@ def noise(fit: Fit) -> Section:
 
 
 def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping[str, str]) -> Section:
-    """Return what made this: the command, the versions and the inputs' SHA-256."""
+    """Return what made this: the command, the versions and the inputs' SHA-256; without a command, the versions."""
     files = Sheet("Inputs", ("file", "SHA-256"), frozenset(), tuple(Row(item) for item in inputs.items()))
     libraries = Sheet(
         "Versions",
@@ -317,6 +317,8 @@ def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping
         frozenset(),
         tuple(Row((name, version or "unknown")) for name, version in versions.items()),
     )
+    if not command:
+        return Section("provenance", "What made this", (Prose(("Made from Python.",)), libraries))
     where = Prose(("In the folder of the job:",))
     return Section("provenance", "How to reproduce this", (where, Prose((command,), "code"), files, libraries))
 
