@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.assessment.design import Rows
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Observed
@@ -29,6 +30,7 @@ _ENOUGH_TRIES = 2000
 _BY_CHANCE = 4
 
 
+@checked
 def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] = (0.0, 0.0, 0.0)) -> Frames:
     """Return frames for a plan: ``tool`` (3,), a reflector in the tip link, and ``tracker`` (3,) in the base, in m."""
     return Frames(rigid.translation(-np.asarray(tracker)), rigid.translation(np.asarray(tool))[None])
@@ -154,6 +156,7 @@ class Candidates:
     rejected: Mapping[str, int] = field(default_factory=dict)
 
 
+@checked
 def possible(
     robot: Robot,
     frames: Frames,
@@ -189,6 +192,7 @@ def possible(
     return Candidates(read_only(kept), len(readings), {reason: n for reason, n in rejected.items() if n})
 
 
+@checked
 def random_candidates(
     robot: Robot,
     frames: Frames,

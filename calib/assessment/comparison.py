@@ -25,6 +25,7 @@ from calib.assessment.validation import (
     held_out,
     predict_held_out,
 )
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
@@ -123,6 +124,7 @@ class ModelComparison:
         ]
 
 
+@checked
 def nested_models(model: ErrorModel, measurements: Sequence[Measurements]) -> dict[str, ErrorModel]:
     """Return models of growing size for the set-up of ``model``: its base, tools, targets and priors stay.
 
@@ -150,6 +152,7 @@ def _freed(model: ErrorModel) -> tuple[frozenset[str], frozenset[tuple[str, str]
     return frozenset(model.offsets), frozenset(model.placements), frozenset(model.terms)
 
 
+@checked
 def compare_models(
     models: Mapping[str, ErrorModel],
     measurements: Measurements | Sequence[Measurements],

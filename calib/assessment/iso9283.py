@@ -17,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
@@ -64,6 +65,7 @@ class Cycles:
     where: str
 
 
+@checked
 def read_cycles(path: str | Path) -> Cycles:
     """Read cycles from a CSV file. Raises MeasurementError as :func:`cycles` does."""
     return cycles(read_table(path))
@@ -172,6 +174,7 @@ def repeatability_drift(first: Array, last: Array) -> float:
 # ---- all figures of a table
 
 
+@checked
 def figures(data: Cycles) -> tuple[Figure, ...]:
     """Return the figures that a table of cycles has data for.
 

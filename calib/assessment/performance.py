@@ -19,6 +19,7 @@ from typing import Any, Literal, Protocol, cast
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
@@ -78,6 +79,7 @@ class Touches:
     conditions: Conditions = NO_CONDITIONS
 
 
+@checked
 def read_touches(path: str | Path, robot: Robot) -> Touches:
     """Read the touches of one test from a CSV file. Raises MeasurementError as :func:`touches` does."""
     return touches(read_table(path), robot.readings)
@@ -325,6 +327,7 @@ class Performance:
         return [asdict(figure) for figure in self.figures]
 
 
+@checked
 def before_and_after(
     machine: CalibratedMachine, tests: Sequence[Touches], probe: Touches | None = None
 ) -> tuple[Performance, Performance]:

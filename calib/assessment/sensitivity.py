@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
@@ -113,6 +114,7 @@ class GroupStudy:
         ]
 
 
+@checked
 def coefficients(model: ErrorModel, readings: npt.ArrayLike) -> Coefficients:
     """Return the error model's coefficient matrix (N, 3, p) at the nominal robot.
 
@@ -122,6 +124,7 @@ def coefficients(model: ErrorModel, readings: npt.ArrayLike) -> Coefficients:
     return Coefficients(tuple(p.name for p in problem.parameters), read_only(_jacobian(problem, x)))
 
 
+@checked
 def predicted_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float]) -> Array:
     """Return the linear tip error dP = J dx (N, 3) in m for ``errors`` by parameter name, in m and rad.
 
@@ -131,12 +134,14 @@ def predicted_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[
     return read_only(_jacobian(problem, x) @ _values(problem.parameters, errors))
 
 
+@checked
 def exact_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float]) -> Array:
     """Return the tip error F(x + dx) - F(x) (N, 3) in m for ``errors`` as in :func:`predicted_error`."""
     problem, x = _at_nominal(model, readings)
     return read_only(_point(problem, x + _values(problem.parameters, errors)) - _point(problem, x))
 
 
+@checked
 def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     """Return how far every parameter moves the tip over a set of poses, and which parameters positions tell apart."""
     problem, x = _at_nominal(model, readings)
@@ -163,6 +168,7 @@ def group_of(name: str) -> str:
     return name.rpartition(".")[2]
 
 
+@checked
 def group_study(
     model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float], factors: Sequence[float] = (10.0, 0.1)
 ) -> GroupStudy:
@@ -191,6 +197,7 @@ def group_study(
     )
 
 
+@checked
 def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
     """Read assumed errors of parameters from a CSV file, in SI units: ``parameter,error``, as ``joint_1.a,0.1 mm``.
 

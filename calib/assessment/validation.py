@@ -177,6 +177,7 @@ class CrossValidation:
         return held_out(np.concatenate(squares), np.concatenate(group))
 
 
+@checked
 def cross_validate(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import PlacedIn
@@ -42,6 +43,7 @@ class CalibratedCell:
         }
 
 
+@checked
 def calibrated_cell(
     arm: Path, positioner: Path, placed_in: PlacedIn = "arm", prefix: str | None = None
 ) -> CalibratedCell:

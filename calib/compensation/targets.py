@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.compensation.commands import Corrections, for_joint_targets, for_poses
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
@@ -43,6 +44,7 @@ class Targets:
         return len(self.table)
 
 
+@checked
 def read_targets(path: str | Path, model: CalibratedMachine, tool: str = "tool") -> Targets:
     """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
     return targets(read_table(path), model, tool)
@@ -99,6 +101,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
     return Targets(start, poses, tools, told, table)
 
 
+@checked
 def corrections(
     model: CalibratedMachine,
     wanted: Targets,
@@ -134,6 +137,7 @@ def corrections(
     return found
 
 
+@checked
 def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections) -> str:
     """Return the table with corrected joints, in the units of its header, and what is expected of every row.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.identification import identifiability
@@ -68,6 +69,7 @@ def indices(singular_values: Array, poses: int) -> dict[str, float]:
     }
 
 
+@checked
 def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Observability:
     """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
     problem = posed(model, measurements)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from calib.foundations.arguments import checked
 from calib.foundations.linear import one_thread
 from calib.job.inputs import Inputs, Progress, load
 from calib.job.run import run
@@ -12,6 +13,7 @@ from calib.results.folder import STEPS_OF_WRITING, refuse_folder, write_results
 STEPS_OF_LOADING = 3
 
 
+@checked
 def calibrate(
     job: str | Path,
     out: str | Path,

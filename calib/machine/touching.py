@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
@@ -48,6 +49,7 @@ class TouchingArm:
         return np.asarray(T[:, :3, :3] @ self.point + T[:, :3, 3])
 
 
+@checked
 def touched(
     path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] = AS_WRITTEN
 ) -> tuple[Measurements, tuple[Finding, ...]]:

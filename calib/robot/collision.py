@@ -17,6 +17,7 @@ import coal
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
@@ -171,6 +172,7 @@ class _Poses:
         return self._known[key]
 
 
+@checked
 def self_collision(
     robot: Robot, mesh_roots: Sequence[Path] = (), readings: Array | None = None
 ) -> SelfCollision | None:

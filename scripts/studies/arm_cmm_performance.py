@@ -8,42 +8,22 @@ file tells, taken out of all readings before calibration and test.
 
 import argparse
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from calib.assessment.performance import Performance, before_and_after, read_touches
 from calib.foundations.arrays import Array
-from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.job.inputs import load
+from calib.machine.calibrated import machine_of
 from calib.presentation.performance_tables import performance_markdown, performance_table
 from calib.presentation.tables import plain
-from calib.robot.conditions import Conditions
-from calib.robot.robot import Robot
 
 CASE = Path(__file__).resolve().parents[2] / "robots" / "arm_cmm"
 JOB = CASE / "calibration_realistic.toml"
 TESTS = ("cone.csv", "lengths.csv", "sphere.csv", "articulations.csv")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Arm:
-    """A fit, without the detour over a results folder."""
-
-    fit: Fit
-
-    @property
-    def robot(self) -> Robot:
-        return self.fit.model.robot
-
-    @property
-    def tools(self) -> dict[str, Array]:
-        return dict(zip(self.fit.measurements[0].tools, self.fit.machine.frames.tools, strict=True))
-
-    def placements(self, readings: Array, /, conditions: Conditions) -> Array:
-        return np.asarray(self.robot.tips(readings, self.fit.machine.deviations, conditions))
 
 
 def figures(cosine: Array, sine: Array) -> tuple[Performance, Performance]:
@@ -56,7 +36,7 @@ def figures(cosine: Array, sine: Array) -> tuple[Performance, Performance]:
     data = [replace(data, readings=corrected(data.readings)) for data in job.identify]
     touched = [read_touches(CASE / name, job.robot) for name in ("probe.csv", *TESTS)]
     probe, *tests = (replace(touches, readings=corrected(touches.readings)) for touches in touched)
-    return before_and_after(Arm(identify(job.model, data)), tests, probe)
+    return before_and_after(machine_of(identify(job.model, data)), tests, probe)
 
 
 def markdown() -> str:

@@ -233,7 +233,7 @@ def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -
 def test_parameters_that_move_several_entries_are_compared(blind: Literal["minimal", "nearest"]) -> None:
     """A DH number moves more than one component of a placement: fewer combinations vary than there are components."""
     robot, true, _ = machine()
-    model = calib.error_model(robot, dh="all")
+    model = calib.error_model(robot, placements=calib.dh.Free("all"))
     fits = [calib.identify(model, seen(true, 60, seed), blind=blind) for seed in (1, 2)]
     found = compare(*map(machine_of, fits))
     placements = compare(*(machine_of(calibrated(true, seed)) for seed in (1, 2)))

@@ -80,7 +80,7 @@ def planned(count: int = 12, **options: object) -> Plan:
     model = calib.error_model(robot, offsets="all", placements="all")
     setup = Setup(FRAMES, misfit=0.2e-3)
     candidates = random_candidates(robot, FRAMES, 150).readings
-    return plan(model, setup, candidates, count, **options)  # type: ignore[arg-type]
+    return plan(model, count, candidates=candidates, setup=setup, **options)  # type: ignore[arg-type]
 
 
 def test_a_plan_is_of_candidates_and_forecasts_less_error_for_more_poses() -> None:

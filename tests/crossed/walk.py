@@ -57,18 +57,23 @@ WALKED = {
         "load_machine",
         "read_measurements",
         "advice",
-        "bootstrap",
         "data_frame",
     ),
     *("outliers", "outside_identified", "plot", "table", "tool_uncertainty", "uncertainty_map", "machine_of"),
-    *("write_urdf", "commands", "choose_terms", "total_differential"),
+    *("write_urdf", "commands", "judging"),
+    *("assess", "check", "hold_out", "report", "save", "scene"),
 }
 ELSEWHERE = {
     "demo": "runs check, calibrate and compensate on the shipped case; tests/test_cli.py",
     "fleet": "calls calibrate as it is, byte for byte; tests/job/test_fleet.py",
     "iso9283": "reads a table of its own and no calibration; tests/assessment/test_iso9283.py",
     "dh": "turns a table into a URDF and back, without a job; tests/robot/test_dh.py",
-    "positioner": "its own table in, its own job out; tests/identification/test_positioner.py",
+    "five-point": "reads a table of its own; tests/positioner/test_five_point_command.py",
+    "positioner": "its own table in, its own job out; tests/positioner/test_positioner.py",
+    "planning": "plan walks it",
+    "measuring": "what features of measurements are made of",
+    "poses": "read_measurements in other words; tests/test_api.py",
+    "positions": "read_measurements in other words; tests/test_api.py",
 }
 
 
@@ -281,6 +286,25 @@ def is_doubted(walked: Walked, folder: Path) -> None:
         assert calib.judging.bootstrap(fit, q, 2, kind="residuals", tool=tool).failed == 0
 
 
+def is_made_from_python(walked: Walked, folder: Path) -> None:
+    """What Python makes of the fit, without a job: judged by rows held out, and kept as the command keeps it."""
+    fit = walked.outcome.fit
+    data = fit.measurements[0]
+    some, rest = calib.hold_out(data)
+    assert len(some) + len(rest) == len(data)
+    assert not [finding for finding in calib.check(fit.model, list(fit.measurements)) if finding.severity == "error"]
+    found = calib.assess(fit, [data])
+    assert found.machine.residual_model is None
+    assert len(repr(found)) < 1000
+    out = calib.save(found, folder / "by_python")
+    assert (out / "scene.html").read_text(encoding="utf-8") == calib.scene(found)
+    assert "Made from Python" in calib.report(found)
+    again = calib.load_machine(out)
+    q = walked.case.draw(3)
+    told = walked.case.conditions(q)
+    assert np.abs(again.tips(q, told) - found.machine.tips(q, told)).max() < 1e-9
+
+
 def has_others(walked: Walked, folder: Path) -> None:
     """Which model the machine needs: at rows held out the simulated one is no worse than any that the data allow."""
     said = run("models", walked.case.path, "--folds", "2", "--json")
@@ -299,5 +323,6 @@ STEPS: tuple[Step, ...] = (
     is_studied,
     is_seen,
     is_doubted,
+    is_made_from_python,
     has_others,
 )

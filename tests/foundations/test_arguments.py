@@ -129,7 +129,7 @@ def test_fields_are_held_against_their_annotations() -> None:
 
 
 def test_every_public_function_looks_at_what_it_is_given() -> None:
-    rooms = (calib, calib.commands, calib.dh, calib.positioner)
+    rooms = (calib, calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner)
     for room in rooms:
         names = getattr(room, "__all__", None) or [name for name in vars(room) if name.startswith("for_")]
         for name in names:
@@ -150,7 +150,7 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.identify(model, fit), "identify: measurements is a Fit; needs a Measurements"),  # type: ignore[arg-type]
         (lambda: calib.identify(model, [data, None]), "measurements is a list of Measurements, NoneType"),  # type: ignore[list-item]
         (lambda: calib.identify(model, data, free="base.x"), "free is 'base.x'; needs a list of texts or None."),
-        (lambda: calib.verify(fit, data), "verify: uncertainty is a Fit; needs an Uncertainty."),  # type: ignore[arg-type]
+        (lambda: calib.verify(fit, data), "verify: machine is a Fit; needs a CalibratedMachine."),  # type: ignore[arg-type]
         (lambda: calib.read_measurements(CASE / TABLE, robot, "postion"), "observes: 'postion' is not one of position"),  # type: ignore[arg-type]
         (lambda: robot.tips([[0.0] * 6]), "tips: readings is a list of list; needs an array of numbers."),  # type: ignore[arg-type]
         (lambda: calib.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
@@ -178,7 +178,7 @@ def test_deviations_of_another_arm_are_refused() -> None:
 def test_numbers_out_of_range_are_refused_where_they_come_in() -> None:
     robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
     data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
-    u = calib.uncertainty_of(calib.identify(calib.error_model(robot, offsets="all"), data))
+    u = calib.machine_of(calib.identify(calib.error_model(robot, offsets="all"), data))
     t = np.linspace(0.0, 3.0, 8)
     circle, line = np.c_[np.cos(t), np.sin(t), 0.0 * t], np.c_[t, 0.0 * t, 0.0 * t]
     at = calib.positioner

@@ -227,6 +227,7 @@ COMMANDS = (
     ("iso9283", TABLE),
     ("uncertainty", "there", "-o", "there"),
     ("export", "there", "--to", "offsets", "-o", "there"),
+    ("five-point", TABLE, "-o", "there"),
 )
 
 

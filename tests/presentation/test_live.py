@@ -123,7 +123,7 @@ def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Po
     u = np.radians([[10.0, 20.0, -5.0, 0.0, 30.0, 0.0]])
     arm = arm_of(model.robot, model.deviations, u, np.eye(4))
     np.testing.assert_allclose(told["positions"]["robot"], arm.positions[0], atol=1e-12)
-    apart = 1e3 * np.linalg.norm((model.tips(u) - model.robot.tips(u))[0, :3, 3])
+    apart = 1e3 * np.linalg.norm((model.robot.tips(u, model.deviations) - model.robot.tips(u))[0, :3, 3])
     assert f"are {apart:.3f} mm apart" in told["sentence"]
 
 
@@ -264,7 +264,8 @@ def test_a_person_moves_a_joint_and_sees_new_results(server: tuple[subprocess.Po
         )
         page.wait_for("document.getElementById('said').innerText.includes('mm apart')")
         model = load_machine(out)
-        expected = model.tips(np.radians([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))[0, :3, 3]
+        u = np.radians([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+        expected = model.robot.tips(u, model.deviations)[0, :3, 3]
         np.testing.assert_allclose(page.evaluate(tip), expected, atol=1e-6)
         assert np.linalg.norm(expected - before) > 0.1
         # Results of the same folder, anew: the page loads itself again.

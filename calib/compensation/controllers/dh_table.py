@@ -3,6 +3,7 @@
 import numpy as np
 
 from calib.compensation.controllers.export import Export, exported, plain_tips, poses
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import CalibratedMachine
@@ -13,6 +14,7 @@ from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
 
 
+@checked
 def export_dh(model: CalibratedMachine, table: DhTable | None = None) -> Export:
     """Return a DH table (CSV) of the calibrated machine, offsets included in theta and d.
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.compensation.controllers.export import Export, LeftOut, exported, poses, rms, whole_positions
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.units import UNITS
@@ -21,6 +22,7 @@ from calib.robot.robot import Deviations
 _HEADER = ("joint", "offset [deg]", "offset [mm]")
 
 
+@checked
 def export_offsets(model: CalibratedMachine) -> Export:
     """Return the table of the offsets of all joints that are read: ``joint``, ``offset [deg]`` or ``offset [mm]``.
 

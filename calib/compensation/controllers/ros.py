@@ -7,6 +7,7 @@ import numpy as np
 from calib.compensation.controllers.export import Export, exported, poses
 from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import ordinary
@@ -21,6 +22,7 @@ _COMMENTS = """\
 """
 
 
+@checked
 def export_ros(model: CalibratedMachine) -> Export:
     """Return YAML: joints with offsets, joint terms (kind, order, amount, unit), base and tool frames.
 

@@ -18,6 +18,7 @@ import numpy as np
 from calib.compensation.controllers.export import Export, LeftOut, exported, plain_tips, poses, rms
 from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
 from calib.foundations.files import sha256
@@ -47,6 +48,7 @@ _SAME_AXIS = 0.1
 _SAME_TOOL = 1e-6
 
 
+@checked
 def export_ur(model: CalibratedMachine) -> Export:
     """Return the YAML for ``kinematics_params`` of a calibrated arm of Universal Robots.
 
