@@ -58,7 +58,7 @@ def touched(
         data, findings = calib.measuring.touched("touches.csv", arm, robot)
 
     The arm's columns become the position. Raises MeasurementError when a column of the arm is missing, when one is both
-    the arm's and the robot's, and as :func:`calib.measurement.from_table.measurements_from_table` does.
+    the arm's and the robot's, and as :func:`calib.read_measurements` does.
     """
     table = read_table(path, columns)
     own: dict[str, Dimension] = {reading.name: reading.dimension for reading in arm.machine.robot.readings}

@@ -9,7 +9,7 @@ WHOLE_ARM = "arm"
 class JointTerm:
     """One term of one reading; of bending and expansion: of the link before the joint that ``reading`` names.
 
-    ``kind``: a name of :data:`calib.robot.terms.NAMED`. ``order``: periods of a harmonic in a turn of the reading, 0
+    ``kind``: a name of ``calib.robot.terms.NAMED``. ``order``: periods of a harmonic in a turn of the reading, 0
     for all other kinds. ``body``: of a moment, the joint that carries it and its axis in the joint's frame, as
     ``joint_4_x``, or ``joint_4_mass``; "" for all other kinds.
     """
