@@ -30,7 +30,7 @@ _MOST_ROWS = 200
 _CORRELATED = 0.95
 # Where more tool points are tried, in m on the tip link beside the first one.
 _MORE_POINTS = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.05))
-# A base or tool that a direction moves by less of an ordinary deviation has no part in it.
+# A base or tool that a direction moves by less of a parameter scale has no part in it.
 _HAS_PART = 0.02
 
 _REMEDIES = {
@@ -55,7 +55,7 @@ class Advice:
 def advice(fit: Fit) -> tuple[Advice, ...]:
     """Return what the data of a fit leave open: blind directions with remedies, weak parameters, and correlated ones.
 
-    A parameter is weak when its sigma exceeds half an ordinary deviation (half its prior); correlated are pairs beyond
+    A parameter is weak when its sigma exceeds half its parameter scale; correlated are pairs beyond
     0.95, of parameters that are seen.
     """
     found = blind_advice(fit.model, fit.measurements, fit.blind_directions)
@@ -64,7 +64,7 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
         if weak:
             times, unit = factor.get(parameter.unit, (1.0, parameter.unit))
-            judged = "its prior" if parameter.hold == 1.0 else "an ordinary deviation"
+            judged = "its prior" if parameter.hold == 1.0 else "the parameter scale"
             said.append(
                 Advice(
                     "weak",

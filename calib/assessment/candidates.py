@@ -78,7 +78,7 @@ def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
 
 
 def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
-    """Return residuals' changes (N, d, p) for one ordinary deviation, and effects (N, d, h) left out, in m and rad."""
+    """Return residuals' changes (N, d, p) for one parameter scale, and effects (N, d, h) left out, in m and rad."""
     robot, frames = model.robot, setup.frames
     tips, by_reading = TipModel(robot).driven(readings)
     placed = frames.base @ tips @ frames.tools[0]

@@ -4,7 +4,7 @@ Every candidate pose c has whitened rows A_c (m, r), in the directions that all 
 has the information M = M_0 + sum A_c^T A_c, where M_0 is what is known before (priors, poses measured already).
 
     D-optimal: the largest log det M: the smallest region of the parameters.
-    A-optimal: the least tr M^-1: the least sum of the parameters' variances, in ordinary deviations.
+    A-optimal: the least tr M^-1: the least sum of the parameters' variances, in parameter scales.
     I-optimal: the least tr(M^-1 C), C = mean B_w^T B_w over working poses: the least mean variance of the tool there.
 
 A model that leaves something out (H_c at the candidates, H_w at the working poses, one column for every effect of unit
@@ -37,7 +37,7 @@ _NOTHING_KNOWN = 1e-9
 
 
 class Rows(NamedTuple):
-    """Rows of N poses. ``of_parameters`` (N, m, p): whitened, for one ordinary deviation of each parameter.
+    """Rows of N poses. ``of_parameters`` (N, m, p): whitened, for a change of each parameter by its scale.
 
     ``of_misfit`` (N, m, h): what effects that the model leaves out do, each of unit variance, whitened; h may be 0.
     """
@@ -96,8 +96,8 @@ def space(
     """Return what designs of the candidates are judged by, in the directions that all of them would know usably.
 
     ``working``: rows of the tool's position at the working poses, in the unit of the criterion's answer; the candidates
-    when None. ``given``: poses measured already. ``prior`` (p,): standard deviations of the parameters in ordinary
-    deviations, infinite for none.
+    when None. ``given``: poses measured already. ``prior`` (p,): standard deviations of the parameters in parameter
+    scales, infinite for none.
 
     Raises JobError when the criterion is not known, or the candidates see nothing.
     """

@@ -32,7 +32,7 @@ CONFIDENCE = 0.95
 _BLIND_SHARE = 0.02
 # Unseen directions of two calibrations that differ by less, as the sine of an angle, are the same.
 _SAME_DIRECTION = 0.05
-# What varies by less than this share of the rest, or of an ordinary deviation, varies by rounding.
+# What varies by less than this share of the rest, or of a parameter scale, varies by rounding.
 _ROUNDING = 1e-9
 _SAMPLES = 500
 

@@ -57,7 +57,7 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residue:
-    """A fit as a linear system. Columns of Jacobians are for one ordinary deviation, as is ``C`` (p, p).
+    """A fit as a linear system. Columns of Jacobians are for one parameter scale, as is ``C`` (p, p).
 
     ``sigma`` (N, d) and ``w`` (N,) of every set: noise and weights of the loss. ``squares`` and ``freedom``: of every
     set, the whitened sum of squares and the degrees of freedom. ``predicted`` (p, p): J^T J of all numbers in m,

@@ -133,7 +133,7 @@ def plan(
 
 
 def _priors(model: ErrorModel) -> Array:
-    """Return the standard deviations (p,) of priors in ordinary deviations: 1 where there is one, else infinite."""
+    """Return the standard deviations (p,) of priors in parameter scales: 1 where there is one, else infinite."""
     parameters = model.parameters()
     known = np.array([np.inf if parameter.prior is None else parameter.prior for parameter in parameters])
     return np.asarray(known / scales(parameters))

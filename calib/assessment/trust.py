@@ -14,7 +14,7 @@ def doubts(fit: Fit, before: Mapping[str, Metrics], after: Mapping[str, Metrics]
     """
     found = []
     if not fit.converged:
-        found.append(f"The solver did not converge: its last step was {fit.step:.2g} ordinary deviations.")
+        found.append(f"The solver did not converge: its last step was {fit.step:.2g} parameter scales.")
     data = "data that the fit never saw" if held_out else "the data it was fitted to"
     robot_is_free = any(parameter.of_robot for parameter in fit.parameters)
     for quantity, now in after.items():

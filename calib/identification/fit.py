@@ -27,14 +27,14 @@ class Fit:
     ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
     choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
     ``rank``: number of parameter combinations that the data determine, priors left out; ``usable_rank``: of those, the
-    ones known to ten ordinary deviations or better. ``singular_values`` (descending) of the whitened, scaled Jacobian;
+    ones known to ten parameter scales or better. ``singular_values`` (descending) of the whitened, scaled Jacobian;
     ``blind_directions``: what lies beyond the usable rank. ``held``: parameters that policy "minimal" kept at their
     nominal values. ``unseen`` (p, k): orthonormal changes of the parameters, in their scales, that neither data nor
     priors see well enough.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
-    ``step``: the last step, in ordinary deviations; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
+    ``step``: the last step, in parameter scales; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
     much the widths that hold parameters without a prior were narrower than usual; 1 where the search did not need it.
     """
 
@@ -80,7 +80,7 @@ class Fit:
 
     @property
     def weak(self) -> BoolArray:
-        """Parameters (p,) that are determined, but not better than half an ordinary deviation or half their prior."""
+        """Parameters (p,) that are determined, but not better than half their parameter scale."""
         sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.asarray(~self.blind & (sigmas > 0.5 * scales(self.parameters)))
 

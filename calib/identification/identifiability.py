@@ -1,9 +1,9 @@
 """What the data can see: rank, blind directions, and what is done about them.
 
-Everything here works on a triangle R (q, p) of the whitened Jacobian whose columns are scaled: one unit is one ordinary
-deviation (1 mm, 1 mrad, or the prior), so that 1/s is the standard deviation of a direction in ordinary deviations. Two
+Everything here works on a triangle R (q, p) of the whitened Jacobian whose columns are scaled: one unit is one
+parameter scale (1 mm, 1 mrad, or the prior), so that 1/s is the standard deviation of a direction in scales. Two
 ranks follow. The rank counts singular values above ``RANK_TOLERANCE`` of the largest: what the data determine at all.
-The usable rank counts those above ``USABLE``: directions known to ten ordinary deviations or better. The rest would
+The usable rank counts those above ``USABLE``: directions known to ten parameter scales or better. The rest would
 take any value that noise, or a second-order effect of a blind direction, dictates - turns of a tenth of a radian on
 real arms - and moves no prediction by more than the noise; they are treated like blind ones.
 """
@@ -42,7 +42,7 @@ class Directions:
 
     @property
     def usable(self) -> int:
-        """Number of parameter combinations that the data determine to ten ordinary deviations or better."""
+        """Number of parameter combinations that the data determine to ten parameter scales or better."""
         return self._above(USABLE)
 
     def hidden(self, rank: int) -> Array:
@@ -125,7 +125,7 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
 class BlindDirection:
     """A change of parameters that the data cannot see: ``shares`` in SI units, the largest first after ``parameter``.
 
-    ``parameter`` is one that a minimal set does without; it moves by one ordinary deviation and the others imitate it.
+    ``parameter`` is one that a minimal set does without; it moves by one parameter scale and the others imitate it.
     """
 
     parameter: str

@@ -1,6 +1,6 @@
 """Priors whose width the data teach: solve, learn the widths where all is linear, solve again until they stay.
 
-A group that too few directions of the data speak of keeps the width of an ordinary deviation: a width of one or two
+A group that too few directions of the data speak of keeps the width of one parameter scale: a width of one or two
 numbers would be chance. One of which nothing shows comes to what could hide from the data. One at the widest that is
 allowed is as good as without a prior.
 """
@@ -21,7 +21,7 @@ from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
-# Directions of a group that the data must see, given priors of an ordinary deviation, before they may teach a width.
+# Directions of a group that the data must see, given priors of a parameter scale, before they may teach a width.
 _FEWEST = 3.0
 # Normal equations hold half of a double's digits, and must tell the widest prior from none. Rows with less noise than
 # that allows, a fraction of a micrometre, are taken to have so much.
@@ -35,7 +35,7 @@ class LearnedPrior:
     """The standard deviation, in ``unit``, that the parameters of a group have about zero, and what taught it.
 
     ``parameters``: how many are in the group; ``taught``: how many of them, in sum, the data determine rather than the
-    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is an ordinary deviation; "nothing shows"
+    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is a parameter scale; "nothing shows"
     where the data are no likelier with the group than without it, so that the width is what they could not notice; or
     the "widest" that is allowed.
     """
@@ -85,7 +85,7 @@ def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Probl
     return replace(
         problem,
         parameters=tuple(
-            p if p.group is None else replace(p, prior=known[p.group] * p.ordinary) for p in problem.parameters
+            p if p.group is None else replace(p, prior=known[p.group] * p.typical_size) for p in problem.parameters
         ),
     )
 
@@ -134,7 +134,7 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
 
 
 def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
-    """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep an ordinary width."""
+    """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep the parameter scale."""
     new, taught, shown = np.ones(len(widths)), np.zeros(len(widths)), ~few
     if few.all():
         return new, taught, shown
@@ -166,6 +166,6 @@ def _told(
             outcome = "nothing shows"
         elif widths[k] > WIDEST / (1.0 + _NEGLIGIBLE_CHANGE):
             outcome = "widest"
-        width = float(widths[k] * own[0].ordinary)
+        width = float(widths[k] * own[0].typical_size)
         told.append(LearnedPrior(name, own[0].unit, width, len(own), float(taught[k]), outcome))
     return told

@@ -26,7 +26,7 @@ class Observability:
     """What a set of poses can see of an error model, at the nominal robot.
 
     ``numbers``: measured numbers. ``rank`` of ``parameters``; ``blind_directions``: what is not seen.
-    ``condition``: of the seen directions, for ordinary deviations; ``indices``: O1 to O5 (:func:`indices`) of the same.
+    ``condition``: of the seen directions, for parameter scales; ``indices``: O1 to O5 (:func:`indices`) of the same.
     """
 
     __repr__ = brief

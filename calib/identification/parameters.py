@@ -15,12 +15,12 @@ ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
-# What counts as an ordinary deviation when nobody says otherwise: it makes millimetres and milliradians comparable.
+# The parameter scale where no prior gives one: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
 # Standard deviations of the weak priors of parameters that were given none, in m and rad: of joint offsets and of link
 # placements; of a tool point it is the arm's reach, or what is stated here where the poses do not show the point. Base,
 # targets and the tool's orientation have such wide ones that what could be in the robot as well as in a frame of the
-# set-up is in the frame. Terms: so many ordinary deviations.
+# set-up is in the frame. Terms: so many parameter scales.
 OFFSET_WIDTH = 0.1
 PLACEMENT_WIDTH = 0.01
 UNSHOWN_TOOL_WIDTH = 0.03
@@ -59,9 +59,9 @@ class Parameter:
 
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
     ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
-    ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``ordinary`` the size
-    of an ordinary deviation. Where the width of the prior is learned, ``group`` names those that share it, and the
-    prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
+    ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``typical_size``
+    is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
+    the prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
     none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
     determine the parameter.
     """
@@ -71,7 +71,7 @@ class Parameter:
     kind: ParameterKind
     direction: tuple[tuple[int, float], ...]
     prior: float | None = None
-    ordinary: float = DEFAULT_SIGMA
+    typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak: float = math.inf
 
@@ -82,8 +82,8 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """Size of an ordinary deviation, in ``unit``: the prior's where one is stated."""
-        return self.ordinary if self.prior is None or self.group is not None else self.prior
+        """The parameter scale, in ``unit``: the prior's standard deviation where one is stated."""
+        return self.typical_size if self.prior is None or self.group is not None else self.prior
 
     @property
     def hold(self) -> float:

@@ -3,7 +3,7 @@
 A mistake that everybody makes once (a flipped sign, swapped columns, degrees for radians) lets the nominal robot miss
 its measurements by decimetres, and mending it brings them back. So where they are missed, the mistakes of one table are
 mended on trial, and the one that brings them back is named. To miss means here: what the best base and tool leave,
-joint offsets of an ordinary size allowed for. Those are what calibration is for; they must neither look like a mistake
+joint offsets of a typical size allowed for. Those are what calibration is for; they must neither look like a mistake
 nor hide one.
 
 What no data can tell apart is said together: where a free base or tool takes the rest, the sign of an outer joint and

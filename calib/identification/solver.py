@@ -28,7 +28,7 @@ _MOST_STEPS, _MANY_STEPS = 60, 20
 _LITTLE = 0.25
 # Weights of rows that lie off settle more slowly than the parameters.
 _MOST_ROBUST_STEPS = 160
-# A step is negligible in ordinary deviations, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, as a
+# A step is negligible in parameter scales, 1e-9 m, if it hardly lowers the cost, too; or by its gain alone, as a
 # share of the cost: where a thousand rows fit, a hundredth of a standard deviation.
 _NEGLIGIBLE_STEP, _HARDLY_A_GAIN, _NEGLIGIBLE_GAIN = 1e-6, 1e-3, 1e-7
 # Values below 1e-13 m or rad are zero: joints that nothing moves keep their exact origins.
@@ -56,7 +56,7 @@ class Solution(NamedTuple):
     ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data see at x, priors left out.
     ``unseen`` (p, k), scaled: what neither data nor stated priors see well enough. ``start`` (q, p): the data's
     triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
-    ``step``: the last one, in ordinary deviations. ``narrowed``: by how much weak priors were narrower than is usual.
+    ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual.
     """
 
     x: Array
@@ -195,7 +195,7 @@ class _Point(NamedTuple):
 
     @property
     def length(self) -> float:
-        """Length of the full step, in ordinary deviations."""
+        """Length of the full step, in parameter scales."""
         return float(np.max(np.abs(self.full)))
 
     def at_rest(self, *, slowly: bool) -> bool:

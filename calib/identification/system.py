@@ -109,7 +109,7 @@ class Block(NamedTuple):
 class Evaluation(NamedTuple):
     """Residuals of every set (N, d) in m and rad, and a triangle (q, p + 1) of ``[J r]`` for every component.
 
-    Columns of J are scaled: they are derivatives for one ordinary deviation of each parameter. Rows are whitened by
+    Columns of J are scaled: they are derivatives for a change of each parameter by its scale. Rows are whitened by
     the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened.
     ``unseen`` (p, k): unit directions in which the whole set-up turns, and grows, without being seen; zeros are none.
     """

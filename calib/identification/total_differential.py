@@ -32,7 +32,7 @@ from calib.measurement.measurements import Measurements
 
 StopReason = Literal["below the limit", "the estimate repeats", "too many iterations"]
 
-# Steps below 1e-9 ordinary deviations (1e-12 m, 1e-12 rad) are rounding: the estimate has come to rest.
+# Steps below 1e-9 parameter scales (1e-12 m, 1e-12 rad) are rounding: the estimate has come to rest.
 _AT_REST = 1e-9
 
 

@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
-# From a thousandth to a hundred ordinary deviations: an amount of the one shows nowhere, the other holds nothing.
+# From a thousandth to a hundred parameter scales: an amount of the one shows nowhere, the other holds nothing.
 NARROWEST, WIDEST = 1e-3, 1e2
 # A component's noise may come out so many times larger than the fit has found it, or smaller.
 _MOST_NOISE = 1e3

@@ -27,7 +27,7 @@ class Uncertainty:
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
     covariance of the state is ``factor @ factor.T``. ``unseen`` (n, k): changes of the state that the data do not see,
-    each one ordinary deviation long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
+    each one parameter scale long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
     none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
     """
 
@@ -55,7 +55,7 @@ class ToolUncertainty:
     """How sure the tool's pose is at N configurations.
 
     ``covariance`` (N, 6, 6): of the position, in the axes of the instrument (of the base, where the base is left out),
-    and of small turns about the tool's axes, in m and rad. ``unseen`` (N, 2): rms of what one ordinary deviation along
+    and of small turns about the tool's axes, in m and rad. ``unseen`` (N, 2): rms of what one parameter scale along
     every direction that the data do not see would add to the position, in m, and to the orientation, in rad.
     ``degrees_of_freedom``: as in :class:`Uncertainty`.
     """
@@ -76,7 +76,7 @@ class ToolUncertainty:
 
     @property
     def seen(self) -> BoolArray:
-        """Whether (N, 2) position and orientation are known: ordinary unseen deviations add less than sigma."""
+        """Whether (N, 2) position and orientation are known: the null space adds less than sigma."""
         return np.asarray(self.unseen <= np.stack([self.position, self.orientation], axis=1))
 
     def shares(self) -> dict[str, float]:

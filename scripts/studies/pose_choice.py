@@ -53,7 +53,7 @@ def simulated(robot: calib.Robot) -> list[str]:
         "",
         "A UR10, its reflector 50 mm off the axis of the flange; 30 of 300 random poses, against 10 000 random sets;",
         "then 60 of 10 000 poses, and how often their Jacobians could have been built in the same time. D: log det",
-        "of the information; A: sum of the parameters' variances, in ordinary deviations; I: rms of the tool, mm.",
+        "of the information; A: sum of the parameters' variances, in parameter scales; I: rms of the tool, mm.",
         "",
         "| criterion | misfit | chosen | best random | median random | 60 of 10 000, Jacobians |",
         "|---|--:|--:|--:|--:|--:|",

@@ -49,7 +49,7 @@ Two thirds of the rows to identify, {splits} random splits, the same for all col
 
 * **chosen**: joint terms that the tool chooses, by what rows held out of the other two thirds say of each of them
   ([joint_terms.md](joint_terms.md)); then without a prior.
-* **stated**: harmonics 1 to 40 of every joint, none left out, with a prior of 0.1 mrad, the ordinary size.
+* **stated**: harmonics 1 to 40 of every joint, none left out, with a prior of 0.1 mrad, the typical size.
 * **wide**: a prior of 1 mrad, ten times as wide, which is what somebody might state who does not know.
 * **learned**: the same harmonics, with one learned width for those of each joint.
 * **and the rest**: with gains and compliances, which the tool may choose as well, the compliances' width learned.
@@ -63,7 +63,7 @@ FEW_POSES = """
 
 So many random poses out of the two thirds, {draws} draws each, rms over all of the last third; means over the draws.
 All placements and joint offsets are free. **None**: no prior, the machine nearest to the nominal one where the data are
-blind. **Stated**: 1 mm and 1 mrad, ordinary deviations. **Learned**: a learned width for link translations, link
+blind. **Stated**: 1 mm and 1 mrad, parameter scales. **Learned**: a learned width for link translations, link
 rotations and joint offsets each, or an ordinary one where too few of them are seen.
 """
 

@@ -108,7 +108,7 @@ def test_weak_and_correlated_parameters_are_told_with_numbers() -> None:
     for a in weak:
         (name,) = a.parameters
         unit = "mrad" if name.endswith("offset") else "mm"
-        assert f"its sigma is {1e3 * sigma[name]:.3g} {unit}, where an ordinary deviation is 1 {unit}" in a.sentence
+        assert f"its sigma is {1e3 * sigma[name]:.3g} {unit}, where the parameter scale is 1 {unit}" in a.sentence
     pairs = {a.parameters for a in found if a.kind == "correlated"}
     C = fit.covariance / np.sqrt(np.outer(np.diag(fit.covariance), np.diag(fit.covariance)))
     names = [p.name for p in fit.parameters]

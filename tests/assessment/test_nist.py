@@ -22,7 +22,7 @@ from calib.identification.system import Component, Evaluation
 from calib.machine.uncertainty import squared_bound
 
 DATA = json.loads((Path(__file__).parent / "nist" / "strd.json").read_text(encoding="utf-8"))
-# Starts are off by more than themselves: an ordinary deviation is taken to be ten times as large.
+# Starts are off by more than themselves: the parameter scale is taken to be ten times as large.
 TIMES = 10.0
 
 
@@ -112,7 +112,7 @@ class Curve:
         self._y = np.log(y) if name == "Nelson" else y
         self.measurements = (Rows(np.zeros((len(y), 1))),)
         self.parameters = tuple(
-            Parameter(f"b{k + 1}", "1", "base", ((k, 1.0),), ordinary=TIMES * abs(v)) for k, v in enumerate(start)
+            Parameter(f"b{k + 1}", "1", "base", ((k, 1.0),), typical_size=TIMES * abs(v)) for k, v in enumerate(start)
         )
 
     def residuals(self, b: Array) -> tuple[Array, ...]:

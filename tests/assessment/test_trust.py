@@ -49,7 +49,7 @@ def test_frames_alone_need_not_be_better(fit: calib.Fit) -> None:
 
 def test_not_converged(fit: calib.Fit) -> None:
     (said,) = doubts(replace(fit, converged=False, step=0.25), figures(2e-3), figures(1e-3), held_out=True)
-    assert said == "The solver did not converge: its last step was 0.25 ordinary deviations."
+    assert said == "The solver did not converge: its last step was 0.25 parameter scales."
 
 
 def test_narrowed_priors_are_remarked(fit: calib.Fit) -> None:

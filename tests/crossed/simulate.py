@@ -258,7 +258,7 @@ def build(features: Sequence[Feature], folder: Path, seed: int = 0) -> Case:
     placed = {name: _tool(draft, k) for k, name in enumerate(tools)}
     frames = Frames(base, np.stack([placed[name] for name in tools]))
     parameters = [p for p in model.parameters(tools) if p.of_robot]
-    sizes = [_size(p.name, p.unit, p.ordinary if p.kind == "term" else None) for p in parameters]
+    sizes = [_size(p.name, p.unit, p.typical_size if p.kind == "term" else None) for p in parameters]
     x = values_at(robot, parameters, frames) + rng.normal(0.0, sizes)
     d = machine(robot, parameters, frames, x).deviations
     if draft.error_model.get("terms") == "auto":
@@ -302,9 +302,9 @@ def _tool(draft: Draft, k: int) -> Array:
     return rigid.placement(np.eye(3), TOOLS[k][:3, 3]) if draft.error_model["tool"] == "position" else TOOLS[k]
 
 
-def _size(name: str, unit: str, ordinary: float | None) -> float:
-    if ordinary is not None:
-        return ordinary
+def _size(name: str, unit: str, typical_size: float | None) -> float:
+    if typical_size is not None:
+        return typical_size
     if name.endswith(".offset"):
         return 3e-3 if unit == "rad" else 3e-4
     return 5e-4 if unit == "rad" else 3e-4

@@ -202,7 +202,7 @@ def test_columns_match_central_differences() -> None:
     lab = Lab(12, 6)
     model = lab.model(bending="all", moments=["elbow_joint"], expansion="all", gain="all", tool="pose")
     parameters = model.parameters()
-    scale = np.array([parameter.ordinary for parameter in parameters])
+    scale = np.array([parameter.typical_size for parameter in parameters])
     x = lab.rng.uniform(-20.0, 20.0, len(parameters)) * scale
     problem = Problem(model, parameters, Frames(np.eye(4), np.eye(4)[None]), (lab.measure(),))
 

@@ -85,7 +85,7 @@ def test_columns_match_central_differences(robot: calib.Robot) -> None:
     rng = np.random.default_rng(5)
     model = machines.model(robot, **GEOMETRY, gain="all", harmonics="all", elastic="all", tool="pose")
     parameters = model.parameters()
-    scale = np.array([parameter.ordinary for parameter in parameters])
+    scale = np.array([parameter.typical_size for parameter in parameters])
     x = rng.uniform(-20.0, 20.0, len(parameters)) * scale
     u = rng.uniform(-0.5, 0.5, (6, 6))
     columns: dict[str, object] = {f"joint_{k + 1} [rad]": u[:, k] for k in range(6)}

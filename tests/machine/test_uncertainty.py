@@ -42,7 +42,7 @@ def predicted(fit: calib.Fit, x: Array, readings: Array) -> Array:
 
 
 def by_differences(fit: calib.Fit, readings: Array, step: float = 1e-6) -> Array:
-    """Motion (N, 6, p) of the tool, in ordinary deviations of the parameters, by differences of calib's own machine."""
+    """Motion (N, 6, p) of the tool, in parameter scales of the parameters, by differences of calib's own machine."""
     columns = []
     at = predicted(fit, fit.values, readings)
     for k, scale in enumerate(scales(fit.parameters)):

@@ -39,7 +39,7 @@ def drawn(kind: Kind) -> tuple[Robot, Deviations, Array, Conditions]:
     """A badly made robot with all terms of a kind, ten times as large as ordinary ones, and rows."""
     rng = np.random.default_rng(KINDS.index(kind))
     robot = calib.error_model(UR10, terms=every_term(kind)).robot
-    sizes = np.array([kind.amount(term, "angle").ordinary for term in robot.terms])
+    sizes = np.array([kind.amount(term, "angle").typical_size for term in robot.terms])
     placements = rng.normal(scale=1e-3, size=(len(robot.chain), 6))
     d = Deviations(placements, np.zeros(len(robot.moving)), 10.0 * sizes * rng.uniform(-1, 1, len(sizes)))
     told = Conditions(rng.choice([-1.0, 1.0], (ROWS, 6)), rng.uniform(10, 30, ROWS), rng.uniform(-50, 50, (ROWS, 6)))
@@ -156,7 +156,7 @@ def test_slopes_by_the_reading_match_central_differences(kind: Kind) -> None:
     for t, term in enumerate(robot.terms):
         if kind.of_link:
             continue
-        amount = kind.amount(term, "angle").ordinary
+        amount = kind.amount(term, "angle").typical_size
         alone = TipModel(robot, Deviations(d.placements, d.offsets, amount * (np.arange(len(d.terms)) == t)))
         assert alone._terms is not None
         k, h = names.index(term.reading), 1e-5

@@ -244,7 +244,7 @@ def parameters(fit: Fit) -> Section:
     """Return all parameters."""
     said = (
         "A parameter that is seen only in combination has no sigma: other values of it, with changes of others, fit "
-        "the data as well. Weakly seen ones are known no better than half an ordinary deviation, or half their prior."
+        "the data as well. Weakly seen ones are known no better than half their parameter scale."
     )
     sentences = (said,) if fit.blind.any() or fit.weak.any() else ()
     return Section("parameters", "Parameters", (parameter_sheet(fit), *([Prose(sentences)] if sentences else [])))
@@ -288,7 +288,7 @@ def seen(fit: Fit) -> Section:
     drawn = chart(linear("direction", np.append(number, 0.0)), y, marks)
     said = (
         f"Rank {fit.rank}, usable {fit.usable_rank} of {len(values)} directions. The inverse of a singular value is "
-        "what is left uncertain along its direction, in ordinary deviations (1 mm, 1 mrad or the prior). Dots on the "
+        "what is left uncertain along its direction, in parameter scales (1 mm, 1 mrad or the prior). Dots on the "
         "lower edge lie below it."
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("What the data see", drawn, said)]

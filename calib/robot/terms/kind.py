@@ -25,7 +25,7 @@ class Amount(NamedTuple):
     """Unit of an amount, and the size of one that surprises nobody, in SI units."""
 
     unit: str
-    ordinary: float
+    typical_size: float
 
 
 class Option(NamedTuple):
@@ -132,7 +132,7 @@ class Kind(ABC):
     # ---- what it is of
 
     def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
-        """Return unit and ordinary size of the amount of a term, for a reading of this dimension."""
+        """Return unit and typical size of the amount of a term, for a reading of this dimension."""
         return self.amounts[dimension]
 
     def well_formed(self, term: JointTerm) -> bool:

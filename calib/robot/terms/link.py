@@ -16,7 +16,7 @@ class LinkKind(Kind):
     of_link: ClassVar[bool] = True
 
     def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
-        """Return unit and ordinary size of the amount, whatever the joint behind the link does."""
+        """Return unit and typical size of the amount, whatever the joint behind the link does."""
         return self.amounts["length"]
 
     def there(self, parts: Parts, term: JointTerm) -> bool:

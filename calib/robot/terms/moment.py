@@ -36,10 +36,10 @@ class Moment(Kind):
 
     def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
         """Return unit and size: of a mass that slides there are no metres."""
-        unit, ordinary = self.amounts[dimension]
+        unit, typical_size = self.amounts[dimension]
         if term.body.endswith("_mass"):
             unit = "kg rad/Nm" if dimension == "angle" else "kg m/N"
-        return Amount(unit, ordinary)
+        return Amount(unit, typical_size)
 
     def well_formed(self, term: JointTerm) -> bool:
         """Return whether it names a mass."""
