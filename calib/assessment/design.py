@@ -109,7 +109,7 @@ def space(
     before = [] if given is None else [_flat(given.of_parameters)]
     of_poses = linear.triangle(np.concatenate([_flat(J), *before]))
     directions = identifiability.directions(np.concatenate([of_poses, np.sqrt(known)]))
-    V = directions.vectors[:, : directions.usable]
+    V = directions.vectors[:, : directions.numerical_rank]
     if not V.shape[1]:
         raise JobError("the candidates see no parameter.")
     A = np.ascontiguousarray(J @ V)
@@ -127,7 +127,7 @@ def space(
     M = M + _NOTHING_KNOWN * typical * np.eye(V.shape[1])
     H = candidates.of_misfit if criterion == "I" else np.zeros((*J.shape[:2], 0))
     G, C_misfit = (G, C_misfit) if criterion == "I" else (G[:, :0], C_misfit[:, :0])
-    return Space(A, H, M, G, C, C_misfit, misfit, V, identifiability.directions(of_poses).usable, criterion)
+    return Space(A, H, M, G, C, C_misfit, misfit, V, identifiability.directions(of_poses).numerical_rank, criterion)
 
 
 def value_of(s: Space, chosen: Sequence[int]) -> float:

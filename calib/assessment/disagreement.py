@@ -23,7 +23,7 @@ import numpy.typing as npt
 from calib.assessment.influence import ALONE, Influence, Residue
 from calib.foundations import linear
 from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.identification.identifiability import RANK_TOLERANCE, USABLE
+from calib.identification.identifiability import NUMERICAL_TOLERANCE, RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
@@ -317,7 +317,7 @@ def _group(
     J, r = triangle[:, :-1], triangle[:, -1]
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
-    seen = s > max(USABLE, RANK_TOLERANCE * s.max(initial=0.0))
+    seen = s > max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * s.max(initial=0.0))
     # In its own principal directions the group says R x + c, and beyond them only its own scatter.
     R, c = s[seen, None] * Vt[seen], U[:, seen].T @ r
     CR = residue.C @ R.T

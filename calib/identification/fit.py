@@ -26,11 +26,11 @@ class Fit:
 
     ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
     choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
-    ``rank``: number of parameter combinations that the data determine, priors left out; ``usable_rank``: of those, the
-    ones known to ten parameter scales or better. ``singular_values`` (descending) of the whitened, scaled Jacobian;
-    ``blind_directions``: what lies beyond the usable rank. ``held``: parameters that policy "minimal" kept at their
-    nominal values. ``unseen`` (p, k): orthonormal changes of the parameters, in their scales, that neither data nor
-    priors see well enough.
+    ``rank``: the formal rank, of all parameter combinations that the data determine, priors left out;
+    ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``singular_values`` (descending) of
+    the whitened, scaled Jacobian; ``blind_directions``: what lies beyond the numerical rank. ``held``: parameters that
+    policy "minimal" kept at their nominal values. ``unseen`` (p, k): orthonormal changes of the parameters, in their
+    scales, that neither data nor priors see well enough.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
@@ -44,7 +44,7 @@ class Fit:
     values: Array
     covariance: Array
     rank: int
-    usable_rank: int
+    numerical_rank: int
     singular_values: Array
     blind_directions: tuple[BlindDirection, ...]
     blind: BoolArray
@@ -118,4 +118,4 @@ class Fit:
         rows = sum(len(data) for data in self.measurements)
         blind = len(self.blind_directions)
         said = {0: "no direction is blind", 1: "1 direction is blind"}.get(blind, f"{blind} directions are blind")
-        return f"<Fit of {len(self.parameters)} parameters to {rows} rows: rank {self.rank}, {said}>"
+        return f"<Fit of {len(self.parameters)} parameters to {rows} rows: formal rank {self.rank}, {said}>"

@@ -2,10 +2,10 @@
 
 Everything here works on a triangle R (q, p) of the whitened Jacobian whose columns are scaled: one unit is one
 parameter scale (1 mm, 1 mrad, or the prior), so that 1/s is the standard deviation of a direction in scales. Two
-ranks follow. The rank counts singular values above ``RANK_TOLERANCE`` of the largest: what the data determine at all.
-The usable rank counts those above ``USABLE``: directions known to ten parameter scales or better. The rest would
-take any value that noise, or a second-order effect of a blind direction, dictates - turns of a tenth of a radian on
-real arms - and moves no prediction by more than the noise; they are treated like blind ones.
+ranks follow. The formal rank counts singular values above ``RANK_TOLERANCE`` of the largest: what the data determine at
+all. The numerical rank counts those above ``NUMERICAL_TOLERANCE``: directions known to ten parameter scales or better.
+The rest would take any value that noise, or a second-order effect of a blind direction, dictates - turns of a tenth of
+a radian on real arms - and moves no prediction by more than the noise; they are treated like blind ones.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.identification.parameters import Parameter
 
 RANK_TOLERANCE = 1e-9
-USABLE = 0.1
+NUMERICAL_TOLERANCE = 0.1
 # A parameter is blind when a unit blind direction moves it by more than this. Shares of truly seen parameters stay
 # below 0.02 (second-order effects of deviations up to 10 mm), those of blind ones above 0.1.
 _BLIND_SHARE = 0.02
@@ -41,9 +41,9 @@ class Directions:
         return self._above(0.0)
 
     @property
-    def usable(self) -> int:
+    def numerical_rank(self) -> int:
         """Number of parameter combinations that the data determine to ten parameter scales or better."""
-        return self._above(USABLE)
+        return self._above(NUMERICAL_TOLERANCE)
 
     def hidden(self, rank: int) -> Array:
         """Return the directions (p, p - rank) beyond the best ``rank`` ones."""

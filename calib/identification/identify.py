@@ -95,8 +95,8 @@ def _identify(
     problem, found, learned = solve_learning(problem, x0, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    usable = min(found.directions.usable, identifiability.directions(found.start).rank)
-    kept, directions = identifiability.told(found.start, usable, parameters)
+    numerical_rank = min(found.directions.numerical_rank, identifiability.directions(found.start).rank)
+    kept, directions = identifiability.told(found.start, numerical_rank, parameters)
     if blind == "refuse" and directions:
         many = "1 direction" if len(directions) == 1 else f"{len(directions)} directions"
         raise IdentificationError(f"the data are blind in {many}; the first: {directions[0]}")
@@ -115,7 +115,7 @@ def _identify(
         values=read_only(found.x),
         covariance=read_only(found.covariance),
         rank=rank,
-        usable_rank=found.directions.usable,
+        numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
         blind_directions=directions,
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),
@@ -231,7 +231,7 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         values=read_only(values),
         covariance=read_only(found.covariance),
         rank=found.directions.rank,
-        usable_rank=found.directions.usable,
+        numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
         blind=read_only_view(identifiability.blind_parameters(found.unseen)),
         unseen=read_only(found.unseen),

@@ -6,7 +6,7 @@ threshold: where the data speak, a weak prior is negligible, and where they are 
 
 Levenberg-Marquardt by SciPy brings the search near the minimum. Gauss-Newton steps do the rest; each is judged, and
 damped where it fails. There the noise is estimated, too: where nobody stated it, and where what is stated clearly does
-not explain the residuals. Rank, null space and covariance are those of the solution, with the noise that it shows.
+not explain the residuals. Ranks, null space and covariance are those of the solution, with the noise that it shows.
 """
 
 from collections.abc import Sequence
@@ -445,10 +445,10 @@ class _Told(NamedTuple):
         """Tell it of the Jacobian of the data at the solution, or its triangle (q, p)."""
         rows = np.concatenate([data, prior.stated_rows])
         directions = identifiability.directions(rows)
-        unseen = directions.hidden(directions.usable)
+        unseen = directions.hidden(directions.numerical_rank)
         # Inner constraints close what is not seen: full rank by construction.
         gauge = identifiability.gauge(unseen, problem.parameters)
-        seen = directions.singular_values[: directions.usable]
+        seen = directions.singular_values[: directions.numerical_rank]
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
         spread = np.linalg.pinv(np.concatenate([rows, weight * gauge]), rcond=_SINGULAR)[:, : len(rows)]
         return cls(identifiability.directions(data), unseen, spread @ spread.T)

@@ -137,7 +137,7 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     covariances = change @ np.swapaxes(change, -1, -2)
     squares = np.trace(covariances, axis1=1, axis2=2)
     rms, largest = float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
-    return TableError(read_only(covariances), rms, largest, fit.rank - fit.usable_rank)
+    return TableError(read_only(covariances), rms, largest, fit.rank - fit.numerical_rank)
 
 
 def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:

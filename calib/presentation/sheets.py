@@ -158,7 +158,7 @@ def rank_sentences(fit: Fit) -> tuple[str, ...]:
         "minimal": f"{count(held, 'parameter was', 'parameters were')} held at the nominal value",
     }[fit.policy]
     done = "where priors do not decide, " + done if _priors(fit.parameters) else done
-    weak_rank = fit.rank - fit.usable_rank
+    weak_rank = fit.rank - fit.numerical_rank
     too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
     return (
         f"The data see {fit.rank} of {len(fit.parameters) + held} parameters{too_weak}. "

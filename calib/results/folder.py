@@ -198,7 +198,7 @@ def result(found: Calibration) -> dict[str, Any]:
         },
         "lost_in_urdf": None if np.isnan(found.lost_in_urdf) else found.lost_in_urdf,
         "rank": fit.rank,
-        "usable_rank": fit.usable_rank,
+        "numerical_rank": fit.numerical_rank,
         "blind": {
             "policy": fit.policy,
             "held": [parameter.name for parameter in fit.held],

@@ -103,7 +103,7 @@ class Result:
     converged: bool | None
     evaluations: int | None
     rank: int | None
-    usable_rank: int | None
+    numerical_rank: int | None
     seconds: float
     said: str
 
@@ -440,7 +440,7 @@ def judge(of: Session) -> Result:
         fit.converged,
         fit.evaluations,
         fit.rank,
-        fit.usable_rank,
+        fit.numerical_rank,
         seconds,
         "",
     )

@@ -150,7 +150,7 @@ def test_values_sigmas_and_intervals_are_those_that_nist_certifies(name: str) ->
     # Residuals of Lanczos1 are 1e-13 of a curve of 2.5: rounding leaves two digits of them, and so of the errors.
     least = 1.0 if name == "Lanczos1" else 4.0
     assert found.converged
-    assert found.directions.usable == len(found.x)
+    assert found.directions.numerical_rank == len(found.x)
     assert digits(found.x, np.array(certified["values"])) > 5.0
     assert found.redundancies[0] == pytest.approx(freedom, abs=1e-6)
     assert digits(np.sqrt(found.variances[0]), certified["residual_sigma"]) > least

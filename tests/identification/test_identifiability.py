@@ -66,7 +66,7 @@ def test_the_rank_of_a_6r_arm(
     robot: calib.Robot, observes: str, points: tuple[tuple[float, ...], ...], options: dict[str, object], rank: int
 ) -> None:
     fit, *_ = fitted(robot, observes, points, **options)
-    assert (fit.rank, fit.usable_rank) == (rank, rank)
+    assert (fit.rank, fit.numerical_rank) == (rank, rank)
     assert len(fit.blind_directions) == len(fit.parameters) - rank
     s = fit.singular_values
     assert s[rank - 1] > 1e6 * np.append(s, 0.0)[rank]
@@ -75,7 +75,7 @@ def test_the_rank_of_a_6r_arm(
 def test_a_point_on_the_last_axis_hides_two_more_directions(robot: calib.Robot) -> None:
     """Noise lifts the point off the axis, so that 27 are seen by the letter and 25 to any use."""
     fit, *_ = fitted(robot, points=((0, 0, 0.15),), errors=0.0)
-    assert (fit.rank, fit.usable_rank) == (27, 25)
+    assert (fit.rank, fit.numerical_rank) == (27, 25)
     assert len(fit.blind_directions) == len(fit.parameters) - 25
 
 
@@ -169,7 +169,7 @@ def test_refuse_accepts_what_is_all_seen(robot: calib.Robot) -> None:
 
 def test_directions_of_a_small_matrix() -> None:
     found = directions(np.array([[3.0, 0.0, 0.0], [0.0, 0.05, 0.0]]))
-    assert (found.rank, found.usable) == (2, 1)
+    assert (found.rank, found.numerical_rank) == (2, 1)
     np.testing.assert_allclose(found.singular_values, [3.0, 0.05, 0.0])
     np.testing.assert_allclose(np.abs(found.hidden(2)), [[0], [0], [1]], atol=1e-15)
     np.testing.assert_allclose(found.vectors @ found.vectors.T, np.eye(3), atol=1e-15)

@@ -71,7 +71,7 @@ def test_the_floor() -> None:
     for seed in range(20):
         lab = Lab(seed=seed)
         fit = calib.identify(lab.model(), lab.measure(500))
-        assert (fit.rank, fit.usable_rank) == (27, 27)
+        assert (fit.rank, fit.numerical_rank) == (27, 27)
         assert fit.evaluations <= 6
         found.append(lab.miss(fit))
     assert np.mean(found) <= 0.0134e-3
@@ -262,7 +262,7 @@ def test_a_wrong_question_is_refused(run: Callable[[Lab], object], error: type[E
 def test_a_fit_tells_what_it_found() -> None:
     lab = Lab()
     fit = calib.identify(lab.model(), lab.measure(200))
-    assert repr(fit) == "<Fit of 45 parameters to 200 rows: rank 27, 18 directions are blind>"
+    assert repr(fit) == "<Fit of 45 parameters to 200 rows: formal rank 27, 18 directions are blind>"
     records = {record["name"]: record for record in fit.records()}
     assert list(records) == [parameter.name for parameter in fit.parameters]
     assert records["wrist_2_joint.tx"]["value"] == fit.value("wrist_2_joint.tx")

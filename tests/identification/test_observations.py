@@ -197,7 +197,7 @@ def test_without_noise_the_truth_is_found_and_the_rank_is_as_tabulated(name: str
     fit = fitted(here, name)
     assert fit.converged
     assert fit.evaluations <= 8
-    assert (fit.rank, fit.usable_rank) == (rank + own, rank + own)
+    assert (fit.rank, fit.numerical_rank) == (rank + own, rank + own)
     assert here.miss(fit, sized=sized) < 1e-9
     # Where the size is not seen, the nominal one is kept, and the truth is another.
     assert sized or here.miss(fit) > 1e-6
@@ -211,7 +211,7 @@ def test_noise_makes_nothing_seen(name: str) -> None:
     fit = fitted(here, name)
     assert fit.converged
     assert fit.evaluations <= 9
-    assert (fit.rank, fit.usable_rank) == (rank + own, rank + own)
+    assert (fit.rank, fit.numerical_rank) == (rank + own, rank + own)
     assert here.miss(fit, sized=sized) < 2e-4
 
 
@@ -245,7 +245,7 @@ def test_known_distances_between_sockets_give_the_size(names: tuple[str, ...], r
     here = lab(2)
     pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     fit = calib.identify(model(here, relations=[between("distance", a, b) for a, b in pairs]), here.sockets(40, names))
-    assert (fit.rank, fit.usable_rank) == (rank, rank)
+    assert (fit.rank, fit.numerical_rank) == (rank, rank)
     assert here.miss(fit) < 1e-9
 
 
@@ -283,7 +283,7 @@ def test_two_tool_points_share_a_socket() -> None:
     here = lab(5)
     fit = calib.identify(model(here), [here.sockets(40, "a"), here.sockets(40, "ab", "long")])
     # The second point adds three of its own.
-    assert fit.rank == fit.usable_rank == 20 + 3 + 6
+    assert fit.rank == fit.numerical_rank == 20 + 3 + 6
     assert here.miss(fit, sized=False) < 1e-9
 
 

@@ -75,7 +75,7 @@ def test_truth_is_recovered(camera_on: str, what: str, rank: int) -> None:
     true = scene(rng, NOMINAL.moved(rng), camera_on, SEEN[what])
     readings = true.draw(rng, 80 if what == "mark" else 30)
     fit = calib.identify(everything(camera_on, what), true.measure(ROBOT, readings))
-    assert (fit.rank, fit.usable_rank, fit.converged) == (rank, rank, True)
+    assert (fit.rank, fit.numerical_rank, fit.converged) == (rank, rank, True)
     assert np.abs(fit.nominal_residuals[0]).max() > 1.0
     (held_out,) = residuals_of(fit, [true.measure(ROBOT, true.draw(rng, 20))], fit.machine)
     assert np.abs(held_out).max() < 1e-9
@@ -87,7 +87,7 @@ def test_noise_does_not_make_a_size_of_a_single_mark(camera_on: str) -> None:
     rng = np.random.default_rng(13)
     true = scene(rng, NOMINAL.moved(rng), camera_on, MARK, sigma=0.3)
     fit = calib.identify(everything(camera_on, "mark"), true.measure(ROBOT, true.draw(rng, 80), rng, 0.3))
-    assert (fit.rank, fit.usable_rank, fit.converged) == (26, 26, True)
+    assert (fit.rank, fit.numerical_rank, fit.converged) == (26, 26, True)
     frames = fit.machine.frames
     found, at = (frames.tools[0], true.tool) if camera_on == "tip" else (frames.targets[0], true.target)
     place, turn = relative(found, at)

@@ -54,7 +54,7 @@ def test_positions(tmp_path: Path) -> None:
     assert 1.05e-3 < rms(before) < 1.12e-3
     assert rms(after) <= 0.45e-3
     # The T-Mac sits nearly on axis 6, which hides two directions all but formally.
-    assert (fit.rank, fit.usable_rank) == (27, 25)
+    assert (fit.rank, fit.numerical_rank) == (27, 25)
     # What the tracker says of itself, 0.017 mm rms, is a fifteenth of what the model leaves.
     (noise,) = fit.noise
     assert noise.total > 10.0 * noise.instrument
@@ -67,4 +67,4 @@ def test_poses(tmp_path: Path) -> None:
     assert np.degrees(rms(before[:, 3:])) > 0.08
     assert rms(after[:, :3]) <= 0.46e-3
     assert np.degrees(rms(after[:, 3:])) <= 0.053
-    assert (fit.rank, fit.usable_rank) == (30, 30)
+    assert (fit.rank, fit.numerical_rank) == (30, 30)

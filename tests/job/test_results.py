@@ -98,7 +98,7 @@ def test_result_is_the_fit(out: Path, outcome: Calibration) -> None:
     for p, variance in zip(result["parameters"], np.diag(covariance), strict=True):
         assert (p["sigma"] is None) == (not p["identifiable"])
         assert p["sigma"] is None or p["sigma"] == pytest.approx(np.sqrt(variance), abs=1e-15)
-    assert len(result["blind"]["directions"]) == len(result["parameters"]) - result["usable_rank"]
+    assert len(result["blind"]["directions"]) == len(result["parameters"]) - result["numerical_rank"]
     assert result["noise"][0]["measurements"] == TABLE
     assert set(result["inputs"]) == {JOB, URDF, TABLE, "validation.csv"}
 

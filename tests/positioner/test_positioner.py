@@ -162,7 +162,7 @@ def test_least_squares_recovers_two_axes(start: str, readings: Array) -> None:
         length, angle = {"near": (3e-3, 3e-3), "far": (0.1, 0.1)}[start]
         robot = load(positioners.nominal(TWO_AXES, rng, length, angle), "table")
     fit = calib.identify(positioner.axes_model(robot), TWO_AXES.touch(robot, readings, [MARK]))
-    assert (fit.rank, fit.usable_rank, fit.converged) == (11, 11, True)
+    assert (fit.rank, fit.numerical_rank, fit.converged) == (11, 11, True)
     assert carried(TWO_AXES, fit, rng) < 1e-12
 
 
@@ -178,7 +178,7 @@ def test_external_axes_in_general(kinds: str, rank: int) -> None:
     q = rng.uniform(-1.5, 1.5, (12, len(kinds)))
     robot = load(positioners.nominal(machine, rng, 5e-3, 5e-3), "table")
     fit = calib.identify(positioner.axes_model(robot), machine.touch(robot, q, marks))
-    assert (fit.rank, fit.usable_rank) == (rank + 9, rank + 9)
+    assert (fit.rank, fit.numerical_rank) == (rank + 9, rank + 9)
     assert carried(machine, fit, rng) < 1e-12
     # And with no URDF: the sweeps give the machine to begin from.
     places = np.linspace(-1.2, 1.0, 5)

@@ -108,7 +108,7 @@ def same(case: Case, fit: calib.Fit, other: calib.Fit, at: Array | None = None) 
     tools = case.tools(fit)
     expected = moved @ tools if tools.ndim == 3 else tools @ moved.T
     np.testing.assert_allclose(case.tools(other), expected, rtol=0, atol=1e-8)
-    assert (other.rank, other.usable_rank) == (fit.rank, fit.usable_rank)
+    assert (other.rank, other.numerical_rank) == (fit.rank, fit.numerical_rank)
     of_robot = np.array([p.of_robot for p in fit.parameters])
     np.testing.assert_array_equal(other.blind[of_robot], fit.blind[of_robot])
     np.testing.assert_allclose(other.sigmas[of_robot], fit.sigmas[of_robot], rtol=1e-3)
@@ -228,5 +228,5 @@ def seen_well(case: Case) -> list[str]:
     model, rough = case.model_of(placements="none"), replace(case.data, sigma=50.0 * case.data.sigma)
     names = [p.name for p in case.identified(rough, model=model, blind="minimal").parameters]
     fit = case.identified(rough, free=names)
-    assume(fit.usable_rank == len(names))
+    assume(fit.numerical_rank == len(names))
     return names

@@ -26,7 +26,7 @@ def test_the_ball_is_where_it_was() -> None:
     outcome = run(inputs)
     assert not inputs.findings
     assert not outcome.doubts
-    assert (outcome.fit.rank, outcome.fit.usable_rank) == (36, 36)
+    assert (outcome.fit.rank, outcome.fit.numerical_rank) == (36, 36)
     truth, realistic = (
         tomllib.loads((CASE / f"{name}.toml").read_text(encoding="utf-8")) for name in ("truth", "truth_realistic")
     )

@@ -12,7 +12,7 @@ from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
-from calib.identification.identifiability import USABLE
+from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.total_differential import Trace
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
@@ -278,18 +278,18 @@ def seen(fit: Fit) -> Section:
     """Return the rank, and every blind direction in words."""
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
-    weak = values < USABLE
-    y = logarithmic("singular value", np.append(values, USABLE))
+    weak = values < NUMERICAL_TOLERANCE
+    y = logarithmic("singular value", np.append(values, NUMERICAL_TOLERANCE))
     marks: list[Mark] = [
         Points("after", number[~weak], values[~weak], 6.0),
         Points("before", number[weak], values[weak], 6.0),
-        Level(USABLE, "usable above"),
+        Level(NUMERICAL_TOLERANCE, "numerical rank: above"),
     ]
     drawn = chart(linear("direction", np.append(number, 0.0)), y, marks)
     said = (
-        f"Rank {fit.rank}, usable {fit.usable_rank} of {len(values)} directions. The inverse of a singular value is "
-        "what is left uncertain along its direction, in parameter scales (1 mm, 1 mrad or the prior). Dots on the "
-        "lower edge lie below it."
+        f"Formal rank {fit.rank}, numerical rank {fit.numerical_rank}, of {len(values)} parameters. The inverse of a "
+        "singular value is the standard deviation along its direction, in parameter scales (1 mm, 1 mrad or the "
+        "prior). Dots on the lower edge lie below it."
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("What the data see", drawn, said)]
     if fit.blind_directions:

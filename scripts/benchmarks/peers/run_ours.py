@@ -26,7 +26,7 @@ def solve(case: Case, urdf: Path, setting: str) -> Solved:
     machine = fit.machine
     tips = fit.robot.tips(case.unseen, machine.deviations)
     predicted = (machine.frames.base @ tips @ machine.frames.tools[0])[:, :3, 3]
-    said = f"{fit.rank} combinations seen, {fit.usable_rank} of them well; {fit.evaluations} evaluations"
+    said = f"{fit.rank} combinations seen, {fit.numerical_rank} of them well; {fit.evaluations} evaluations"
     if setting == "terms":
         said += f"; {len(model.robot.terms)} amounts of joint terms chosen"
     return Solved(np.asarray(predicted), watch, len(fit.parameters), fit.converged, said)
