@@ -134,7 +134,7 @@ def test_frames_and_arrays_give_the_fit_of_the_file() -> None:
         fit_of, (CASE / TABLE, frame, {name: frame[name].to_numpy() for name in frame.columns})
     )
     assert by_file.values.tolist() == by_frame.values.tolist() == by_arrays.values.tolist()
-    assert repr(by_file) == "<Fit of 45 parameters to 60 rows: formal rank 27, 18 directions are blind>"
+    assert repr(by_file) == "<Fit of 45 parameters to 60 rows: formal rank 27, null space of 18 directions>"
     assert [record["name"] for record in by_file.records()] == [parameter.name for parameter in by_file.parameters]
 
 

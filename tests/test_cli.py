@@ -43,7 +43,7 @@ def test_calibrate_in_a_process_of_its_own(folder: Path) -> None:
     text = done.stdout.decode("ascii")
     assert_plain(text)
     assert re.search(r"validation +before +30 +29\.5289 +31\.0533 +45\.5182 +51\.2962 +mm", text)
-    assert "The data see 27 of 45 parameters. 18 directions are blind;" in text
+    assert "The data determine 27 combinations of 45 parameters. The null space has 18\ndirections: among" in text
     assert text.endswith("Results are in out: report.html, scene.html, calibrated.urdf, result.json.\n")
 
 
@@ -114,11 +114,11 @@ def test_check_writes_nothing_and_solves_nothing(folder: Path, monkeypatch: pyte
     said = run("check", JOB)
     assert (said.code, said.err) == (0, "")
     assert_plain(said.out)
-    first, second, third, *blind = said.out.splitlines()
+    first, second, third, *directions = said.out.splitlines()
     assert first == "Units, names, limits and rows: nothing to remark."
-    assert second.startswith("180 measured numbers see 27 of 45 parameters (condition ")
-    assert third == "18 directions are blind:"
-    assert sum(line.startswith(" - ") for line in blind) == 18
+    assert second.startswith("180 numbers determine 27 combinations of 45 parameters (condition number ")
+    assert third == "The null space has 18 directions:"
+    assert sum(line.startswith(" - ") for line in directions) == 18
     assert tree(folder) == before
 
 
@@ -127,15 +127,15 @@ def test_check_as_json(folder: Path) -> None:
     contents = json.loads(said.out)
     assert (said.code, said.err) == (0, "")
     assert (contents["rank"], contents["measured_numbers"], contents["findings"]) == (27, 180, [])
-    assert len(contents["blind_directions"]) == len(contents["parameters"]) - contents["rank"] == 18
+    assert len(contents["null_space"]) == len(contents["parameters"]) - contents["rank"] == 18
 
 
-def test_everything_seen_has_no_list_of_blind_directions(folder: Path) -> None:
+def test_everything_seen_has_no_null_space(folder: Path) -> None:
     job(('placements = "all"', ""), ('offsets = "all"', 'offsets = ["joint_2", "joint_3"]'))(folder)
     said = run("check", JOB)
     assert said.code == 0
-    assert "see 11 of 11 parameters" in said.out
-    assert "blind" not in said.out
+    assert "determine 11 combinations of 11 parameters" in said.out
+    assert "null space" not in said.out
 
 
 # Warnings. --------------------------------------------------------------------------------------------------------

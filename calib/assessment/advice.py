@@ -1,7 +1,7 @@
-"""What the data do not tell, in sentences, and what to measure or give so that they would.
+"""What the data do not determine, in sentences, and what to measure or give so that they would.
 
-Remedies are not guessed: each is tried, at the poses that were measured, on every direction that is blind, and is named
-only where it shows that direction.
+Remedies are not guessed: each is tried, at the poses that were measured, on every direction of the null space, and is
+named only where it shows that direction.
 """
 
 from collections.abc import Sequence
@@ -14,17 +14,17 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
-from calib.identification.identifiability import BlindDirection
+from calib.identification.identifiability import NullDirection
 from calib.identification.machine import Frames, values_at
 from calib.identification.posing import with_common_names
 from calib.identification.start import start_frames
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
 
-Kind = Literal["blind", "weak", "correlated"]
+Kind = Literal["null space", "weak", "correlated"]
 
 # A remedy shows a direction when it moves the new residuals by more than this share of what its parameters would move
-# them one by one. Shares of a direction are told to a hundredth, and blind ones stay below 0.02.
+# them one by one. Shares of a direction are told to a hundredth, and those of identifiable parameters stay below 0.02.
 _SHOWN = 0.05
 _MOST_ROWS = 200
 _CORRELATED = 0.95
@@ -43,7 +43,7 @@ _REMEDIES = {
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """One sentence about ``parameters``. ``remedies``: keys of what would help a blind direction, each tried."""
+    """One sentence about ``parameters``. ``remedies``: keys of what would determine a direction, each tried."""
 
     kind: Kind
     parameters: tuple[str, ...]
@@ -53,12 +53,12 @@ class Advice:
 
 @checked
 def advice(fit: Fit) -> tuple[Advice, ...]:
-    """Return what the data of a fit leave open: blind directions with remedies, weak parameters, and correlated ones.
+    """Return what the data of a fit leave open: the null space with remedies, weak and correlated parameters.
 
-    A parameter is weak when its sigma exceeds half its parameter scale; correlated are pairs beyond
-    0.95, of parameters that are seen.
+    A parameter is weak when its sigma exceeds half its scale; correlated are pairs beyond 0.95, of identifiable
+    parameters.
     """
-    found = blind_advice(fit.model, fit.measurements, fit.blind_directions)
+    found = null_space_advice(fit.model, fit.measurements, fit.null_space)
     factor = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
     said = []
     for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
@@ -69,55 +69,57 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
                 Advice(
                     "weak",
                     (parameter.name,),
-                    f"{parameter.name} is seen weakly: its sigma is {sigma * times:.3g} {unit}, where {judged} is "
-                    f"{parameter.scale * times:.3g} {unit}; more or other poses would help, or a prior.",
+                    f"{parameter.name} is weakly determined: its sigma is {sigma * times:.3g} {unit}, where {judged} "
+                    f"is {parameter.scale * times:.3g} {unit}; more or other poses would help, or a prior.",
                 )
             )
     return (*found, *said, *_correlated(fit))
 
 
-def blind_advice(
-    model: ErrorModel, measurements: Sequence[Measurements], blind: Sequence[BlindDirection]
+def null_space_advice(
+    model: ErrorModel, measurements: Sequence[Measurements], null_space: Sequence[NullDirection]
 ) -> tuple[Advice, ...]:
-    """Return a sentence with remedies for each of the blind directions of measurements, before or after a fit.
+    """Return a sentence with remedies for each direction of the null space, before or after a fit.
 
     Raises MeasurementError when the measurements are not of this robot.
     """
-    if not blind:
+    if not null_space:
         return ()
     if any(data.position is None for data in measurements):
         # What more would help is tried with what an instrument sees; sockets and gauges are another matter.
-        return tuple(Advice("blind", tuple(direction.shares), str(direction)) for direction in blind)
-    helpful = _tried(model, with_common_names(model, measurements), blind)
-    return tuple(_blind_advice(direction, names) for direction, names in zip(blind, helpful, strict=True))
+        return tuple(Advice("null space", tuple(direction.shares), str(direction)) for direction in null_space)
+    helpful = _tried(model, with_common_names(model, measurements), null_space)
+    return tuple(_of_direction(direction, names) for direction, names in zip(null_space, helpful, strict=True))
 
 
-def _blind_advice(direction: BlindDirection, remedies: Sequence[str]) -> Advice:
+def _of_direction(direction: NullDirection, remedies: Sequence[str]) -> Advice:
     if remedies:
         help_ = f"To tell them apart, {' or '.join(_REMEDIES[name] for name in remedies)}."
     elif len(direction.shares) == 1:
         help_ = "Nothing measured with such a tool tells it; leave it out, or take another tool."
     else:
         help_ = "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
-    return Advice("blind", tuple(direction.shares), f"{direction} {help_}", tuple(remedies))
+    return Advice("null space", tuple(direction.shares), f"{direction} {help_}", tuple(remedies))
 
 
-def _tried(model: ErrorModel, sets: Sequence[Measurements], blind: Sequence[BlindDirection]) -> list[tuple[str, ...]]:
+def _tried(
+    model: ErrorModel, sets: Sequence[Measurements], null_space: Sequence[NullDirection]
+) -> list[tuple[str, ...]]:
     """Return, for every direction, the remedies that show it."""
     frames = start_frames(model, sets)
     sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
     names = [parameter.name for parameter in model.parameters(sets[0].tools)]
-    found: list[list[str]] = [[] for _ in blind]
+    found: list[list[str]] = [[] for _ in null_space]
     for remedy in ("orientation", "points"):
         trial = _trial(remedy, model, sets, frames)
         if trial is not None:
             J, own = _per_unit(trial)
             new = [k for k, name in enumerate(own) if name not in names]
-            for direction, helpful in zip(blind, found, strict=True):
+            for direction, helpful in zip(null_space, found, strict=True):
                 if _shown(J, own, new, direction):
                     helpful.append(remedy)
     for remedy in ("base", "tool"):
-        for direction, helpful in zip(blind, found, strict=True):
+        for direction, helpful in zip(null_space, found, strict=True):
             largest = max(abs(share) for share in direction.shares.values())
             if any(
                 name.startswith(f"{remedy}.") and abs(share) > _HAS_PART * largest
@@ -163,7 +165,7 @@ def _per_unit(problem: Problem) -> tuple[Array, list[str]]:
     return J, [parameter.name for parameter in problem.parameters]
 
 
-def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: BlindDirection) -> bool:
+def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: NullDirection) -> bool:
     """Whether a direction moves the residuals, whatever the new unknowns do to undo it."""
     number = {name: k for k, name in enumerate(names)}
     columns = np.array([number[name] for name in direction.shares])
@@ -177,7 +179,7 @@ def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: BlindD
 
 
 def _correlated(fit: Fit) -> list[Advice]:
-    seen = np.flatnonzero(~fit.blind & (np.diag(fit.covariance) > 0.0))
+    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
     sigmas = fit.sigmas[seen]
     correlation = fit.covariance[np.ix_(seen, seen)] / (sigmas[:, None] * sigmas)
     said = []

@@ -45,7 +45,7 @@ class Bootstrap:
 
     @property
     def covariance(self) -> Array:
-        """Covariance (p, p) of the parameters in SI units; of blind ones it is that of the chosen machine."""
+        """Covariance (p, p) of the parameters in SI units; where not identifiable, of the chosen machine."""
         return np.atleast_2d(np.cov(self.values, rowvar=False))
 
     @property
@@ -96,7 +96,9 @@ def bootstrap(
             continue
         # A minimal set was chosen once and for all: what it does not hold is not free here.
         try:
-            again = identify(fit.model.within(sets), sets, free=free, start=fit, blind="nearest", losses=fit.losses)
+            again = identify(
+                fit.model.within(sets), sets, free=free, start=fit, null_space="nearest", losses=fit.losses
+            )
         except IdentificationError:
             failed += 1
         else:

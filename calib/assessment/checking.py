@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from calib.foundations.arguments import checked
 from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import ErrorModel
-from calib.identification.observability import unseen
+from calib.identification.observability import undetermined
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding
 from calib.measurement.checks import check as check_table
@@ -29,6 +29,6 @@ def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]
     if any(finding.severity == "error" for finding in found):
         return tuple(found)
     try:
-        return (*found, *signatures(model, sets), *unseen(model, sets))
+        return (*found, *signatures(model, sets), *undetermined(model, sets))
     except IdentificationError:  # too few numbers for a fit, which says so
         return tuple(found)

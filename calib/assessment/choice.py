@@ -196,7 +196,7 @@ class _System:
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
         found = evaluate(self._problem, self._sigmas, self._x)
-        rows = np.concatenate([found.relations, np.pad(found.unseen.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
+        rows = np.concatenate([found.relations, np.pad(found.set_up_motions.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]

@@ -2,7 +2,7 @@
 
 Parameters are compared in the state of the robot, six deviations of every joint and the offsets of those that move;
 what joint terms did shows at the tip. What one of the two did not see is no difference: the joint test takes the
-combinations that both have seen.
+combinations that both have determined.
 """
 
 from dataclasses import asdict, dataclass
@@ -28,9 +28,10 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.sampling import random_readings
 
 CONFIDENCE = 0.95
-# As in calib.identification.identifiability: an unseen direction that moves an entry by less has no part in it.
-_BLIND_SHARE = 0.02
-# Unseen directions of two calibrations that differ by less, as the sine of an angle, are the same.
+# As in calib.identification.identifiability: a direction of the null space that moves an entry by less has no part in
+# it.
+_MOVED = 0.02
+# Directions of the null spaces of two calibrations that differ by less, as the sine of an angle, are the same.
 _SAME_DIRECTION = 0.05
 # What varies by less than this share of the rest, or of a parameter scale, varies by rounding.
 _ROUNDING = 1e-9
@@ -58,10 +59,10 @@ class Change:
 class Comparison:
     """Two calibrations of one machine. Made by :func:`compare`.
 
-    ``changes``: of parameters that both have seen by themselves. ``statistic`` follows chi-square (F, with estimated
-    noise) with ``degrees_of_freedom``; ``probability`` of a larger one if nothing has moved; both None where the two
-    free different parameters. ``tip_rms``, ``tip_max``: in m, of the tool over the poses that both were identified in,
-    the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
+    ``changes``: of parameters that both have determined by themselves. ``statistic`` follows chi-square (F, with
+    estimated noise) with ``degrees_of_freedom``; ``probability`` of a larger one if nothing has moved; both None where
+    the two free different parameters. ``tip_rms``, ``tip_max``: in m, of the tool over the poses that both were
+    identified in, the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
     explain of that.
     """
 
@@ -115,15 +116,15 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     free_old, free_new = (_free(u, count) for u in (before, after))
     difference = _state(new.deviations) - _state(old.deviations)
     C = before.factor[:count] @ before.factor[:count].T + after.factor[:count] @ after.factor[:count].T
-    seen = free_old & free_new & ~_blind(before, count) & ~_blind(after, count)
+    known = free_old & free_new & ~_unidentifiable(before, count) & ~_unidentifiable(after, count)
     nu = min(before.degrees_of_freedom, after.degrees_of_freedom)
     readings = _common_readings(old, new, seed)
     # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
-    tests = max(int(np.count_nonzero(seen)), 1)
+    tests = max(int(np.count_nonzero(known)), 1)
     bound = np.sqrt(squared_bound(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
     by_entry = _by_entry(old, readings, count)
     changes = []
-    for k in np.flatnonzero(seen):
+    for k in np.flatnonzero(known):
         sigma = float(np.sqrt(C[k, k]))
         changes.append(
             Change(
@@ -174,24 +175,24 @@ def _state(deviations: Deviations) -> Array:
 
 
 def _free(u: Uncertainty, count: int) -> BoolArray:
-    size = np.hypot(np.linalg.norm(u.factor[:count], axis=1), np.linalg.norm(u.unseen[:count], axis=1))
+    size = np.hypot(np.linalg.norm(u.factor[:count], axis=1), np.linalg.norm(u.null_basis[:count], axis=1))
     return np.asarray(size > _ROUNDING * DEFAULT_SIGMA)
 
 
-def _blind(u: Uncertainty, count: int) -> BoolArray:
-    return np.asarray(np.linalg.norm(u.unseen[:count], axis=1) > _BLIND_SHARE * DEFAULT_SIGMA)
+def _unidentifiable(u: Uncertainty, count: int) -> BoolArray:
+    return np.asarray(np.linalg.norm(u.null_basis[:count], axis=1) > _MOVED * DEFAULT_SIGMA)
 
 
 def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> tuple[float, int]:
-    """Return the statistic of the difference in the combinations that both have seen, and their number.
+    """Return the statistic of the difference in the combinations that both have determined, and their number.
 
     One parameter may move several entries, as DH parameters do: no more combinations vary than there are parameters.
     """
     count = len(free)
-    unseen = np.hstack([old.unseen[:count], new.unseen[:count]])[free] / DEFAULT_SIGMA
-    U, values, _ = np.linalg.svd(unseen, full_matrices=True)
-    hidden = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
-    Q = U[:, hidden:]
+    null_basis = np.hstack([old.null_basis[:count], new.null_basis[:count]])[free] / DEFAULT_SIGMA
+    U, values, _ = np.linalg.svd(null_basis, full_matrices=True)
+    size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
+    Q = U[:, size:]
     factors = [Q.T @ u.factor[:count][free] for u in (old, new)]
     both = np.hstack(factors)
     size = np.linalg.norm(both, axis=1)

@@ -29,7 +29,7 @@ from calib.foundations.units import Dimension
 from calib.foundations.words import shown
 from calib.identification import identifiability, system
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import BlindDirection
+from calib.identification.identifiability import NullDirection
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem
@@ -54,7 +54,7 @@ class Sensitivity:
 
     ``rms`` and ``largest`` (p,): length of a parameter's coefficient over the ``poses``, in m per m or m per rad, which
     are mm per mm and mm per mrad. ``rank``: how many combinations of the parameters the positions tell apart;
-    ``blind_directions``: those they do not.
+    ``null_space``: those they do not.
     """
 
     __repr__ = brief
@@ -64,7 +64,7 @@ class Sensitivity:
     rms: Array
     largest: Array
     rank: int
-    blind_directions: tuple[BlindDirection, ...]
+    null_space: tuple[NullDirection, ...]
 
     @property
     def order(self) -> IntArray:
@@ -152,14 +152,14 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     size = np.linalg.norm(scaled, axis=0)
     scaled = np.where(size > identifiability.RANK_TOLERANCE * size.max(initial=0.0), scaled, 0.0)
     seen = identifiability.directions(scaled)
-    _, blind = identifiability.told(scaled, seen.rank, parameters)
+    _, null_space = identifiability.told(scaled, seen.rank, parameters)
     return Sensitivity(
         parameters,
         len(J),
         read_only(np.sqrt(np.mean(motion**2, axis=0))),
         read_only(np.max(motion, axis=0)),
         seen.rank,
-        blind,
+        null_space,
     )
 
 

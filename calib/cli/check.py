@@ -12,27 +12,27 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
     Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
-        from calib.assessment.advice import blind_advice
+        from calib.assessment.advice import null_space_advice
         from calib.identification.observability import observability
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
         from calib.presentation.console import sentence, warning
-        from calib.presentation.tables import blind_lines
+        from calib.presentation.tables import null_space_lines
     telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("looking at what the poses can see")
         seen = observability(inputs.model, inputs.identify)
-        advised = [a.sentence for a in blind_advice(inputs.model, inputs.identify, seen.blind_directions)]
+        advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
     findings = [finding.sentence for finding in inputs.findings]
     telling.tell(
         lambda: {"findings": findings, **seen.contents(), "advice": advised},
         lambda: [
             *(map(warning, findings) if findings else [sentence("Units, names, limits and rows: nothing to remark.")]),
             sentence(
-                f"{seen.numbers} measured numbers see {seen.rank} of {len(seen.parameters)} parameters "
-                f"(condition {seen.condition:.3g})."
+                f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
+                f"parameters (condition number {seen.condition:.3g})."
             ),
-            *blind_lines(advised),
+            *null_space_lines(advised),
         ],
     )

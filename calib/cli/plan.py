@@ -109,7 +109,7 @@ def plan(
         lambda: [
             *map(warning, notes),
             sentence(f"{len(found.readings)} candidates of {found.tried} poses{': ' + rejected if rejected else ''}."),
-            sentence(f"They see {planned.rank} of {planned.parameters} parameters."),
+            sentence(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
             forecast_table(planned),
             index_table(planned),
             *([] if target is None else [enough_sentence(planned, target, more=measured is not None)]),

@@ -52,9 +52,9 @@ def uncertainty(
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "seen": near.shares()},
+        lambda: {"sigmas": found.percentiles(), "known": near.shares()},
         lambda: [
-            map_table(found, near.seen),
+            map_table(found, near.known),
             *([] if out is None else [sentence(f"Every pose is in {out}.")]),
         ],
     )

@@ -8,7 +8,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.showing import shower
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import BlindDirection
+from calib.identification.identifiability import NullDirection
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
@@ -17,20 +17,20 @@ from calib.identification.parameters import Parameter, scales
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot
 
-BlindPolicy = Literal["nearest", "minimal", "refuse"]
+NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fit:
     """Identified parameters and what is known about them. Made by :func:`calib.identify`; printed as a table.
 
-    ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. Where the data are blind, the values are a
+    ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. In the null space, the values are a
     choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
     ``rank``: the formal rank, of all parameter combinations that the data determine, priors left out;
     ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``singular_values`` (descending) of
-    the whitened, scaled Jacobian; ``blind_directions``: what lies beyond the numerical rank. ``held``: parameters that
-    policy "minimal" kept at their nominal values. ``unseen`` (p, k): orthonormal changes of the parameters, in their
-    scales, that neither data nor priors see well enough.
+    the whitened, scaled Jacobian; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that
+    policy "minimal" kept at their nominal values. ``null_basis`` (p, k): an orthonormal basis of the null space, in
+    scales of the parameters, priors counted as data.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
@@ -46,10 +46,10 @@ class Fit:
     rank: int
     numerical_rank: int
     singular_values: Array
-    blind_directions: tuple[BlindDirection, ...]
-    blind: BoolArray
-    unseen: Array
-    policy: BlindPolicy
+    null_space: tuple[NullDirection, ...]
+    unidentifiable: BoolArray
+    null_basis: Array
+    policy: NullSpacePolicy
     held: tuple[Parameter, ...]
     noise: tuple[Noise, ...]
     losses: tuple[Loss, ...]
@@ -76,13 +76,13 @@ class Fit:
     @property
     def sigmas(self) -> Array:
         """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
-        return np.where(self.blind, np.nan, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        return np.where(self.unidentifiable, np.nan, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
     def weak(self) -> BoolArray:
         """Parameters (p,) that are determined, but not better than half their parameter scale."""
         sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return np.asarray(~self.blind & (sigmas > 0.5 * scales(self.parameters)))
+        return np.asarray(~self.unidentifiable & (sigmas > 0.5 * scales(self.parameters)))
 
     def value(self, name: str) -> float:
         """Return the value of a parameter in SI units. Raises KeyError for an unknown name."""
@@ -92,19 +92,19 @@ class Fit:
         raise KeyError(name)
 
     def records(self) -> list[dict[str, object]]:
-        """Return one plain record for every parameter: name, value, unit, sigma (None where blind), flags."""
+        """Return a plain record for every parameter: name, value, unit, sigma (None where not identifiable), flags."""
         return [
             {
                 "name": parameter.name,
                 "value": float(value),
                 "unit": parameter.unit,
-                "sigma": None if blind else float(sigma),
+                "sigma": None if unidentifiable else float(sigma),
                 "prior": parameter.prior,
-                "identifiable": not blind,
+                "identifiable": not unidentifiable,
                 "weak": bool(weak),
             }
-            for parameter, value, sigma, blind, weak in zip(
-                self.parameters, self.values, self.sigmas, self.blind, self.weak, strict=True
+            for parameter, value, sigma, unidentifiable, weak in zip(
+                self.parameters, self.values, self.sigmas, self.unidentifiable, self.weak, strict=True
             )
         ]
 
@@ -116,6 +116,6 @@ class Fit:
 
     def __repr__(self) -> str:
         rows = sum(len(data) for data in self.measurements)
-        blind = len(self.blind_directions)
-        said = {0: "no direction is blind", 1: "1 direction is blind"}.get(blind, f"{blind} directions are blind")
+        size = len(self.null_space)
+        said = {0: "no null space", 1: "null space of 1 direction"}.get(size, f"null space of {size} directions")
         return f"<Fit of {len(self.parameters)} parameters to {rows} rows: formal rank {self.rank}, {said}>"

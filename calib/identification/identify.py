@@ -14,7 +14,7 @@ from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
-from calib.identification.fit import BlindPolicy, Fit
+from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
@@ -35,25 +35,25 @@ def identify(
     *,
     free: Sequence[str] | None = None,
     start: Fit | None = None,
-    blind: BlindPolicy = "nearest",
+    null_space: NullSpacePolicy = "nearest",
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
 ) -> Fit:
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
     ``free``: names and globs of those parameters of the model that are free this time; all of them when None. What is
-    not free stays as in ``start``, an earlier fit of the same model, or nominal. ``blind`` says what to do about
-    directions that the data cannot see: "nearest" takes, among all equal fits, the machine nearest to the nominal one;
-    "minimal" holds what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard deviations (m
-    or rad) of what the model cannot explain, one for each component of the data (position, then orientation, of each
-    set in order); None stands for one to be estimated. ``losses``: one for each set, "linear" for least squares, or
-    "huber", "soft_l1" or "cauchy", by which rows that lie off weigh less; all are linear when None.
+    not free stays as in ``start``, an earlier fit of the same model, or nominal. ``null_space`` says what to do about
+    directions that the data do not determine: "nearest" takes, among all equal fits, the machine nearest to the nominal
+    one; "minimal" holds what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard
+    deviations (m or rad) of what the model cannot explain, one for each component of the data (position, then
+    orientation, of each set in order); None stands for one to be estimated. ``losses``: one for each set, "linear" for
+    least squares, or "huber", "soft_l1" or "cauchy", by which rows that lie off weigh less; all are linear when None.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
-    IdentificationError when the rows are too few or when directions are blind under "refuse".
+    IdentificationError when the rows are too few or when there is a null space under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, free, start, blind, model_sigmas, losses)
+        return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
 
 
 def _identify(
@@ -61,12 +61,12 @@ def _identify(
     measurements: Measurements | Sequence[Measurements],
     free: Sequence[str] | None,
     begin: Fit | None,
-    blind: BlindPolicy,
+    null_space: NullSpacePolicy,
     model_sigmas: Sequence[float | None] | None,
     losses: Sequence[Loss] | None,
 ) -> Fit:
-    if blind not in ("nearest", "minimal", "refuse"):
-        raise JobError(f"blind: {blind!r} is not one of nearest, minimal, refuse.")
+    if null_space not in ("nearest", "minimal", "refuse"):
+        raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
     posed_problem = posed(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
     sets, parameters = posed_problem.measurements, _chosen(posed_problem.parameters, free)
     if not parameters:
@@ -97,12 +97,12 @@ def _identify(
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     numerical_rank = min(found.directions.numerical_rank, identifiability.directions(found.start).rank)
     kept, directions = identifiability.told(found.start, numerical_rank, parameters)
-    if blind == "refuse" and directions:
-        many = "1 direction" if len(directions) == 1 else f"{len(directions)} directions"
-        raise IdentificationError(f"the data are blind in {many}; the first: {directions[0]}")
+    if null_space == "refuse" and directions:
+        many = "1 combination" if len(directions) == 1 else f"{len(directions)} combinations"
+        raise IdentificationError(f"the data do not determine {many} of parameters; the first: {directions[0]}")
     rank = found.directions.rank
     held: tuple[Parameter, ...] = ()
-    if blind == "minimal" and directions:
+    if null_space == "minimal" and directions:
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
         problem = replace(problem, parameters=tuple(parameters[k] for k in kept))
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), variances)
@@ -117,10 +117,10 @@ def _identify(
         rank=rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
-        blind_directions=directions,
-        blind=read_only_view(identifiability.blind_parameters(found.unseen)),
-        unseen=read_only(found.unseen),
-        policy=blind,
+        null_space=directions,
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        null_basis=read_only(found.null_basis),
+        policy=null_space,
         held=held,
         noise=_noise(problem, found, after),
         losses=problem.losses,
@@ -216,7 +216,7 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
 
-    Noise, covariance and what the data see are those of these values.
+    Noise, covariance and what the data determine are those of these values.
     """
     frames = machine.frames
     problem = Problem(
@@ -233,8 +233,8 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
-        blind=read_only_view(identifiability.blind_parameters(found.unseen)),
-        unseen=read_only(found.unseen),
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        null_basis=read_only(found.null_basis),
         noise=_noise(problem, found, after),
         machine=machine,
         residuals=tuple(read_only(r) for r in after),

@@ -14,9 +14,9 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification import weights
 from calib.identification.parameters import Parameter, scales
+from calib.identification.set_up_motions import without
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Problem
-from calib.identification.unseen import without
 from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
@@ -103,8 +103,8 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
 
     def gram(triangle: Array) -> Array:
         seen = triangle.copy()
-        if evaluation.unseen.size:
-            seen[:, :-1] = without(seen[:, :-1], evaluation.unseen)
+        if evaluation.set_up_motions.size:
+            seen[:, :-1] = without(seen[:, :-1], evaluation.set_up_motions)
         shifted = seen @ shift
         return np.asarray(shifted.T @ shifted)
 

@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import BlindDirection
+from calib.identification.identifiability import NullDirection
 from calib.identification.machine import Layout, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
 from calib.identification.posing import posed
@@ -23,10 +23,11 @@ from calib.measurement.measurements import Measurements
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
-    """What a set of poses can see of an error model, at the nominal robot.
+    """What a set of poses determines of an error model, at the nominal robot.
 
-    ``numbers``: measured numbers. ``rank`` of ``parameters``; ``blind_directions``: what is not seen.
-    ``condition``: of the seen directions, for parameter scales; ``indices``: O1 to O5 (:func:`indices`) of the same.
+    ``numbers``: measured numbers. ``rank`` of ``parameters``; ``null_space``: what they do not determine.
+    ``condition``: of the determined directions, in parameter scales; ``indices``: O1 to O5 (:func:`indices`) of the
+    same.
     """
 
     __repr__ = brief
@@ -35,7 +36,7 @@ class Observability:
     numbers: int
     rank: int
     condition: float
-    blind_directions: tuple[BlindDirection, ...]
+    null_space: tuple[NullDirection, ...]
     indices: Mapping[str, float]
 
     def contents(self) -> dict[str, Any]:
@@ -46,16 +47,16 @@ class Observability:
             "rank": self.rank,
             "condition": self.condition if self.rank else None,
             "indices": dict(self.indices),
-            "blind_directions": [str(direction) for direction in self.blind_directions],
+            "null_space": [str(direction) for direction in self.null_space],
         }
 
 
 def indices(singular_values: Array, poses: int) -> dict[str, float]:
-    """Return the observability indices of ``poses`` poses from the singular values s_1 >= ... >= s_r of what is seen.
+    """Return the observability indices of ``poses`` poses from the singular values s_1 >= ... >= s_r, r the rank.
 
     O1 = (s_1 ... s_r)^(1/r) / sqrt(poses), O2 = s_r / s_1, O3 = s_r, O4 = s_r^2 / s_1, O5 = 1 / (1/s_1 + ... + 1/s_r):
     larger is better (Y. Sun, J. M. Hollerbach, *Observability index selection for robot calibration*, ICRA 2008).
-    Empty where nothing is seen.
+    Empty where the rank is 0.
     """
     s = singular_values
     if not len(s):
@@ -71,33 +72,33 @@ def indices(singular_values: Array, poses: int) -> dict[str, float]:
 
 @checked
 def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Observability:
-    """Return what the measurements can see; raises MeasurementError when they are not of this robot."""
+    """Return what the measurements determine; raises MeasurementError when they are not of this robot."""
     problem = posed(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
     rows = _at_start(problem).rows[:, :-1]
     directions = identifiability.directions(rows)
     rank = directions.rank
-    _, blind = identifiability.told(rows, rank, parameters)
+    _, null_space = identifiability.told(rows, rank, parameters)
     seen = directions.singular_values[:rank]
     return Observability(
         parameters,
         sum(data.sigma.size for data in sets),
         rank,
         float(seen[0] / seen[-1]) if rank else float("nan"),
-        blind,
+        null_space,
         indices(seen, sum(map(len, sets))),
     )
 
 
-def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
-    """Return what no number of such measurements would see, and which others would.
+def undetermined(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return what no number of such measurements would determine, and which others would.
 
     Raises MeasurementError and JobError as :func:`calib.identification.posing.posed` does.
     """
     problem = posed(model, measurements)
     found = []
     moving = problem.motions
-    if moving is not None and moving.grows and _at_start(problem).unseen[:, -1].any():
+    if moving is not None and moving.grows and _at_start(problem).set_up_motions[:, -1].any():
         found.append(
             Finding(
                 "warning",
@@ -113,9 +114,9 @@ def unseen(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Fin
             Finding(
                 "warning",
                 "base-unseen",
-                "Nothing was measured in an instrument's frame, so that where the base stands is not seen: base.x to "
+                "Nothing was measured in an instrument's frame, so that the base is not identifiable: base.x to "
                 "base.rz are held as given. Positions from an instrument, or known places of three sockets "
-                '([targets.NAME]), would tell; with base = "fixed" nothing is said.',
+                '([targets.NAME]), would determine it; base = "fixed" ends this warning.',
             )
         )
     return (*found, *_unturned(problem))

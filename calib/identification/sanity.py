@@ -231,7 +231,7 @@ def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, .
     screen = _relaxed_miss if model.base == "pose" else _first_miss
     screened = [screen(model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
-    mistakes = (*promising, *_unseen_by_screening(model, chosen))
+    mistakes = (*promising, *_not_in_screening(model, chosen))
     trials = [_Trial(mistake, scope, _miss(model, mended(mistake))) for mistake in mistakes]
     least = min(map(_counted, trials))
     # The same to rounding: the order of the table, the most typical first, decides.
@@ -328,8 +328,8 @@ def _of_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mist
     yield from _ORIENTATIONS if turned else ()
 
 
-def _unseen_by_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
-    """Yield the mistakes to which a linear fit is blind: it takes a robot of any size and, from positions, mirrored."""
+def _not_in_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+    """Yield the mistakes that a linear fit cannot show: it takes a robot of any size, from positions also mirrored."""
     positions = [replace(data, orientation=None) for data in sets]  # orientations have no size, and pull A to nothing
     determinant = abs(float(np.linalg.det(_relaxed(model, positions)[0])))
     size = max(determinant, _NEGLIGIBLE**4) ** (-1.0 / 3.0)

@@ -53,16 +53,17 @@ _NARROWER = (1.0, 10.0, 100.0)
 class Solution(NamedTuple):
     """A least-squares solution.
 
-    ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data see at x, priors left out.
-    ``unseen`` (p, k), scaled: what neither data nor stated priors see well enough. ``start`` (q, p): the data's
-    triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
-    ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual.
+    ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data determine at x, priors left
+    out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough. ``start`` (q, p): the
+    data's triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every
+    component. ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is
+    usual.
     """
 
     x: Array
     covariance: Array
     directions: Directions
-    unseen: Array
+    null_basis: Array
     start: Array
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
@@ -391,7 +392,7 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
         z * s,
         told.covariance * s[:, None] * s,
         told.directions,
-        told.unseen,
+        told.null_basis,
         first.reweighted(factors).rows[:, :-1],
         noise.variances,
         noise.redundancies,
@@ -434,10 +435,10 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
 
 
 class _Told(NamedTuple):
-    """What the data tell at the solution, scaled: directions, those that stay unseen (p, k), and covariance (p, p)."""
+    """What the data tell at the solution, scaled: directions, the null space (p, k), and covariance (p, p)."""
 
     directions: Directions
-    unseen: Array
+    null_basis: Array
     covariance: Array
 
     @classmethod
@@ -445,13 +446,13 @@ class _Told(NamedTuple):
         """Tell it of the Jacobian of the data at the solution, or its triangle (q, p)."""
         rows = np.concatenate([data, prior.stated_rows])
         directions = identifiability.directions(rows)
-        unseen = directions.hidden(directions.numerical_rank)
-        # Inner constraints close what is not seen: full rank by construction.
-        gauge = identifiability.gauge(unseen, problem.parameters)
+        null_basis = directions.null_basis(directions.numerical_rank)
+        # Inner constraints close the null space: full rank by construction.
+        constraints = identifiability.inner_constraints(null_basis, problem.parameters)
         seen = directions.singular_values[: directions.numerical_rank]
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-        spread = np.linalg.pinv(np.concatenate([rows, weight * gauge]), rcond=_SINGULAR)[:, : len(rows)]
-        return cls(identifiability.directions(data), unseen, spread @ spread.T)
+        spread = np.linalg.pinv(np.concatenate([rows, weight * constraints]), rcond=_SINGULAR)[:, : len(rows)]
+        return cls(identifiability.directions(data), null_basis, spread @ spread.T)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:

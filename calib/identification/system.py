@@ -21,7 +21,7 @@ from calib.identification.observations import observe
 from calib.identification.observations.seen import Linearised, Seen
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.relations import Relation, relate
-from calib.identification.unseen import Motions, Unseen, motions, without
+from calib.identification.set_up_motions import Motions, SetUpMotions, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions
@@ -78,7 +78,7 @@ class Problem:
 
     @property
     def motions(self) -> Motions | None:
-        """How the whole set-up may move unseen."""
+        """How the whole set-up may move with no effect on what is measured."""
         return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
     def machine(self, x: Array) -> Machine:
@@ -111,13 +111,13 @@ class Evaluation(NamedTuple):
 
     Columns of J are scaled: they are derivatives for a change of each parameter by its scale. Rows are whitened by
     the sigmas that were given. ``relations`` (k, p + 1): ``[J r]`` of what is known between targets, whitened.
-    ``unseen`` (p, k): unit directions in which the whole set-up turns, and grows, without being seen; zeros are none.
+    ``set_up_motions`` (p, k): unit directions in which the whole set-up turns, and grows, unmeasured; zeros are none.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
     relations: Array
-    unseen: Array
+    set_up_motions: Array
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
         """Return what it is with sigmas that are new by one factor for every component."""
@@ -128,8 +128,8 @@ class Evaluation(NamedTuple):
     def rows(self) -> Array:
         """All that the data say, (q, p + 1): the triangles, then the relations; nothing of motions they cannot see."""
         rows = np.concatenate([*self.triangles, self.relations])
-        if self.unseen.size:
-            rows[:, :-1] = without(rows[:, :-1], self.unseen)
+        if self.set_up_motions.size:
+            rows[:, :-1] = without(rows[:, :-1], self.set_up_motions)
         return rows
 
 
@@ -140,7 +140,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     found: list[Array] = []
     at = problem.machine(x)
     moving = problem.motions
-    whole = None if moving is None else Unseen(problem.parameters, moving, problem.model.robot.reach)
+    whole = None if moving is None else SetUpMotions(problem.parameters, moving, problem.model.robot.reach)
     components = list(enumerate(problem.components))
     rates = Rates(problem, at, scales(problem.parameters))
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
@@ -161,10 +161,10 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     S = directions(problem.parameters, layout.size) * scales(problem.parameters)
     by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
     related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
-    unseen = np.zeros((len(x), 0))
+    set_up_motions = np.zeros((len(x), 0))
     if whole is not None:
-        unseen = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
-    return Evaluation(tuple(found), tuple(triangles), related, unseen)
+        set_up_motions = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
+    return Evaluation(tuple(found), tuple(triangles), related, set_up_motions)
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:

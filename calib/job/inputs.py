@@ -16,7 +16,7 @@ from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension, parse_quantity
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
-from calib.identification.observability import unseen
+from calib.identification.observability import undetermined
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
@@ -143,7 +143,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     for file, before in stamps.items():
         if stamp(file) != before:
             raise JobError(f"{file}: has changed while it was read; run again when it is whole.")
-    findings += [*_not_held_out(job, hashes, path), *_unseen(model, chosen, path)]
+    findings += [*_not_held_out(job, hashes, path), *_undetermined(model, chosen, path)]
     return Inputs(
         job=job,
         path=path,
@@ -319,9 +319,9 @@ def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findi
     ]
 
 
-def _unseen(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
+def _undetermined(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
     try:
-        return unseen(model, chosen)
+        return undetermined(model, chosen)
     except JobError as e:
         raise JobError(f"{path}: {e}") from e
 

@@ -90,11 +90,11 @@ def _follow(inputs: Inputs) -> Trace:
 
 def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
     """Identify level by level, or all at once where the job has no levels."""
-    policy = inputs.job.error_model.blind
+    policy = inputs.job.error_model.null_space
     if not inputs.job.levels:
         progress("identifying")
         sigmas = _flat(inputs.model_sigmas)
-        fit = identify(inputs.model, inputs.identify, blind=policy, model_sigmas=sigmas, losses=inputs.losses)
+        fit = identify(inputs.model, inputs.identify, null_space=policy, model_sigmas=sigmas, losses=inputs.losses)
         return _knowing(fit, inputs), ()
     given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
     by_file = dict(zip(inputs.tables("identify"), given, strict=True))
@@ -111,7 +111,7 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
             sets,
             free=level.free,
             start=found,
-            blind=policy,
+            null_space=policy,
             model_sigmas=_flat(group for _, group, _ in chosen),
             losses=[loss for _, _, loss in chosen],
         )

@@ -131,7 +131,7 @@ class ErrorModelSection(_Terms):
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
     prior: PriorSection = PriorSection()
-    blind: Literal["nearest", "minimal", "refuse"] = "nearest"
+    null_space: Literal["nearest", "minimal", "refuse"] = "nearest"
 
     @property
     def chosen_terms(self) -> dict[str, object]:

@@ -187,7 +187,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
     return Uncertainty(
         read_only(state @ _factor(fit.covariance, s)),
-        read_only(state @ (fit.unseen * s[:, None])),
+        read_only(state @ (fit.null_basis * s[:, None])),
         _level(fit, "m"),
         _level(fit, "rad"),
         read_only(np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)),

@@ -45,13 +45,13 @@ def tool_uncertainty(
     found, known = _readings(machine, readings), machine.known_uncertainty
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
-    columns = np.hstack([known.factor, known.unseen])
+    columns = np.hstack([known.factor, known.null_basis])
     J = tool_motions(machine, columns, found, tool, base=base, tool_pose=tool_pose, conditions=conditions)
-    seen, unseen = np.split(J, [known.factor.shape[1]], axis=2)
-    sizes = np.sqrt(
-        np.stack([np.sum(unseen[:, :3] ** 2, axis=(1, 2)), np.sum(unseen[:, 3:] ** 2, axis=(1, 2))], axis=1)
+    determined, other = np.split(J, [known.factor.shape[1]], axis=2)
+    sizes = np.sqrt(np.stack([np.sum(other[:, :3] ** 2, axis=(1, 2)), np.sum(other[:, 3:] ** 2, axis=(1, 2))], axis=1))
+    return ToolUncertainty(
+        read_only(determined @ np.swapaxes(determined, 1, 2)), read_only(sizes), known.degrees_of_freedom
     )
-    return ToolUncertainty(read_only(seen @ np.swapaxes(seen, 1, 2)), read_only(sizes), known.degrees_of_freedom)
 
 
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
@@ -90,12 +90,12 @@ def uncertainty_map(
     found: list[ToolUncertainty] = []
     for chunk in np.array_split(readings, max(samples // _BLOCK, 1)):
         found.append(tool_uncertainty(machine, chunk, tool, base=base))
-        progress(sum(len(f.unseen) for f in found), samples)
+        progress(sum(len(f.null_space_rms) for f in found), samples)
     return UncertaintyMap(
         read_only(readings),
         read_only((machine.tips(readings, ordinary(readings)) @ T_tool)[:, :3, 3]),
         read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
-        read_only(np.concatenate([f.unseen for f in found])),
+        read_only(np.concatenate([f.null_space_rms for f in found])),
     )
 
 

@@ -26,13 +26,13 @@ class Uncertainty:
 
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
-    covariance of the state is ``factor @ factor.T``. ``unseen`` (n, k): changes of the state that the data do not see,
+    covariance of the state is ``factor @ factor.T``. ``null_basis`` (n, k): changes of the state in the null space,
     each one parameter scale long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
     none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
     """
 
     factor: Array
-    unseen: Array
+    null_basis: Array
     position: NoiseLevel | None
     orientation: NoiseLevel | None
     identified: Array
@@ -45,7 +45,7 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         return (
-            f"<Uncertainty: {self.factor.shape[1]} directions of the machine known, {self.unseen.shape[1]} not, "
+            f"<Uncertainty: {self.factor.shape[1]} directions of the machine known, {self.null_basis.shape[1]} not, "
             f"{self.degrees_of_freedom:.4g} degrees of freedom>"
         )
 
@@ -55,13 +55,13 @@ class ToolUncertainty:
     """How sure the tool's pose is at N configurations.
 
     ``covariance`` (N, 6, 6): of the position, in the axes of the instrument (of the base, where the base is left out),
-    and of small turns about the tool's axes, in m and rad. ``unseen`` (N, 2): rms of what one parameter scale along
-    every direction that the data do not see would add to the position, in m, and to the orientation, in rad.
+    and of small turns about the tool's axes, in m and rad. ``null_space_rms`` (N, 2): rms of what one parameter scale
+    along every direction of the null space would add to the position, in m, and to the orientation, in rad.
     ``degrees_of_freedom``: as in :class:`Uncertainty`.
     """
 
     covariance: Array
-    unseen: Array
+    null_space_rms: Array
     degrees_of_freedom: float
 
     @property
@@ -75,13 +75,13 @@ class ToolUncertainty:
         return _root_trace(self.covariance[:, 3:, 3:])
 
     @property
-    def seen(self) -> BoolArray:
+    def known(self) -> BoolArray:
         """Whether (N, 2) position and orientation are known: the null space adds less than sigma."""
-        return np.asarray(self.unseen <= np.stack([self.position, self.orientation], axis=1))
+        return np.asarray(self.null_space_rms <= np.stack([self.position, self.orientation], axis=1))
 
     def shares(self) -> dict[str, float]:
-        """Return at which share of the poses the data have seen the position, and the orientation."""
-        return {name: float(np.mean(self.seen[:, k])) for k, name in enumerate(("position", "orientation"))}
+        """Return at which share of the poses the position is known, and the orientation."""
+        return {name: float(np.mean(self.known[:, k])) for k, name in enumerate(("position", "orientation"))}
 
     def inside(self, errors: Array, probability: float = 0.95) -> BoolArray:
         """Return which position errors (N, 3) are inside the region (an ellipsoid) of the given probability.
@@ -103,13 +103,13 @@ class UncertaintyMap:
     """Standard deviations over the workspace, at N random configurations.
 
     ``readings`` (N, nr); ``positions`` (N, 3) of the tool in the base, in m; ``sigmas`` (N, 2) of position and
-    orientation in m and rad; ``unseen`` (N, 2) as in :class:`ToolUncertainty`.
+    orientation in m and rad; ``null_space_rms`` (N, 2) as in :class:`ToolUncertainty`.
     """
 
     readings: Array
     positions: Array
     sigmas: Array
-    unseen: Array
+    null_space_rms: Array
 
     def percentiles(self) -> dict[str, list[float]]:
         """Return percentiles of the standard deviations of position and orientation, in m and rad."""

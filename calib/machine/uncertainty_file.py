@@ -58,7 +58,7 @@ class NoiseEntry(_Strict):
 class UncertaintyFile(_Strict):
     """Schema 1 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
-    Rows of ``factor`` and ``unseen``: six deviations of every joint of model.json, the offsets of those that move,
+    Rows of ``factor`` and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move,
     then x, y, z, rx, ry, rz of the base and of every tool.
     """
 
@@ -67,7 +67,7 @@ class UncertaintyFile(_Strict):
     position: NoiseEntry | None
     orientation: NoiseEntry | None
     factor: tuple[tuple[_Number, ...], ...]
-    unseen: tuple[tuple[_Number, ...], ...]
+    null_basis: tuple[tuple[_Number, ...], ...]
 
 
 def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
@@ -81,7 +81,7 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
         "orientation": _plain(uncertainty.orientation),
     }
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
-    for key, matrix in (("factor", uncertainty.factor), ("unseen", uncertainty.unseen)):
+    for key, matrix in (("factor", uncertainty.factor), ("null_basis", uncertainty.null_basis)):
         rows = ",\n".join(f"    {json.dumps(row, allow_nan=False)}" for row in matrix.tolist())
         lines.append(f"  {json.dumps(key)}: [\n{rows}\n  ]")
     return "{\n" + ",\n".join(lines) + "\n}\n"
@@ -104,12 +104,17 @@ def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
     size = Layout(robot, tools).size
     names = [reading.name for reading in robot.readings]
-    factor, unseen = (_matrix(rows) for rows in (found.factor, found.unseen))
-    if list(found.identified) != names or factor is None or unseen is None or not len(factor) == len(unseen) == size:
+    factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
+    if (
+        list(found.identified) != names
+        or factor is None
+        or null_basis is None
+        or not len(factor) == len(null_basis) == size
+    ):
         raise OutputError(f"{path}: is not of the machine in model.json.")
     return Uncertainty(
         factor,
-        unseen,
+        null_basis,
         None if found.position is None else found.position.level,
         None if found.orientation is None else found.orientation.level,
         read_only([found.identified[name] for name in names]),

@@ -21,7 +21,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.ranges import refuse_sigma
 
-# A direction of p in which the link turns by less than this (rms, rad) is not seen: readings scatter by as much.
+# A direction of p in which the link turns by less than this (rms, rad) is not determined: readings scatter by as much.
 _SEEN = 1e-3
 
 
@@ -32,9 +32,9 @@ class Pivot:
     ``tool_point`` (3,): on the link. ``fixed_points`` (m, 3): by ``targets``, in the frame of the placements.
     ``residuals`` (N, 3): touched minus fixed point. ``covariance`` (3 + 3 m, 3 + 3 m): of the tool point, then of the
     fixed points, in the seen directions. ``rank``: 3 where the tool point is seen in all directions, 2 where all
-    orientations turn about one axis, 0 where there is but one; ``unseen`` (3, 3 - rank): directions on the link along
-    which the tool point keeps the value of the guess. ``noise``: standard deviation of a coordinate, given or from the
-    residuals.
+    orientations turn about one axis, 0 where there is but one; ``null_basis`` (3, 3 - rank): directions on the link
+    along which the tool point keeps the value of the guess. ``noise``: standard deviation of a coordinate, given or
+    from the residuals.
     """
 
     __repr__ = brief
@@ -45,14 +45,14 @@ class Pivot:
     residuals: Array
     covariance: Array
     rank: int
-    unseen: Array
+    null_basis: Array
     noise: float
 
     @property
     def sigmas(self) -> Array:
-        """Standard deviations (3,) of the tool point; nan for a coordinate that an unseen direction moves."""
-        blind = np.any(np.abs(self.unseen) > 1e-6, axis=1)
-        return np.where(blind, np.nan, np.sqrt(np.diag(self.covariance)[:3]))
+        """Standard deviations (3,) of the tool point; nan for a coordinate that a direction of the null space moves."""
+        unidentifiable = np.any(np.abs(self.null_basis) > 1e-6, axis=1)
+        return np.where(unidentifiable, np.nan, np.sqrt(np.diag(self.covariance)[:3]))
 
     @property
     def rms(self) -> float:
@@ -63,8 +63,8 @@ class Pivot:
         x, y, z = self.tool_point * 1e3
         text = f"Tool point ({x:.4f}, {y:.4f}, {z:.4f}) mm, rms {self.rms * 1e3:.4f} mm"
         if self.rank < 3:
-            axes = " and ".join("({:.3f}, {:.3f}, {:.3f})".format(*direction) for direction in self.unseen.T)
-            text += f"; not seen along {axes} of the link: tilt it otherwise as well"
+            axes = " and ".join("({:.3f}, {:.3f}, {:.3f})".format(*direction) for direction in self.null_basis.T)
+            text += f"; not determined along {axes} of the link: tilt the tool about other axes as well"
         return f"{text}."
 
 
@@ -80,7 +80,7 @@ def pivot(
 
     ``placements`` (N, 4, 4): of the link, from joint readings through an arm that is calibrated. ``sigma``: standard
     deviation of a coordinate of a touch in m; None estimates it from the residuals, nan where none is to spare.
-    ``guess`` (3,): the tool point, in m, in directions that are not seen.
+    ``guess`` (3,): the tool point, in m, in directions that are not determined.
 
     Raises MeasurementError when the placements are none. Too few orientations are told by the rank.
     """

@@ -99,8 +99,8 @@ def comparison_lines(found: Comparison) -> list[Text]:
         per = found.statistic / max(found.degrees_of_freedom, 1)
         lines = [
             Text(
-                f"All {found.degrees_of_freedom} combinations that both have seen: chi-square per degree of freedom "
-                f"{per:.3g}, probability {found.probability:.2g}."
+                f"All {found.degrees_of_freedom} combinations that both have determined: chi-square per degree of "
+                f"freedom {per:.3g}, probability {found.probability:.2g}."
             )
         ]
     lines.append(
@@ -133,7 +133,7 @@ def iso_table(figures: Sequence[Figure]) -> Table:
     return out
 
 
-def map_table(found: UncertaintyMap, seen: BoolArray) -> Table:
+def map_table(found: UncertaintyMap, known: BoolArray) -> Table:
     """Return percentiles of the standard deviations over the workspace."""
     out = _table(
         "Standard deviation of the tool, in the instrument's frame", "all coordinates together, over sampled poses"
@@ -142,11 +142,11 @@ def map_table(found: UncertaintyMap, seen: BoolArray) -> Table:
     for name in ("5 %", "median", "95 %", "max"):
         out.add_column(name, justify="right")
     out.add_column("unit")
-    out.add_column("seen by the data", justify="right")
+    out.add_column("known", justify="right")
     for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
         factor, shown = _SHOWN[unit]
         values = np.percentile(found.sigmas[:, k], (5, 50, 95, 100)) * factor
-        out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(seen[:, k]):.0f} %")
+        out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(known[:, k]):.0f} %")
     return out
 
 
@@ -154,9 +154,11 @@ def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
     """Return every sampled pose of a map as a table: joints in degrees and mm, the rest as its columns say."""
     factors = np.array([_OF_READINGS[reading.dimension][0] for reading in readings])
     columns = [*(f"{r.name} [{_OF_READINGS[r.dimension][1]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
-    header = [*columns, "sigma [mm]", "sigma_angle [deg]", "unseen [mm]", "unseen_angle [deg]"]
+    header = [*columns, "sigma [mm]", "sigma_angle [deg]", "null_space [mm]", "null_space_angle [deg]"]
     both = np.array([1e3, 180.0 / np.pi])
-    rows = np.hstack([found.readings * factors, found.positions * 1e3, found.sigmas * both, found.unseen * both])
+    rows = np.hstack(
+        [found.readings * factors, found.positions * 1e3, found.sigmas * both, found.null_space_rms * both]
+    )
     return csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)])
 
 

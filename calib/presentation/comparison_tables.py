@@ -16,7 +16,7 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
         figures = (m.held_out.rms, m.held_out.standard_error, m.difference, m.standard_error)
         shown = (f"{value * factor:.4f}" for value in figures)
         rows.append(Row((m.name, str(m.parameters), str(m.rank), *shown), strong=m is found.recommended))
-    columns = ("model", "free", "seen", "held out", "std. error", "worse by", "std. error")
+    columns = ("model", "free", "rank", "held out", "std. error", "worse by", "std. error")
     return Sheet(
         f"Errors at rows held out, rms [{unit}]",
         columns,
@@ -44,4 +44,4 @@ def comparison_sentences(found: ModelComparison) -> tuple[str, ...]:
     else:
         reason = f"the simplest within one standard error of the least, that of {found.best.name}"
     unknown = count(found.recommended.rank, "direction is", "directions are")
-    return (*said, f"Recommended: {found.recommended.name} ({unknown} seen): {reason}.")
+    return (*said, f"Recommended: {found.recommended.name} ({unknown} determined): {reason}.")

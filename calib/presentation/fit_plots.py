@@ -24,7 +24,7 @@ def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "erro
     """Return a matplotlib figure of a fit: ``figure.savefig("name.svg")``.
 
     ``errors``: which share of its rows has which error, before and after. ``parameters``: values of the robot's
-    parameters with two sigmas, where the data see them. ``correlations``: of the uncertainties of what the data see.
+    parameters with two sigmas, where identifiable. ``correlations``: of the uncertainties of identifiable parameters.
     """
     return {"errors": _errors, "parameters": _parameters, "correlations": _correlations}[what](fit)
 
@@ -65,7 +65,7 @@ def _parameters(fit: Fit) -> "Figure":
         axes.errorbar(values[seen], places[seen], xerr=2.0 * sigmas[seen], fmt="o", markersize=4, color=_AFTER)
         axes.plot(values[~seen], places[~seen], "o", markersize=4, markerfacecolor="none", color=_SOFT)
         axes.set_yticks(places, [fit.parameters[k].name for k in rows], fontsize=8)
-        axes.set_xlabel(f"value, two sigmas [{shown}]; hollow: not seen")
+        axes.set_xlabel(f"value, two sigmas [{shown}]; hollow: not identifiable")
         axes.spines[["top", "right", "left"]].set_visible(False)
     return figure
 

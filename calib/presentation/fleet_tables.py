@@ -115,7 +115,7 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
     columns = ("job", "verdict", "rank", "outliers", "error", "data", "n", *figures)
     caption = (
         "A job's name leads to its report; the head of a column sorts by it. rms before and after, and the largest "
-        "error after; rank: of how many parameters the data see how many; outliers: rows, jumps and groups that are no "
+        "error after; rank: the formal one, of how many parameters; outliers: rows, jumps and groups that are no "
         "accident, of the ten least likely of each."
     )
     return Sheet(

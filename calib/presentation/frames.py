@@ -18,9 +18,9 @@ _ANGLES = ("rx", "ry", "rz")
 
 @checked
 def data_frame(fit: Fit, what: Literal["parameters", "residuals", "correlations"] = "parameters") -> "DataFrame":
-    """Return the parameters of a fit, its residuals, or the correlations of the parameters that the data see.
+    """Return the parameters of a fit, its residuals, or the correlations of the identifiable parameters.
 
-    ``parameters``: a row for each, by name: value, unit, sigma (nan where blind), prior, identifiable, weak.
+    ``parameters``: a row for each, by name: value, unit, sigma (nan where not identifiable), prior, identifiable, weak.
     ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of every coordinate,
     before and after, in m and rad. ``correlations``: square, by names. Raises OutputError where pandas is missing.
     """

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from calib.assessment.sensitivity import GroupStudy, Sensitivity
 from calib.foundations.units import UNITS
-from calib.presentation.tables import blind_lines
+from calib.presentation.tables import null_space_lines
 
 _MM = UNITS["mm"].factor
 
@@ -39,7 +39,7 @@ def sensitivity_verdict(sensitivity: Sensitivity) -> list[RenderableType]:
     apart = f"{sensitivity.rank} combinations of the {len(sensitivity.parameters)} parameters"
     return [
         Text(f"Positions at these poses tell {apart} apart."),
-        *blind_lines(sensitivity.blind_directions),
+        *null_space_lines(sensitivity.null_space),
     ]
 
 

@@ -97,16 +97,16 @@ def choice_sheet(choice: Choice) -> Sheet:
 def parameter_sheet(fit: Fit) -> Sheet:
     """Return all parameters with values, sigmas and flags."""
     rows = []
-    for parameter, value, sigma, blind, weak in zip(
-        fit.parameters, fit.values, fit.sigmas, fit.blind, fit.weak, strict=True
+    for parameter, value, sigma, unidentifiable, weak in zip(
+        fit.parameters, fit.values, fit.sigmas, fit.unidentifiable, fit.weak, strict=True
     ):
         factor, unit = SHOWN[parameter.unit]
-        seen = "only in combination" if blind else "weakly" if weak else "yes"
-        sure = "-" if blind else f"{sigma * factor:.4f}"
-        rows.append(Row((parameter.name, f"{value * factor:+.4f}", sure, unit, seen)))
+        known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
+        sure = "-" if unidentifiable else f"{sigma * factor:.4f}"
+        rows.append(Row((parameter.name, f"{value * factor:+.4f}", sure, unit, known)))
     return Sheet(
         "Parameters",
-        ("parameter", "value", "sigma", "unit", "seen by the data"),
+        ("parameter", "value", "sigma", "unit", "identifiable"),
         frozenset(("value", "sigma")),
         tuple(rows),
     )
@@ -147,12 +147,12 @@ def prior_sentences(fit: Fit) -> tuple[str, ...]:
 
 
 def rank_sentences(fit: Fit) -> tuple[str, ...]:
-    """Return what the data see, and what was done about the rest."""
-    blind, held = len(fit.blind_directions), len(fit.held)
+    """Return what the data determine, and what was done about the rest."""
+    size, held = len(fit.null_space), len(fit.held)
     weak = [p.name for p, w in zip(fit.parameters, fit.weak, strict=True) if w]
-    named = (f"Weakly seen: {', '.join(weak[:6])}{' and more' if len(weak) > 6 else ''}.",) if weak else ()
-    if not blind:
-        return (f"The data see all {fit.rank} parameters.", *named)
+    named = (f"Weakly determined: {', '.join(weak[:6])}{' and more' if len(weak) > 6 else ''}.",) if weak else ()
+    if not size:
+        return (f"The data determine all {fit.rank} parameters.", *named)
     done = {
         "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
         "minimal": f"{count(held, 'parameter was', 'parameters were')} held at the nominal value",
@@ -161,8 +161,8 @@ def rank_sentences(fit: Fit) -> tuple[str, ...]:
     weak_rank = fit.rank - fit.numerical_rank
     too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
     return (
-        f"The data see {fit.rank} of {len(fit.parameters) + held} parameters{too_weak}. "
-        f"{count(blind, 'direction is', 'directions are')} blind; {done}. "
+        f"The data determine {fit.rank} combinations of {len(fit.parameters) + held} parameters{too_weak}. "
+        f"The null space has {count(size, 'direction', 'directions')}: {done}. "
         f"No prediction at poses like these depends on it.",
         *named,
     )

@@ -11,7 +11,7 @@ from rich.text import Text
 from calib.assessment.metrics import metrics
 from calib.foundations.arguments import checked
 from calib.identification.fit import Fit
-from calib.identification.identifiability import BlindDirection
+from calib.identification.identifiability import NullDirection
 from calib.presentation.report.document import Sheet
 from calib.presentation.sheets import (
     count,
@@ -71,15 +71,15 @@ def sheet_table(sheet: Sheet) -> Table:
     return out
 
 
-def blind_lines(blind: Sequence[BlindDirection | str], most: int | None = None) -> list[RenderableType]:
-    """Return the blind directions under their number; nothing where there are none."""
-    if not blind:
+def null_space_lines(null_space: Sequence[NullDirection | str], most: int | None = None) -> list[RenderableType]:
+    """Return the directions of the null space, under their number; nothing where there are none."""
+    if not null_space:
         return []
     lines = Table.grid(padding=(0, 1))
     lines.add_column()
     lines.add_column(overflow="fold")
-    for direction in blind[:most]:
+    for direction in null_space[:most]:
         lines.add_row(" -", Text(str(direction)))
-    if most is not None and len(blind) > most:
-        lines.add_row(" -", Text(f"and {len(blind) - most} more"))
-    return [Text(f"{count(len(blind), 'direction is', 'directions are')} blind:"), lines]
+    if most is not None and len(null_space) > most:
+        lines.add_row(" -", Text(f"and {len(null_space) - most} more"))
+    return [Text(f"The null space has {count(len(null_space), 'direction', 'directions')}:"), lines]

@@ -199,12 +199,12 @@ def result(found: Calibration) -> dict[str, Any]:
         "lost_in_urdf": None if np.isnan(found.lost_in_urdf) else found.lost_in_urdf,
         "rank": fit.rank,
         "numerical_rank": fit.numerical_rank,
-        "blind": {
+        "null_space": {
             "policy": fit.policy,
             "held": [parameter.name for parameter in fit.held],
             "directions": [
                 {"parameter": direction.parameter, "shares": direction.shares, "sentence": str(direction)}
-                for direction in fit.blind_directions
+                for direction in fit.null_space
             ],
         },
         "advice": [advised.sentence for advised in advice(fit)],

@@ -133,7 +133,7 @@ def finite_differences(c: Case, problem: Problem, x0: Array) -> Array:
     """The same fit as anyone would write it first: residuals, and SciPy's 2-point differences of them.
 
     It gets what it would not have of itself: good start values, scaled parameters, and priors so wide that they matter
-    only where the data are blind.
+    only in the null space.
     """
     s, robot = scales(problem.parameters), c.model.robot
 

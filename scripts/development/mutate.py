@@ -58,7 +58,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         f"{OBSERVATIONS}::test_known_distances_between_sockets_give_the_size",
         f"{OBSERVATIONS}::test_relations_that_cannot_be",
     ),
-    "identification/unseen": ("identification/test_observations", "identification/test_pixels"),
+    "identification/set_up_motions": ("identification/test_observations", "identification/test_pixels"),
     "identification/noise": ("identification/test_noise", "assessment/test_nist"),
     "identification/weights": ("identification/test_noise", "assessment/test_nist", "assessment/test_outliers"),
     "identification/losses": ("identification/test_losses", "assessment/test_outliers"),

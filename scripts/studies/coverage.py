@@ -159,7 +159,7 @@ def minimal(robot: calib.Robot, kind: Kind) -> list[str]:
     """Names of a minimal set of parameters, of which the data see every single one."""
     rng = np.random.default_rng(0)
     data = measured(truth_of(rng, frozenset()), robot, kind, rng.uniform(-LIMIT, LIMIT, (POSES, 6)), rng)
-    fit = calib.identify(model_of(robot, kind), data, blind="minimal")
+    fit = calib.identify(model_of(robot, kind), data, null_space="minimal")
     return [parameter.name for parameter in fit.parameters]
 
 

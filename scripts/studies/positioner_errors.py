@@ -64,7 +64,7 @@ The lines of the axes and the marks, no more: 4 numbers for a revolute axis, 2 (
 a mark. Two revolute axes and one mark are 11 numbers. Where the frames' origins sit on the axes, and how they are
 turned about them, is convention: the closed form lets the x axes point at the mark; the engine leaves them nearest to
 the nominal URDF. No place of a table point depends on it. The parameters are named after the URDF's joints, and those
-that the convention moves have no sigma; `blind = "minimal"` frees exactly as many as the data see.
+that the convention moves have no sigma; `null_space = "minimal"` frees exactly as many as the data determine.
 
 Turntables, tracks, and positioners with three axes are the same: `calib.positioner.circle_point_analysis` finds every
 axis from sweeps of one joint at a time, with radial and axial residuals as a check of each, and

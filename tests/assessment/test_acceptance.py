@@ -229,12 +229,12 @@ def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -
     assert found.tip_rms > 5e-4
 
 
-@pytest.mark.parametrize("blind", ["minimal", "nearest"])
-def test_parameters_that_move_several_entries_are_compared(blind: Literal["minimal", "nearest"]) -> None:
+@pytest.mark.parametrize("policy", ["minimal", "nearest"])
+def test_parameters_that_move_several_entries_are_compared(policy: Literal["minimal", "nearest"]) -> None:
     """A DH number moves more than one component of a placement: fewer combinations vary than there are components."""
     robot, true, _ = machine()
     model = calib.error_model(robot, placements=calib.dh.Free("all"))
-    fits = [calib.identify(model, seen(true, 60, seed), blind=blind) for seed in (1, 2)]
+    fits = [calib.identify(model, seen(true, 60, seed), null_space=policy) for seed in (1, 2)]
     found = compare(*map(machine_of, fits))
     placements = compare(*(machine_of(calibrated(true, seed)) for seed in (1, 2)))
     # The same machines in other words.
@@ -331,7 +331,7 @@ def test_uncertainty_over_the_workspace(case: Path, tmp_path: Path) -> None:
     sigma = np.array([float(line.split(",")[9]) for line in lines[1:]])
     contents = json.loads(run("uncertainty", case / "out", "--samples", "50", "--json").out)
     assert contents["sigmas"]["100"][0] == pytest.approx(sigma.max() / 1e3, abs=1e-8)
-    assert contents["seen"] == {"position": 1.0, "orientation": 0.0}
+    assert contents["known"] == {"position": 1.0, "orientation": 0.0}
 
 
 def test_compensate_warns_outside_the_identified_range(case: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.advice import advice, blind_advice
+from calib.assessment.advice import advice, null_space_advice
 from calib.identification.observability import indices, observability
 from calib.robot.robot import Robot
 from tests.support import machines
@@ -34,7 +34,7 @@ def measured(
     )
 
 
-def blind_count(robot: Robot, data: calib.Measurements, **options: object) -> int:
+def null_count(robot: Robot, data: calib.Measurements, **options: object) -> int:
     chosen = {"offsets": "all", "placements": "all"} | options
     seen = observability(machines.model(robot, **chosen), [data])
     return len(seen.parameters) - seen.rank
@@ -46,27 +46,27 @@ def fit() -> calib.Fit:
     return calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
 
 
-def test_every_blind_direction_has_a_sentence(fit: calib.Fit) -> None:
-    said = [a for a in advice(fit) if a.kind == "blind"]
-    assert [a.parameters[0] for a in said] == [d.parameter for d in fit.blind_directions]
-    for a, direction in zip(said, fit.blind_directions, strict=True):
+def test_every_null_direction_has_a_sentence(fit: calib.Fit) -> None:
+    said = [a for a in advice(fit) if a.kind == "null space"]
+    assert [a.parameters[0] for a in said] == [d.parameter for d in fit.null_space]
+    for a, direction in zip(said, fit.null_space, strict=True):
         assert a.sentence.startswith(f"{direction} ")
         assert ("To tell them apart" in a.sentence) == bool(a.remedies)
 
 
 @pytest.mark.parametrize(("point", "shown"), [("a", 0), ("axis", 2)])
 def test_what_a_measurement_was_said_to_show_is_what_it_then_shows(point: str, shown: int) -> None:
-    """The blind directions that remain, counted by the rank of what would then be measured."""
+    """The directions of the null space that remain, counted by the rank of what would then be measured."""
     robot, data = measured(points=[point], sigma=0.0)  # noise would lift a point off the axis
     model = calib.error_model(robot, offsets="all", placements="all")
-    said = blind_advice(model, [data], observability(model, [data]).blind_directions)
-    assert blind_count(*measured("pose", [point]), tool="pose") == len(said) - shown
-    assert blind_count(*measured(points=[point, "b", "c"])) == len(said) - shown
+    said = null_space_advice(model, [data], observability(model, [data]).null_space)
+    assert null_count(*measured("pose", [point]), tool="pose") == len(said) - shown
+    assert null_count(*measured(points=[point, "b", "c"])) == len(said) - shown
     assert sum("orientation" in a.remedies for a in said) == sum("points" in a.remedies for a in said) == shown
 
 
 def test_the_last_offset_asks_for_the_tool_and_the_first_for_the_base(fit: calib.Fit) -> None:
-    by_name = {a.parameters[0]: a for a in advice(fit) if a.kind == "blind"}
+    by_name = {a.parameters[0]: a for a in advice(fit) if a.kind == "null space"}
     last, first = by_name["wrist_3_joint.offset"], by_name["shoulder_pan_joint.offset"]
     assert "tool" in last.remedies
     assert last.sentence.endswith("measure where the tool is and fix it.")
@@ -74,7 +74,7 @@ def test_the_last_offset_asks_for_the_tool_and_the_first_for_the_base(fit: calib
     # A tool that is fixed shows it indeed.
     robot, data = measured()
     pairs = {"offsets": ["wrist_3_joint"], "placements": "none"}
-    assert blind_count(robot, data, **pairs) == 1
+    assert null_count(robot, data, **pairs) == 1
     fixed = machines.model(robot, **pairs, tool="fixed", tool_poses={"a": pose(POINTS["a"])})
     assert observability(fixed, [data]).rank == 7
 
@@ -84,7 +84,7 @@ def test_what_only_moves_alike_is_to_be_left_out() -> None:
     robot, data = measured("pose")
     model = calib.error_model(robot, placements=["elbow_joint.tz", "wrist_1_joint.tz"], tool="pose")
     seen = observability(model, [data])
-    (said,) = blind_advice(model, [data], seen.blind_directions)
+    (said,) = null_space_advice(model, [data], seen.null_space)
     assert said.remedies == ()
     assert said.sentence.endswith(
         "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
@@ -116,14 +116,17 @@ def test_weak_and_correlated_parameters_are_told_with_numbers() -> None:
         (names[i], names[j])
         for i in range(len(names))
         for j in range(i + 1, len(names))
-        if abs(C[i, j]) > 0.95 and not fit.blind[[i, j]].any()
+        if abs(C[i, j]) > 0.95 and not fit.unidentifiable[[i, j]].any()
     }
     assert pairs == expected != set()
 
 
 def test_priors_judge_by_themselves(fit: calib.Fit) -> None:
     parameters = tuple(replace(p, prior=1e-6) if p.of_robot else p for p in fit.parameters)
-    said = [a.sentence for a in advice(replace(fit, parameters=parameters, blind=np.zeros_like(fit.blind)))]
+    said = [
+        a.sentence
+        for a in advice(replace(fit, parameters=parameters, unidentifiable=np.zeros_like(fit.unidentifiable)))
+    ]
     assert any("where its prior is 0.001 m" in sentence for sentence in said)
 
 
@@ -158,7 +161,7 @@ def test_priors_change_no_remedy(fit: calib.Fit) -> None:
     robot, data = measured()
     wide = machines.model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
     (plain, scaled) = (
-        {a.parameters[0]: a.remedies for a in blind_advice(m, [data], observability(m, [data]).blind_directions)}
+        {a.parameters[0]: a.remedies for a in null_space_advice(m, [data], observability(m, [data]).null_space)}
         for m in (fit.model, wide)
     )
     assert plain == scaled

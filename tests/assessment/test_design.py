@@ -86,8 +86,8 @@ def test_priors_stand_in_for_poses() -> None:
     A = candidates.of_parameters[0]
     assert value_of(s, (0,)) == pytest.approx(np.trace(np.linalg.inv(A.T @ A + np.diag(prior**-2.0))), rel=1e-4)
     # What priors alone know is judged too, but nothing that poses see.
-    blind = Rows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
-    known = space(blind, "A", working, prior=prior)
+    flat = Rows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
+    known = space(flat, "A", working, prior=prior)
     assert (known.seen, known.V.shape[1]) == (3, 4)
 
 

@@ -105,11 +105,11 @@ def test_sensitivity_says_what_positions_cannot_tell_apart() -> None:
     # On the last axis an offset moves nothing; the point's place and the last placement are one.
     model, q, _ = case(placements=["wrist_3_joint.tx"], tool="position", tool_poses={"tool": (0.0, 0.0, 0.1)})
     found = sensitivity(model, q)
-    assert found.rank == len(found.parameters) - len(found.blind_directions)
-    assert "wrist_3_joint.offset" in {direction.parameter for direction in found.blind_directions}
+    assert found.rank == len(found.parameters) - len(found.null_space)
+    assert "wrist_3_joint.offset" in {direction.parameter for direction in found.null_space}
     seen, q, _ = case(placements="none")
     assert sensitivity(seen, q).rank == 6
-    assert sensitivity(seen, q).blind_directions == ()
+    assert sensitivity(seen, q).null_space == ()
 
 
 def test_group_is_the_last_part_of_a_name() -> None:

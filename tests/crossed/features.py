@@ -263,9 +263,9 @@ FEATURES: tuple[Feature, ...] = (
         ("solver.kind", "solver.stop", "solver.rounding", "solver.most"),
         job={"solver": {"kind": "total_differential", "stop": "0.1 mm", "most": 15}},
     ),
-    Feature("blind", "nearest", ("error_model.blind",), error_model={"blind": "nearest"}),
-    Feature("blind", "minimal", (), error_model={"blind": "minimal"}),
-    Feature("blind", "refuse", (), error_model={"blind": "refuse"}),
+    Feature("null_space", "nearest", ("error_model.null_space",), error_model={"null_space": "nearest"}),
+    Feature("null_space", "minimal", (), error_model={"null_space": "minimal"}),
+    Feature("null_space", "refuse", (), error_model={"null_space": "refuse"}),
     Feature("known", "nothing"),
     Feature("known", "targets", ("targets.position", "targets.quaternion"), {"known": "targets"}),
     Feature(
@@ -324,7 +324,7 @@ REFUSALS: tuple[Refusal, ...] = (
         "means nothing with solver.kind",
     ),
     Refusal(("solver: total differential",), ("tools: turned",), "the points determine .* of .* parameters"),
-    Refusal(("blind: refuse",), ("geometry: all", "geometry: dh", "tools: turned"), "the data are blind in"),
+    Refusal(("null_space: refuse",), ("geometry: all", "geometry: dh", "tools: turned"), "the data do not determine"),
     Refusal(
         ("known: targets",),
         ("observes: position", "observes: pose", "observes: pair_distance"),

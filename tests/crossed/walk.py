@@ -90,7 +90,7 @@ class Walked:
         """How far predictions may be off."""
         field = self.case.draft.levels in ("grid", "gaussian") and self.case.draft.kind in ("position", "pose")
         # A minimal set holds more than the data ask for, where the nominal machine is far off the measurements.
-        field = field or self.case.draft.error_model["blind"] == "minimal"
+        field = field or self.case.draft.error_model["null_space"] == "minimal"
         if field and quantity == "orientation":
             return 4.0 * BOUNDS[quantity]
         return BOUNDS.get(quantity, BOUND_OF_FIELD if field else BOUND)

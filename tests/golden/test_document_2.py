@@ -149,10 +149,10 @@ def test_one_set_cannot_serve_rows_3_and_12(model: calib.ErrorModel) -> None:
     assert PRINTED[2]["error"] != PRINTED[11]["error"]
 
 
-def test_rank_and_blind_directions(model: calib.ErrorModel) -> None:
+def test_rank_and_null_space(model: calib.ErrorModel) -> None:
     found = sensitivity(model, Q)
     assert (found.rank, len(found.parameters)) == (23, 25)
-    directions = {frozenset(direction.shares): direction.shares for direction in found.blind_directions}
+    directions = {frozenset(direction.shares): direction.shares for direction in found.null_space}
     offset = directions[frozenset(("joint_6.a", "joint_6.offset"))]
     assert offset["joint_6.offset"] / offset["joint_6.a"] == pytest.approx(1.0 / 0.150, rel=1e-9)
     alpha = directions[frozenset(("joint_6.alpha", "joint_6.d"))]

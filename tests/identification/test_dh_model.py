@@ -1,4 +1,4 @@
-"""DH parameters of the error model: exact at any size, with the ranks and the blind directions of the theory."""
+"""DH parameters of the error model: exact at any size, with the ranks and null spaces of the theory."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -268,7 +268,7 @@ def test_document_2_has_25_parameters_and_rank_23() -> None:
     found = observability(model, [poses(robot, np.random.default_rng(0), 80)])
     assert found.rank == 23
     # Rows 6 and 7: the probe sits 150 mm along the last axis.
-    told = [direction.shares for direction in found.blind_directions]
+    told = [direction.shares for direction in found.null_space]
     lever = {frozenset(s): s for s in told}
     offset = lever[frozenset({"joint_6.offset", "joint_6.a"})]
     assert abs(offset["joint_6.a"] / offset["joint_6.offset"]) == pytest.approx(0.150)

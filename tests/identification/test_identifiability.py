@@ -1,4 +1,4 @@
-"""Rank, blind directions, and the three policies for them."""
+"""Rank, directions of the null space, and the three policies for them."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.linalg import null_space
 
 import calib
 from calib.foundations.errors import IdentificationError
-from calib.identification.identifiability import blind_directions, directions, gauge, minimal_set, preference
+from calib.identification.identifiability import directions, inner_constraints, minimal_set, null_directions, preference
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, jacobian
 from tests.support import machines
@@ -26,7 +26,7 @@ def fitted(
     observes: str = "position",
     points: tuple[tuple[float, ...], ...] = ((0.05, 0.02, 0.15),),
     sigma: float = SIGMA,
-    blind: str = "nearest",
+    policy: str = "nearest",
     errors: float = 1.0,
     at: Array | None = None,
     **options: object,
@@ -41,7 +41,7 @@ def fitted(
         robot, arm.draw(rng, 200), observes, points=(names * 200)[:200], rng=rng, sigma=sigma, sigma_angle=2 * sigma
     )
     model = machines.model(robot, **({"offsets": "all", "placements": "all"} | options))
-    return calib.identify(model, data, blind=blind), true, arm.draw(rng, 200)
+    return calib.identify(model, data, null_space=policy), true, arm.draw(rng, 200)
 
 
 def scaled_jacobian(fit: calib.Fit) -> Array:
@@ -67,7 +67,7 @@ def test_the_rank_of_a_6r_arm(
 ) -> None:
     fit, *_ = fitted(robot, observes, points, **options)
     assert (fit.rank, fit.numerical_rank) == (rank, rank)
-    assert len(fit.blind_directions) == len(fit.parameters) - rank
+    assert len(fit.null_space) == len(fit.parameters) - rank
     s = fit.singular_values
     assert s[rank - 1] > 1e6 * np.append(s, 0.0)[rank]
 
@@ -76,12 +76,12 @@ def test_a_point_on_the_last_axis_hides_two_more_directions(robot: calib.Robot) 
     """Noise lifts the point off the axis, so that 27 are seen by the letter and 25 to any use."""
     fit, *_ = fitted(robot, points=((0, 0, 0.15),), errors=0.0)
     assert (fit.rank, fit.numerical_rank) == (27, 25)
-    assert len(fit.blind_directions) == len(fit.parameters) - 25
+    assert len(fit.null_space) == len(fit.parameters) - 25
 
 
-def test_a_blind_direction_changes_no_residual_and_says_so(robot: calib.Robot) -> None:
+def test_a_null_direction_changes_no_residual_and_says_so(robot: calib.Robot) -> None:
     fit, *_ = fitted(robot, sigma=0.0, offsets=["wrist_2_joint", "wrist_3_joint"], placements=["wrist_3_joint.ty"])
-    (direction,) = (d for d in fit.blind_directions if d.parameter == "wrist_3_joint.offset")
+    (direction,) = (d for d in fit.null_space if d.parameter == "wrist_3_joint.offset")
     # A turn of the last joint moves a point like a shift of the point across its arm.
     own, *others = direction.shares.items()
     assert own == ("wrist_3_joint.offset", pytest.approx(1e-3))
@@ -106,7 +106,7 @@ def test_directions_that_only_errors_reveal_are_told_in_ordinary_numbers(seed: i
     )
     assert miss(fit, true, arm.draw(rng, 100)) < 1e-12
     # One mm or mrad is never imitated by metres.
-    assert max(abs(share) for direction in fit.blind_directions for share in direction.shares.values()) < 1.0
+    assert max(abs(share) for direction in fit.null_space for share in direction.shares.values()) < 1.0
 
 
 # ---- what is done about it
@@ -117,14 +117,15 @@ def test_nearest_is_the_equal_fit_with_the_smallest_robot(robot: calib.Robot) ->
     of_robot = np.array([p.of_robot for p in fit.parameters])
     widths = np.array([p.weak for p in fit.parameters])
     pull = fit.values * scales(fit.parameters) / widths**2 * of_robot
-    blind = null_space(scaled_jacobian(fit), rcond=1e-9)
-    assert blind.shape[1] == 18
-    # No step along a blind direction makes the robot's part smaller, in its weak priors; frames have much wider ones.
-    assert np.abs(blind.T @ pull).max() < 1e-2 * np.linalg.norm(pull)
+    basis = null_space(scaled_jacobian(fit), rcond=1e-9)
+    assert basis.shape[1] == 18
+    # No step along a direction of the null space makes the robot's part smaller, in its weak priors; frames have much
+    # wider ones.
+    assert np.abs(basis.T @ pull).max() < 1e-2 * np.linalg.norm(pull)
 
 
 def test_all_policies_predict_the_same_and_nearest_deviates_least(robot: calib.Robot) -> None:
-    (nearest, _, unseen), (minimal, *_) = fitted(robot), fitted(robot, blind="minimal")
+    (nearest, _, unseen), (minimal, *_) = fitted(robot), fitted(robot, policy="minimal")
     # But for weak priors, of which a fit of fewer parameters has fewer.
     np.testing.assert_allclose(predicted(minimal, unseen), predicted(nearest, unseen), rtol=0, atol=0.05 * SIGMA)
     np.testing.assert_allclose(minimal.residuals[0], nearest.residuals[0], rtol=0, atol=0.05 * SIGMA)
@@ -139,7 +140,7 @@ def test_all_policies_predict_the_same_and_nearest_deviates_least(robot: calib.R
     assert len(minimal.held) == 18
     assert {p.name for p in minimal.held} | {p.name for p in minimal.parameters} == {p.name for p in nearest.parameters}
     assert {"base", "tool"} <= {p.kind for p in minimal.parameters} - {p.kind for p in minimal.held}
-    assert not minimal.blind.any()
+    assert not minimal.unidentifiable.any()
 
 
 def test_refuse_names_the_first_direction(robot: calib.Robot) -> None:
@@ -150,17 +151,17 @@ def test_refuse_names_the_first_direction(robot: calib.Robot) -> None:
             placements="none",
             errors=0.0,
             at=pose(),
-            blind="refuse",
+            policy="refuse",
         )
     assert str(caught.value) == (
-        "the data are blind in 2 directions; the first: "
+        "the data do not determine 2 combinations of parameters; the first: "
         "+1 mrad of shoulder_pan_joint.offset cannot be told from +1 mrad of base.rz."
     )
 
 
-def test_refuse_accepts_what_is_all_seen(robot: calib.Robot) -> None:
-    fit, *_ = fitted(robot, offsets=["elbow_joint"], placements=["wrist_1_joint.tx"], blind="refuse")
-    assert fit.blind_directions == ()
+def test_refuse_accepts_what_is_all_determined(robot: calib.Robot) -> None:
+    fit, *_ = fitted(robot, offsets=["elbow_joint"], placements=["wrist_1_joint.tx"], policy="refuse")
+    assert fit.null_space == ()
     assert np.all(np.isfinite(fit.sigmas))
 
 
@@ -171,7 +172,7 @@ def test_directions_of_a_small_matrix() -> None:
     found = directions(np.array([[3.0, 0.0, 0.0], [0.0, 0.05, 0.0]]))
     assert (found.rank, found.numerical_rank) == (2, 1)
     np.testing.assert_allclose(found.singular_values, [3.0, 0.05, 0.0])
-    np.testing.assert_allclose(np.abs(found.hidden(2)), [[0], [0], [1]], atol=1e-15)
+    np.testing.assert_allclose(np.abs(found.null_basis(2)), [[0], [0], [1]], atol=1e-15)
     np.testing.assert_allclose(found.vectors @ found.vectors.T, np.eye(3), atol=1e-15)
 
 
@@ -206,21 +207,21 @@ def test_a_minimal_set_follows_the_order(
 def test_a_gauge_weighs_the_robot_and_keeps_frames_only_where_nothing_else_moves(robot: calib.Robot) -> None:
     found = parameters(robot)
     number = {p.name: k for k, p in enumerate(found)}
-    blind = np.zeros((len(found), 2))
-    blind[[number["elbow_joint.offset"], number["base.z"]], 0] = 0.6, 0.8
-    blind[number["tool.z"], 1] = 1.0
-    G = gauge(blind, found)
+    basis = np.zeros((len(found), 2))
+    basis[[number["elbow_joint.offset"], number["base.z"]], 0] = 0.6, 0.8
+    basis[number["tool.z"], 1] = 1.0
+    G = inner_constraints(basis, found)
     expected = np.zeros((2, len(found)))
     expected[0, number["elbow_joint.offset"]] = expected[1, number["tool.z"]] = 1.0
     np.testing.assert_allclose(np.abs(G), expected, atol=1e-15)
 
 
-def test_a_blind_direction_is_told_with_the_sign_of_the_imitation(robot: calib.Robot) -> None:
+def test_a_null_direction_is_told_with_the_sign_of_the_imitation(robot: calib.Robot) -> None:
     found = parameters(robot)
     number = {p.name: k for k, p in enumerate(found)}
-    blind = np.zeros((len(found), 1))
-    blind[[number["elbow_joint.tx"], number["base.x"], number["base.rz"], number["base.y"]], 0] = 1, -2, 0.5, 1e-3
+    basis = np.zeros((len(found), 1))
+    basis[[number["elbow_joint.tx"], number["base.x"], number["base.rz"], number["base.y"]], 0] = 1, -2, 0.5, 1e-3
     kept = [k for k in range(len(found)) if k != number["elbow_joint.tx"]]
-    (told,) = blind_directions(blind / np.linalg.norm(blind), found, kept)
+    (told,) = null_directions(basis / np.linalg.norm(basis), found, kept)
     assert str(told) == "+1 mm of elbow_joint.tx cannot be told from +2 mm of base.x, -0.5 mrad of base.rz."
     assert told.shares == pytest.approx({"elbow_joint.tx": 1e-3, "base.x": 2e-3, "base.rz": -0.5e-3})

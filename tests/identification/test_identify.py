@@ -150,7 +150,7 @@ def test_an_unknown_noise_is_found() -> None:
 
 @pytest.mark.parametrize("model_sigmas", [[0.0], None], ids=["noise known", "noise estimated"])
 def test_95_percent_intervals_hold_the_truth_95_percent_of_the_time(model_sigmas: list[float] | None) -> None:
-    """200 repetitions of one measurement, with a model of which nothing is blind."""
+    """200 repetitions of one measurement, with a model without a null space."""
     rng = np.random.default_rng(11)
     robot, arm = machines.load(*UR10), machines.arm(*UR10)
     joints = ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
@@ -158,7 +158,7 @@ def test_95_percent_intervals_hold_the_truth_95_percent_of_the_time(model_sigmas
     errors = dict(zip(joints, rng.normal(scale=5e-3, size=4), strict=True))
     true = Machine(arm.with_errors(np.zeros((len(arm.joints), 6)), errors), anywhere(rng), {"tool": pose(POINT)})
     readings = arm.draw(rng, 50)
-    truth = calib.identify(model, true.measure(robot, readings), blind="refuse")
+    truth = calib.identify(model, true.measure(robot, readings), null_space="refuse")
     # Angles of the base are small turns of its start, which every noise moves elsewhere.
     fixed = np.array([not parameter.name.startswith("base.r") for parameter in truth.parameters])
     stated = None if model_sigmas else (0.0, 0.0)
@@ -177,7 +177,7 @@ def test_a_prior_is_a_measurement_of_every_parameter() -> None:
     lab = Lab()
     data = lab.measure(100)
     fit = calib.identify(lab.model(prior_length=0.5e-3, prior_angle=2e-3), data, model_sigmas=[0.0])
-    assert (fit.rank, len(fit.blind_directions) > 0) == (27, True)
+    assert (fit.rank, len(fit.null_space) > 0) == (27, True)
     (J,) = jacobian(Problem(fit.model, fit.parameters, fit.nominal.frames, fit.measurements), fit.values)
     J, r = J.reshape(-1, len(fit.values)) / SIGMA, fit.residuals[0].ravel() / SIGMA
     precision = np.array([0.0 if p.prior is None else p.prior**-2 for p in fit.parameters])
@@ -235,9 +235,9 @@ def test_one_row_more_or_priors_are_enough() -> None:
             "arrays: has no rows to identify from.",
         ),
         (
-            lambda lab: calib.identify(lab.model(), lab.measure(20), blind="ignore"),
+            lambda lab: calib.identify(lab.model(), lab.measure(20), null_space="ignore"),
             JobError,
-            "blind: 'ignore' is not one of nearest, minimal, refuse.",
+            "null_space: 'ignore' is not one of nearest, minimal, refuse.",
         ),
         (
             lambda lab: calib.identify(lab.model(), lab.measure(20, "pose"), model_sigmas=[0.0]),
@@ -262,13 +262,13 @@ def test_a_wrong_question_is_refused(run: Callable[[Lab], object], error: type[E
 def test_a_fit_tells_what_it_found() -> None:
     lab = Lab()
     fit = calib.identify(lab.model(), lab.measure(200))
-    assert repr(fit) == "<Fit of 45 parameters to 200 rows: formal rank 27, 18 directions are blind>"
+    assert repr(fit) == "<Fit of 45 parameters to 200 rows: formal rank 27, null space of 18 directions>"
     records = {record["name"]: record for record in fit.records()}
     assert list(records) == [parameter.name for parameter in fit.parameters]
     assert records["wrist_2_joint.tx"]["value"] == fit.value("wrist_2_joint.tx")
-    for record, sigma, blind in zip(records.values(), fit.sigmas, fit.blind, strict=True):
-        assert record["identifiable"] is not blind
-        assert (record["sigma"] is None) == blind == np.isnan(sigma)
+    for record, sigma, unidentifiable in zip(records.values(), fit.sigmas, fit.unidentifiable, strict=True):
+        assert record["identifiable"] is not unidentifiable
+        assert (record["sigma"] is None) == unidentifiable == np.isnan(sigma)
     with pytest.raises(KeyError):
         fit.value("wrist_2_joint.tq")
 

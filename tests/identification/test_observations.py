@@ -12,7 +12,7 @@ from calib.foundations.errors import JobError
 from calib.identification import system
 from calib.identification.losses import scatter_weight, shrinkage, weight
 from calib.identification.machine import Frames, Layout
-from calib.identification.observability import observability, unseen
+from calib.identification.observability import observability, undetermined
 from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
@@ -199,7 +199,7 @@ def test_without_noise_the_truth_is_found_and_the_rank_is_as_tabulated(name: str
     assert fit.evaluations <= 8
     assert (fit.rank, fit.numerical_rank) == (rank + own, rank + own)
     assert here.miss(fit, sized=sized) < 1e-9
-    # Where the size is not seen, the nominal one is kept, and the truth is another.
+    # Where the size is not identifiable, the nominal one is kept, and the truth is another.
     assert sized or here.miss(fit) > 1e-6
 
 
@@ -295,7 +295,7 @@ def test_with_noise_the_truth_is_within_the_intervals() -> None:
     off = []
     for name in COVERED:
         for seed in range(3):
-            truth, found = (fitted(lab(seed, noise=noise), name, blind="minimal") for noise in (0.0, 3e-5))
+            truth, found = (fitted(lab(seed, noise=noise), name, null_space="minimal") for noise in (0.0, 3e-5))
             assert found.converged
             assert [p.name for p in found.held] == [p.name for p in truth.held]
             # Planes are named relative to where they start, which differs.
@@ -498,11 +498,11 @@ def test_an_offset_between_planes_may_be_negative() -> None:
 )
 def test_what_cannot_be_seen_is_said(kind: str, options: dict[str, object], said: list[str]) -> None:
     here = lab()
-    found = unseen(model(here, **options), [getattr(here, kind)(25)])
+    found = undetermined(model(here, **options), [getattr(here, kind)(25)])
     assert [finding.code for finding in found] == said
     assert {finding.severity for finding in found} <= {"warning"}
 
 
 def test_a_few_positions_reveal_size_and_base() -> None:
     here = lab()
-    assert not unseen(model(here), [here.sockets(20), here.positions(5)])
+    assert not undetermined(model(here), [here.sockets(20), here.positions(5)])

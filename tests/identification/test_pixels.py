@@ -102,7 +102,7 @@ def test_hand_eye_is_recovered(camera_on: str) -> None:
     zeros = dict(zip(INNER, rng.normal(scale=0.01, size=4), strict=True))
     true = scene(rng, NOMINAL.with_errors(np.zeros((len(NOMINAL.joints), 6)), zeros), camera_on)
     fit = calib.identify(calib.error_model(ROBOT, offsets=INNER, tool="pose"), true.measure(ROBOT, true.draw(rng, 12)))
-    assert not fit.blind_directions
+    assert not fit.null_space
     for name, zero in zeros.items():
         assert abs(fit.value(f"{name}.offset") - zero) < 1e-9
     assert max(relative(fit.machine.frames.tools[0], true.tool)) < 1e-9
@@ -200,7 +200,7 @@ def test_a_tracker_and_a_camera_in_one_fit(camera_on: str) -> None:
     fit = calib.identify(model, sets)
     names = {parameter.name for parameter in fit.parameters}
     assert {"base.x", "tool.eye.rx", "target.target.rx", "tool.ball.x"} <= names
-    # A reflector has no orientation to be blind to.
+    # A reflector has no orientation to determine.
     assert "tool.ball.rx" not in names
     assert fit.rank == 36 + 3
     assert fit.converged

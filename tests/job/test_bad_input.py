@@ -178,7 +178,7 @@ CASES: dict[str, Edit] = {
     "mesh folder missing": job(('tip = "probe"', 'tip = "probe"\nmesh_roots = ["meshes"]')),
     "mesh folder a text": job(('tip = "probe"', 'tip = "probe"\nmesh_roots = "meshes"')),
     "pose without quaternions": job(('observes = "position"', 'observes = "pose"')),
-    "directions blind and refused": job(('offsets = "all"', 'offsets = "all"\nblind = "refuse"')),
+    "null space refused": job(('offsets = "all"', 'offsets = "all"\nnull_space = "refuse"')),
 }
 
 # What is said to each case, one line each: read them as a user would.

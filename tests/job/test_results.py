@@ -98,7 +98,7 @@ def test_result_is_the_fit(out: Path, outcome: Calibration) -> None:
     for p, variance in zip(result["parameters"], np.diag(covariance), strict=True):
         assert (p["sigma"] is None) == (not p["identifiable"])
         assert p["sigma"] is None or p["sigma"] == pytest.approx(np.sqrt(variance), abs=1e-15)
-    assert len(result["blind"]["directions"]) == len(result["parameters"]) - result["numerical_rank"]
+    assert len(result["null_space"]["directions"]) == len(result["parameters"]) - result["numerical_rank"]
     assert result["noise"][0]["measurements"] == TABLE
     assert set(result["inputs"]) == {JOB, URDF, TABLE, "validation.csv"}
 
@@ -132,7 +132,7 @@ def test_residuals_give_the_metrics(out: Path, outcome: Calibration) -> None:
 
 def test_job_has_every_default(out: Path) -> None:
     job = json.loads((out / "job.json").read_text(encoding="utf-8"))
-    assert job["error_model"]["blind"] == "nearest"
+    assert job["error_model"]["null_space"] == "nearest"
     assert job["measurements"][0]["use"] == "identify"
 
 

@@ -22,7 +22,7 @@ EVERYTHING: dict[str, Any] = {
         "base": "fixed",
         "tool": "fixed",
         "prior": {"length": "1 mm", "angle": "0.3 deg"},
-        "blind": "minimal",
+        "null_space": "minimal",
     },
     "base": FRAME,
     "tools": {"left ball": FRAME},

@@ -1,4 +1,4 @@
-"""Doubts of a fit at the tool: exact derivatives, what is unseen, the file, and the identified range."""
+"""Doubts of a fit at the tool: exact derivatives, the null space, the file, and the identified range."""
 
 import json
 from dataclasses import replace
@@ -78,17 +78,21 @@ def test_covariance_at_the_tool_is_that_of_the_parameters_by_the_derivative(
     J, s = by_differences(fit, readings), scales(fit.parameters)
     expected = J @ (fit.covariance / (s[:, None] * s)) @ np.swapaxes(J, 1, 2)
     np.testing.assert_allclose(found.covariance, expected, rtol=2e-4, atol=1e-6 * np.abs(expected).max())
-    unseen = J @ fit.unseen
-    np.testing.assert_allclose(found.unseen[:, 0], np.linalg.norm(unseen[:, :3], axis=(1, 2)), rtol=1e-2, atol=1e-8)
-    np.testing.assert_allclose(found.unseen[:, 1], np.linalg.norm(unseen[:, 3:], axis=(1, 2)), rtol=1e-2, atol=1e-8)
+    unseen = J @ fit.null_basis
+    np.testing.assert_allclose(
+        found.null_space_rms[:, 0], np.linalg.norm(unseen[:, :3], axis=(1, 2)), rtol=1e-2, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        found.null_space_rms[:, 1], np.linalg.norm(unseen[:, 3:], axis=(1, 2)), rtol=1e-2, atol=1e-8
+    )
 
 
 def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
     readings = machines.arm(*UR10).draw(np.random.default_rng(1), 20)
     by_position, by_pose = (tool_uncertainty(machine_of(fitted(observes=o)[0]), readings) for o in ("position", "pose"))
-    assert by_position.seen[:, 0].all()
-    assert not by_position.seen[:, 1].any()
-    assert by_pose.seen.all()
+    assert by_position.known[:, 0].all()
+    assert not by_position.known[:, 1].any()
+    assert by_pose.known.all()
 
 
 def test_base_and_tool_can_be_left_out() -> None:
@@ -200,7 +204,7 @@ def test_the_file_gives_back_what_the_fit_knows(tmp_path: Path, options: dict[st
     readings = arm.draw(np.random.default_rng(2), 10)
     here, there = (tool_uncertainty(u, readings) for u in (machine_of(fit), model))
     np.testing.assert_allclose(there.covariance, here.covariance, rtol=1e-9, atol=1e-9 * np.abs(here.covariance).max())
-    np.testing.assert_allclose(there.unseen, here.unseen, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(there.null_space_rms, here.null_space_rms, rtol=1e-6, atol=1e-12)
     assert model.uncertainty.position == machine_of(fit).known_uncertainty.position
     assert model.uncertainty.orientation is None
     np.testing.assert_array_equal(model.uncertainty.identified, machine_of(fit).known_uncertainty.identified)
@@ -225,7 +229,7 @@ def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> No
     [
         (lambda c: c.pop("factor"), "is not a file of this toolkit, or is damaged, at factor"),
         (lambda c: c["factor"].pop(), "is not of the machine in model.json"),
-        (lambda c: c["unseen"][0].append(1.0), "is not of the machine in model.json"),
+        (lambda c: c["null_basis"][0].append(1.0), "is not of the machine in model.json"),
         (lambda c: c["identified"].pop("elbow_joint"), "is not of the machine in model.json"),
         (
             lambda c: c["identified"].update(elbow_joint=[1.0, -1.0]),

@@ -32,7 +32,7 @@ def test_pivot_is_exact() -> None:
     found = pivot(touches(rng, some(rng, 6), fixed))
     assert np.abs(found.tool_point - TIP).max() < 1e-14
     assert np.abs(found.fixed_points - fixed).max() < 1e-14
-    assert (found.rank, found.unseen.shape) == (3, (3, 0))
+    assert (found.rank, found.null_basis.shape) == (3, (3, 0))
     assert found.rms < 1e-14
 
 
@@ -54,10 +54,10 @@ def test_turning_about_one_axis_is_told(axis: list[float]) -> None:
     guess = np.array([0.0, 0.0, 0.2])
     found = pivot(touches(rng, turns, np.ones(3)), guess=guess)
     assert found.rank == 2
-    assert abs(found.unseen[:, 0] @ axis) == pytest.approx(1.0, abs=1e-12)
+    assert abs(found.null_basis[:, 0] @ axis) == pytest.approx(1.0, abs=1e-12)
     assert np.abs(np.cross(found.tool_point - TIP, axis)).max() < 1e-12
     assert (found.tool_point - guess) @ axis == pytest.approx(0.0, abs=1e-12)
-    assert "not seen along" in str(found)
+    assert "not determined along" in str(found)
     assert np.array_equal(np.isnan(found.sigmas), np.array(axis) != 0.0)
     still = pivot(touches(rng, np.tile(np.eye(3), (3, 1, 1)), np.ones(3)), guess=guess)
     assert (still.rank, still.tool_point.tolist()) == (0, guess.tolist())

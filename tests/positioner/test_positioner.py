@@ -194,7 +194,9 @@ def test_minimal_set_is_eleven_and_predicts_the_same() -> None:
     rng = np.random.default_rng(5)
     robot = load(positioners.nominal(TWO_AXES, rng, 3e-3, 3e-3), "table")
     data = TWO_AXES.touch(robot, TWENTY, [MARK], rng, 1e-4)
-    near, minimal = (calib.identify(positioner.axes_model(robot), data, blind=b) for b in ("nearest", "minimal"))
+    near, minimal = (
+        calib.identify(positioner.axes_model(robot), data, null_space=policy) for policy in ("nearest", "minimal")
+    )
     assert len(minimal.parameters) == 11
     assert np.isfinite(minimal.sigmas).all()
     s, q = positioners.envelope(rng, 50)
@@ -253,7 +255,7 @@ def test_table_error_is_the_derivative() -> None:
     rng = np.random.default_rng(8)
     robot = load(positioners.nominal(TWO_AXES, rng, 0.05, 0.05), "table")
     fit = calib.identify(
-        positioner.axes_model(robot), TWO_AXES.touch(robot, TWENTY, [MARK], rng, 1e-3), blind="minimal"
+        positioner.axes_model(robot), TWO_AXES.touch(robot, TWENTY, [MARK], rng, 1e-3), null_space="minimal"
     )
     s, q = positioners.envelope(rng, 5)
     zero = TWO_AXES.see(np.zeros_like(q), s)

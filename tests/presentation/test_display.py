@@ -83,7 +83,7 @@ def test_parameters_as_a_data_frame(fit: Fit) -> None:
     assert list(frame.index) == [parameter.name for parameter in fit.parameters]
     np.testing.assert_array_equal(frame["value"], fit.values)
     np.testing.assert_array_equal(frame["sigma"], fit.sigmas)
-    np.testing.assert_array_equal(~frame["identifiable"], fit.blind)
+    np.testing.assert_array_equal(~frame["identifiable"], fit.unidentifiable)
     assert frame.loc["joint_2.offset", "unit"] == "rad"
 
 
@@ -100,7 +100,7 @@ def test_residuals_as_a_data_frame(fit: Fit) -> None:
 def test_correlations_as_a_data_frame(fit: Fit) -> None:
     frame = calib.data_frame(fit, "correlations")
     assert list(frame.columns) == list(frame.index)
-    assert len(frame) == (~fit.blind).sum()
+    assert len(frame) == (~fit.unidentifiable).sum()
     np.testing.assert_allclose(np.diag(frame), 1.0)
     np.testing.assert_allclose(frame, frame.T, atol=1e-12)
     index = [k for k, p in enumerate(fit.parameters) if p.name in frame.index[:2]]

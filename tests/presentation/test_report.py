@@ -157,7 +157,7 @@ def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) 
     names = [parameter.name for parameter in outcome.fit.parameters]
     for first, second, shown in (row.cells for row in sheet.rows):
         i, j = names.index(first), names.index(second)
-        assert not outcome.fit.blind[[i, j]].any()
+        assert not outcome.fit.unidentifiable[[i, j]].any()
         C = outcome.fit.covariance
         assert float(shown) == pytest.approx(C[i, j] / np.sqrt(C[i, i] * C[j, j]), abs=6e-4)
     strengths = [abs(float(row.cells[2])) for row in sheet.rows]
@@ -196,7 +196,7 @@ def test_numbers_are_those_of_the_result(outcome: Calibration, report: Report) -
     texts = Reader(render_page(report)).texts
     for record in found["parameters"]:
         factor = 1e3 if record["unit"] == "m" else 180.0 / np.pi
-        at = texts.index(record["name"], texts.index("seen by the data"))
+        at = texts.index(record["name"], texts.index("identifiable"))
         assert texts[at + 1] == f"{record['value'] * factor:+.4f}"
         assert texts[at + 2] == ("-" if record["sigma"] is None else f"{record['sigma'] * factor:.4f}")
     for name, sha in found["inputs"].items():

@@ -110,7 +110,7 @@ def same(case: Case, fit: calib.Fit, other: calib.Fit, at: Array | None = None) 
     np.testing.assert_allclose(case.tools(other), expected, rtol=0, atol=1e-8)
     assert (other.rank, other.numerical_rank) == (fit.rank, fit.numerical_rank)
     of_robot = np.array([p.of_robot for p in fit.parameters])
-    np.testing.assert_array_equal(other.blind[of_robot], fit.blind[of_robot])
+    np.testing.assert_array_equal(other.unidentifiable[of_robot], fit.unidentifiable[of_robot])
     np.testing.assert_allclose(other.sigmas[of_robot], fit.sigmas[of_robot], rtol=1e-3)
     # A parameter that is hardly seen answers rounding with as much more.
     sigmas = np.nan_to_num(fit.sigmas[of_robot], nan=1e-3)
@@ -180,7 +180,7 @@ def test_a_parameter_that_cannot_be_seen_changes_no_prediction_and_is_said_so(ca
     (added,) = records.keys() - {record["name"] for record in fits[0].records()}
     assert records[added]["identifiable"] is False
     assert records[added]["sigma"] is None
-    assert any(added in direction.shares for direction in fits[1].blind_directions)
+    assert any(added in direction.shares for direction in fits[1].null_space)
 
 
 # ---- what must matter in one way
@@ -226,7 +226,7 @@ def doubled(data: calib.Measurements) -> calib.Measurements:
 def seen_well(case: Case) -> list[str]:
     """Names of offsets, base and tool of which every single one is known well, even if the noise were 50 times that."""
     model, rough = case.model_of(placements="none"), replace(case.data, sigma=50.0 * case.data.sigma)
-    names = [p.name for p in case.identified(rough, model=model, blind="minimal").parameters]
+    names = [p.name for p in case.identified(rough, model=model, null_space="minimal").parameters]
     fit = case.identified(rough, free=names)
     assume(fit.numerical_rank == len(names))
     return names

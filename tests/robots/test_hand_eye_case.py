@@ -42,7 +42,7 @@ def test_the_terminal_says_pixels(calibrated: tuple[Path, str]) -> None:
         for of, when in ((use, "before"), ("pixels", "after"))
     ]
     assert "Noise of one pixels coordinate: 0.2000 px instrument" in said
-    assert "The data see 30 of 48 parameters." in said
+    assert "The data determine 30 combinations of 48 parameters." in said
 
 
 def test_the_figures_are_those_of_the_residuals(calibrated: tuple[Path, str]) -> None:

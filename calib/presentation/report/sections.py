@@ -243,15 +243,15 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
 def parameters(fit: Fit) -> Section:
     """Return all parameters."""
     said = (
-        "A parameter that is seen only in combination has no sigma: other values of it, with changes of others, fit "
-        "the data as well. Weakly seen ones are known no better than half their parameter scale."
+        "A parameter that is identifiable only in combination has no sigma: other values of it, with changes of "
+        "others, fit the data as well. Weakly determined ones have a sigma above half their parameter scale."
     )
-    sentences = (said,) if fit.blind.any() or fit.weak.any() else ()
+    sentences = (said,) if fit.unidentifiable.any() or fit.weak.any() else ()
     return Section("parameters", "Parameters", (parameter_sheet(fit), *([Prose(sentences)] if sentences else [])))
 
 
 def correlations(fit: Fit) -> Section | None:
-    """Return how the errors of the parameters that the data see go together; None where fewer than two are seen."""
+    """Return how the errors of the identifiable parameters go together; None where there are fewer than two."""
     seen, r = correlation(fit)
     if len(seen) < 2:
         return None
@@ -263,7 +263,7 @@ def correlations(fit: Fit) -> Section | None:
         ("parameter", "and", "correlation"),
         frozenset(("correlation",)),
         tuple(Row((names[i], names[j], f"{r[i, j]:+.3f}")) for i, j in strongest),
-        "of the uncertainties, not of the values; parameters seen only in combination are left out",
+        "of the uncertainties, not of the values; parameters identifiable only in combination are left out",
     )
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
     i, j = strongest[0]
@@ -275,7 +275,7 @@ def correlations(fit: Fit) -> Section | None:
 
 
 def seen(fit: Fit) -> Section:
-    """Return the rank, and every blind direction in words."""
+    """Return the ranks, and every direction of the null space in words."""
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
     weak = values < NUMERICAL_TOLERANCE
@@ -291,10 +291,10 @@ def seen(fit: Fit) -> Section:
         "singular value is the standard deviation along its direction, in parameter scales (1 mm, 1 mrad or the "
         "prior). Dots on the lower edge lie below it."
     )
-    blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("What the data see", drawn, said)]
-    if fit.blind_directions:
-        blocks.append(Prose(tuple(map(str, fit.blind_directions)), "list"))
-    return Section("rank", "What the data can see", tuple(blocks))
+    blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
+    if fit.null_space:
+        blocks.append(Prose(tuple(map(str, fit.null_space)), "list"))
+    return Section("rank", "What the data determine", tuple(blocks))
 
 
 def priors(fit: Fit) -> Section | None:

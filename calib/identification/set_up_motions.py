@@ -1,9 +1,9 @@
-"""Motions of a whole set-up that its measurements do not see: turning it, and making it larger.
+"""Motions of a whole set-up that its measurements do not determine: turning it, and making it larger.
 
 A machine that is larger throughout touches sockets, planes and balls in unknown places just as well, if their places
-grow with it; and everything may be turned together. Residuals make such directions look seen: a machine shrunk to a
-point explains every socket, and a turn turns what sockets leave unexplained. So they must be taken out, and not be left
-to a threshold.
+grow with it; and everything may be turned together. Residuals make such directions look determined: a machine shrunk to
+a point explains every socket, and a turn turns what sockets leave unexplained. So they must be taken out, and not be
+left to a threshold.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ _AGREE = 1e-9
 
 
 class Motions(NamedTuple):
-    """How a whole set-up, robot and targets, may move about a point (3,) unseen: turns (3, m), and whether it grows."""
+    """Motions of a whole set-up about a point (3,) that no measurement shows: turns (3, m), and whether it grows."""
 
     about: Array
     turns: Array
@@ -103,14 +103,15 @@ def _centre(
     return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
 
 
-def without(J: Array, unseen: Array) -> Array:
-    """Return scaled rows J (q, p) that do not see the directions ``unseen`` (p, k).
+def without(J: Array, set_up_motions: Array) -> Array:
+    """Return scaled rows J (q, p) that do not see the directions ``set_up_motions`` (p, k).
 
     They may depend on each other: where one socket alone is touched, turns and growing are shifts but for residuals.
-    Far from a solution, where J sees one clearly, only what J sees of it is taken out: what J is blind to besides, such
-    as a shift of the whole set-up, would be seen through it else. Near a solution nothing is left to be told apart.
+    Far from a solution, where J sees one clearly, only what J sees of it is taken out: what else is in the null space
+    of J, such as a shift of the whole set-up, would be seen through it. Near a solution nothing is left to be told
+    apart.
     """
-    U, sizes, _ = np.linalg.svd(unseen, full_matrices=False)
+    U, sizes, _ = np.linalg.svd(set_up_motions, full_matrices=False)
     U = U[:, sizes > _DEPENDENT]
     found = identifiability.directions(J)
     seen = found.vectors[:, : found.rank]
@@ -120,7 +121,7 @@ def without(J: Array, unseen: Array) -> Array:
     return np.asarray(J - (J @ Q) @ Q.T)
 
 
-class Unseen:
+class SetUpMotions:
     """Collects, row by row, what the motions of a whole set-up do to tools, and what of it parameters can imitate."""
 
     def __init__(self, parameters: Sequence[Parameter], motions: Motions, reach: float) -> None:
