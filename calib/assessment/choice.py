@@ -1,11 +1,11 @@
 """Which joint terms a machine needs: forward selection, stopped by what it says of poses that it never saw.
 
-About the geometric fit everything is linear in the amounts of joint terms. So the whitened Jacobian of geometry and of
-all candidates is taken once, there, and what would be hundreds of fits are eliminations on its Gram matrices, one for
-every fold. Step by step the candidate enters that lowers the sum of squares most for each of its amounts, geometry
-being fitted again. Each fold goes its own way without having seen the rows it is judged by (T. Hastie, R. Tibshirani,
-J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how many steps
-all rows then take.
+About the geometric fit everything is linear in the coefficients of joint terms. So the whitened Jacobian of geometry
+and of all candidates is taken once, there, and what would be hundreds of fits are eliminations on its Gram matrices,
+one for every fold. Step by step the candidate enters that lowers the sum of squares most for each of its coefficients,
+geometry being fitted again. Each fold goes its own way without having seen the rows it is judged by (T. Hastie, R.
+Tibshirani, J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how
+many steps all rows then take.
 
 A parameter without a prior of its own is held by its weak one, at the geometric fit.
 """

@@ -95,7 +95,7 @@ def align(rows: Rows, known: Known, guess: Array) -> Aligned:
 def _base_and_change(
     rows: Rows, known: Known, turned: BoolArray, n_tools: int, predicted: Array, L: Array
 ) -> tuple[Array, Array]:
-    """Return the base (4, 4) and the amounts (c,) of changes L (N, 3, c) to the ``predicted`` positions (N, 3)."""
+    """Return the base (4, 4) and the coefficients (c,) of changes L (N, 3, c) to the ``predicted`` positions (N, 3)."""
     if known.base is not None:
         found = (rows.position - known.base[:3, 3]) @ known.base[:3, :3] - predicted
         return known.base, _solve(L.reshape(3 * len(L), -1), found.ravel())

@@ -138,7 +138,7 @@ class ErrorModel:
         for t, term in enumerate(self.robot.terms):
             if term.name in self.terms:
                 kind, dimension = kind_of(term), dimensions.get(term.reading, "angle")
-                unit, size = kind.amount(term, dimension)
+                unit, size = kind.coefficient(term, dimension)
                 prior = self.priors.of_term(term, dimension)
                 group = kind.group(term, dimension) if prior == "learned" else None
                 stated = None if prior == "learned" else prior
@@ -317,7 +317,7 @@ def _refuse_priors(priors: Priors, robot: Robot) -> None:
         for dimension, name in kind.priors.items():
             if getattr(priors, name) not in (None, "learned") and dimension not in dimensions:
                 raise JobError(
-                    f"prior.{kind.key}: {kind.amounts[dimension].unit} is of a joint that "
+                    f"prior.{kind.key}: {kind.coefficients[dimension].unit} is of a joint that "
                     f"{'turns' if dimension == 'angle' else 'slides'}, and the arm has none that is read."
                 )
 

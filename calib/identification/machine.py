@@ -1,8 +1,8 @@
 """The machine for given values of its parameters.
 
-The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the amounts of the joint
-terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip link,
-six for every target in the instrument's frame, one for every unknown length. Parameters are entries of it.
+The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the coefficients of the
+joint terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip
+link, six for every target in the instrument's frame, one for every unknown length. Parameters are entries of it.
 """
 
 from collections.abc import Sequence

@@ -34,10 +34,10 @@ TOOL = 0.3
 class Priors:
     """Standard deviations that deviations are expected to have, about zero; None where nobody knows.
 
-    ``length`` (m) and ``angle`` (rad): of every offset and placement. Of the amounts of joint terms: ``harmonics`` in
-    rad; ``elastic``, compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those that
-    slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link rotations,
-    all joint offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
+    ``length`` (m) and ``angle`` (rad): of every offset and placement. Of the coefficients of joint terms: ``harmonics``
+    in rad; ``elastic``, compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those
+    that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
+    rotations, all joint offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
     """
 
     length: Prior | None = None
@@ -47,7 +47,7 @@ class Priors:
     elastic_sliding: Prior | None = None
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
-        """Return the prior of the amount of a term, for a reading of this dimension."""
+        """Return the prior of the coefficient of a term, for a reading of this dimension."""
         name = kind_of(term).priors.get(dimension)
         prior: Prior | None = None if name is None else getattr(self, name)
         return prior

@@ -7,10 +7,10 @@ parameters the data have determined rather than the prior, and C is their poster
 *Bayesian interpolation*, Neural Computation 4, 1992, 4.4). A direction that the data do not see adds nothing to the sum
 and nothing to gamma, so that no width is taken from it.
 
-Where little shows, the likelihood is often largest at width zero, and amounts that are there would be said to be none
-with certainty. So the likelihood is multiplied by w for every group, which keeps widths about one standard error off
-zero and is hardly felt elsewhere: at the top ``w^2 = sum x^2 / (gamma - 1)`` (Y. Chung, S. Rabe-Hesketh, V. Dorie, A.
-Gelman, J. Liu, *A nondegenerate penalized likelihood estimator for variance parameters in multilevel models*,
+Where little shows, the likelihood is often largest at width zero, and coefficients that are there would be said to be
+none with certainty. So the likelihood is multiplied by w for every group, which keeps widths about one standard error
+off zero and is hardly felt elsewhere: at the top ``w^2 = sum x^2 / (gamma - 1)`` (Y. Chung, S. Rabe-Hesketh, V. Dorie,
+A. Gelman, J. Liu, *A nondegenerate penalized likelihood estimator for variance parameters in multilevel models*,
 Psychometrika 78, 2013).
 
 The sigmas of the noise are found together with the widths, as each decides what is left for the other. Parameters
@@ -25,7 +25,8 @@ from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
-# From a thousandth to a hundred parameter scales: an amount of the one shows nowhere, the other holds nothing.
+# From a thousandth to a hundred parameter scales: a coefficient with the narrowest does not show, the widest is no
+# prior.
 NARROWEST, WIDEST = 1e-3, 1e2
 # A component's noise may come out so many times larger than the fit has found it, or smaller.
 _MOST_NOISE = 1e3

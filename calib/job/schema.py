@@ -92,7 +92,7 @@ class RobotSection(_Section):
 
 
 class PriorSection(_Section):
-    """``prior``: standard deviations that offsets and placements are expected to have, and amounts of joint terms.
+    """``prior``: standard deviations that offsets and placements are expected to have, and coefficients of joint terms.
 
     Or "learned": what the data teach of parameters that are alike.
     """

@@ -113,13 +113,13 @@ def _known_kind(name: str) -> str:
 
 
 class TermEntry(_Strict):
-    """A joint term: the reading, or the link before a joint, moves on by ``amount`` (SI) times what its kind says."""
+    """A joint term: the reading, or the link before a joint, moves by ``coefficient`` (SI) times what its kind says."""
 
     reading: str
     kind: Annotated[str, AfterValidator(_known_kind)]
     order: int = Field(ge=0)
     body: str = ""
-    amount: Number
+    coefficient: Number
 
     @model_validator(mode="after")
     def _is_as_its_kind(self) -> "TermEntry":
@@ -129,7 +129,7 @@ class TermEntry(_Strict):
 
     @property
     def term(self) -> JointTerm:
-        """What it is, without its amount."""
+        """What it is, without its coefficient."""
         return JointTerm(self.reading, self.kind, self.order, self.body)
 
     @model_serializer(mode="wrap")
@@ -190,8 +190,10 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         couplings=robot.couplings,
         loops=robot.closed_loops,
         terms=tuple(
-            TermEntry(reading=term.reading, kind=term.kind, order=term.order, body=term.body, amount=float(amount))
-            for term, amount in zip(robot.terms, deviations.terms, strict=True)
+            TermEntry(
+                reading=term.reading, kind=term.kind, order=term.order, body=term.body, coefficient=float(coefficient)
+            )
+            for term, coefficient in zip(robot.terms, deviations.terms, strict=True)
         ),
         gravity=robot.gravity,
         payload=robot.payload,
@@ -253,9 +255,9 @@ def _loaded(folder: Path) -> CalibratedMachine:
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
     offsets = [joint.offset for joint in model.joints if joint.offset is not None]
-    amounts = [term.amount for term in model.terms]
+    coefficients = [term.coefficient for term in model.terms]
     deviations = Deviations(
-        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(amounts)
+        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(coefficients)
     )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}

@@ -13,7 +13,7 @@ from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
 
-# What is shown of a length in m, an angle in rad, a place in a picture, and amounts of joint terms.
+# What is shown of a length in m, an angle in rad, a place in a picture, and coefficients of joint terms.
 SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),

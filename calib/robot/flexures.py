@@ -5,7 +5,7 @@ it may
 
     bend      as a slender beam (Euler, Bernoulli) of round section that the load at its end bends: sideways by
               k (L^2/3 F + L/2 M x e) and in turns by k (M + L/2 e x F), with its length L, its direction e, force F
-              and moment M across it, and the amount k = L/EI: the turn of its end for a moment there, in rad/Nm
+              and moment M across it, and the coefficient k = L/EI: the turn of its end for a moment there, in rad/Nm
     expand    along itself, by L times a strain
 
 (S. Timoshenko, *Strength of materials*, 1940, part I, chapter V.) What such a joint holds against gravity is the slope

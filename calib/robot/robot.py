@@ -89,7 +89,7 @@ class Deviations:
     ``placements`` (number of chain joints, 6): (tx, ty, tz, rx, ry, rz) of each joint's placement, in m and rad.
     ``offsets`` (number of moving joints): added to the joint's position, in rad or m; an offset of a joint that others
     mimic moves these too, as its reading does.
-    ``terms`` (number of the robot's terms): their amounts, in SI units.
+    ``terms`` (number of the robot's terms): their coefficients, in SI units.
     """
 
     __repr__ = brief
@@ -109,7 +109,8 @@ class TipMotion(NamedTuple):
     ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
     ``joints`` (6 nj, n) and ``tail`` (6, n) do not; nj counts the ways in which links give way as well. ``by_passive``
     (N, 6, k) and ``rates`` (N, k, n): what passive joints of closed loops do to the tip, and deviations to them; k is 0
-    without loops. ``by_terms`` (N, 6, nt): the local twists for the amounts of the robot's terms, which come on top.
+    without loops. ``by_terms`` (N, 6, nt): the local twists for the coefficients of the robot's terms, which come on
+    top.
     """
 
     placement: Array

@@ -1,8 +1,8 @@
-"""What lies between a motor and its joint, and between two joints; each linear in its amount.
+"""What lies between a motor and its joint, and between two joints; each linear in its coefficient.
 
-A reading u becomes the joint coordinate ``u + sum_t amount_t basis_t(row)``, which the coupling then carries on to the
-joints. The bases depend on the row alone and not on what is identified, so that derivatives by the amounts are exact.
-What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in coordinates of their own
+A reading u becomes the joint coordinate ``u + sum_t a_t basis_t(row)``, which the coupling then carries on to the
+joints. The bases depend on the row alone and not on what is identified, so that derivatives by the coefficients are
+exact. What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in coordinates of their own
 (:mod:`calib.robot.flexures`), which are zero but for their terms.
 """
 
@@ -59,7 +59,7 @@ def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Con
 
 
 class Transmission:
-    """The terms of a robot with given amounts (nt,).
+    """The terms of a robot with given coefficients (nt,).
 
     Coordinates are readings (nr), then flexures. What a term adds to one coordinate is its share; only terms of links
     have several. ``holding``: asked where drives or links give way.
@@ -69,7 +69,7 @@ class Transmission:
         self,
         terms: Sequence[JointTerm],
         readings: Sequence[str],
-        amounts: Array,
+        coefficients: Array,
         moved: Flexures,
         segments: Sequence[Segment],
         holding: Holding | None = None,
@@ -81,8 +81,8 @@ class Transmission:
         number = np.repeat(np.arange(len(terms)), [len(coordinates) for coordinates in own])
         self._coordinate = np.array([k for coordinates in own for k in coordinates], dtype=np.intp)
         self._to_terms = (number[:, None] == np.arange(len(terms))).astype(np.float64)
-        self._amounts = np.zeros((len(number), len(readings) + len(moved.every)))
-        self._amounts[np.arange(len(number)), self._coordinate] = np.asarray(amounts)[number]
+        self._coefficients = np.zeros((len(number), len(readings) + len(moved.every)))
+        self._coefficients[np.arange(len(number)), self._coordinate] = np.asarray(coefficients)[number]
         self._terms, self._readings, self._holding = tuple(terms), tuple(readings), holding
         # Of flexures, any reading: what they add does not follow it.
         reading = np.where(self._coordinate < len(readings), self._coordinate, 0)
@@ -101,7 +101,7 @@ class Transmission:
                     self._slopes_of.append((columns, slope))
 
     def _bases(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each amount."""
+        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient."""
         if missing := lacking(self._terms, self._readings, conditions):
             raise RobotError(f"{missing[0]} needs to be told {missing[1]!r} of every row.")
         rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
@@ -112,16 +112,17 @@ class Transmission:
     def moved(self, readings: Array, conditions: Conditions) -> Array:
         """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them.
 
-        Raises RobotError for a term that needs a condition which the rows do not have, unless all amounts are zero.
+        Raises RobotError for a term that needs a condition which the rows do not have, unless all coefficients are
+        zero.
         """
-        flexures = self._amounts.shape[1] - readings.shape[1]
+        flexures = self._coefficients.shape[1] - readings.shape[1]
         straight = np.pad(readings, ((0, 0), (0, flexures))) if flexures else readings
-        if not self._amounts.any():
+        if not self._coefficients.any():
             return straight
-        return np.asarray(straight + self._bases(readings, conditions) @ self._amounts)
+        return np.asarray(straight + self._bases(readings, conditions) @ self._coefficients)
 
     def by_terms(self, by_coordinate: Array, readings: Array, conditions: Conditions) -> Array:
-        """Return changes (N, d, nt) for the amounts of the terms, for those by the coordinates (N, d, c).
+        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c).
 
         At readings (N, nr). Raises RobotError for a term that needs a condition which the rows do not have.
         """
@@ -137,7 +138,7 @@ class Transmission:
         found = np.zeros((len(readings), len(self._coordinate)))
         for columns, slope in self._slopes_of:
             found[:, columns] = slope(readings)
-        return np.asarray(1.0 + found @ self._amounts[:, : readings.shape[1]])
+        return np.asarray(1.0 + found @ self._coefficients[:, : readings.shape[1]])
 
 
 def _columns(those: IntArray) -> slice | IntArray:

@@ -649,7 +649,7 @@ HOSTILE: dict[str, Hostile] = {
         "joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE
     ),
     "terms of a model": _model(
-        "terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "amount": 0.0}, _COMPENSATE
+        "terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "coefficient": 0.0}, _COMPENSATE
     ),
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),

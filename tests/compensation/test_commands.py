@@ -133,20 +133,20 @@ def test_joint_terms_are_corrected_as_well(name: str) -> None:
     bare = robot_of(name)
     terms = [JointTerm(r.name, kind, k) for r in bare.readings for kind, k in (("gain", 0), ("cos", 2), ("sin", 11))]
     robot = replace(bare, terms=tuple(terms))
-    amounts = np.random.default_rng(3).normal(scale=2e-4, size=len(terms))
-    model = replace(model_of(robot), deviations=replace(deviations(robot), terms=amounts))
+    coefficients = np.random.default_rng(3).normal(scale=2e-4, size=len(terms))
+    model = replace(model_of(robot), deviations=replace(deviations(robot), terms=coefficients))
     readings = well_posed(model, draw(robot, 40))
     found = commands.for_joint_targets(model, readings)
     assert found.reached.all(), found.reasons
     wanted = bare.tips(readings) @ TOOLS["tool"]
-    reached = bare.tips(found.readings + waves(robot, amounts, found.readings), deviations(bare)) @ TOOLS["tool"]
+    reached = bare.tips(found.readings + waves(robot, coefficients, found.readings), deviations(bare)) @ TOOLS["tool"]
     assert apart(reached, wanted)[0] < 1e-9
     assert found.steps.max() <= 8
 
 
-def waves(robot: calib.Robot, amounts: Array, u: Array) -> Array:
+def waves(robot: calib.Robot, coefficients: Array, u: Array) -> Array:
     """What gains, cosines of order 2 and sines of order 11 add to readings."""
-    gain, cos, sin = amounts.reshape(len(robot.readings), 3).T
+    gain, cos, sin = coefficients.reshape(len(robot.readings), 3).T
     return np.asarray(gain * u + cos * np.cos(2.0 * u) + sin * np.sin(11.0 * u))
 
 

@@ -44,9 +44,9 @@ def model(robot: calib.Robot, *, seed: int | None = 0, fixed: bool = False) -> C
     return CalibratedMachine(robot, d, frames[0], {'tool "ä"': frames[1]})
 
 
-def with_terms(bare: CalibratedMachine, amounts: dict[JointTerm, float]) -> CalibratedMachine:
-    d = replace(bare.deviations, terms=np.array(list(amounts.values())))
-    return replace(bare, robot=replace(bare.robot, terms=tuple(amounts)), deviations=d)
+def with_terms(bare: CalibratedMachine, coefficients: dict[JointTerm, float]) -> CalibratedMachine:
+    d = replace(bare.deviations, terms=np.array(list(coefficients.values())))
+    return replace(bare, robot=replace(bare.robot, terms=tuple(coefficients)), deviations=d)
 
 
 def driver_urdf(text: str) -> str:
@@ -193,12 +193,12 @@ def test_a_dh_table_of_another_machine_is_refused() -> None:
 def test_yaml_for_ros_has_what_the_calibrated_urdf_lacks() -> None:
     bare = model(machines.load(machines.INLINE["skew"], "tip"))
     names = [reading.name for reading in bare.robot.readings]
-    amounts = {
+    coefficients = {
         JointTerm(names[1], "gain"): 2e-3,
         JointTerm(names[1], "cos", 3): -1e-5,
         JointTerm(names[2], "backlash"): 1e-4,
     }
-    machine = with_terms(bare, amounts)
+    machine = with_terms(bare, coefficients)
     found = export_ros(machine)
     read = yaml.safe_load(found.text)["calibration"]
     assert (read["base_link"], read["tip_link"]) == (machine.robot.base, "tip")
@@ -208,16 +208,16 @@ def test_yaml_for_ros_has_what_the_calibrated_urdf_lacks() -> None:
         assert np.abs(machines.Rotation.from_quat([x, y, z, w]).as_matrix() - T[:3, :3]).max() < 1e-14
         assert frame["xyz"] == T[:3, 3].tolist()
     assert read["tools"][0]["name"] == 'tool "ä"'
-    assert [(t["joint"], t["kind"], t["order"], t["amount"]) for t in read["terms"]] == [
-        (t.reading, t.kind, t.order, amount) for t, amount in amounts.items()
+    assert [(t["joint"], t["kind"], t["order"], t["coefficient"]) for t in read["terms"]] == [
+        (t.reading, t.kind, t.order, coefficient) for t, coefficient in coefficients.items()
     ]
     assert [t["unit"] for t in read["terms"]] == ["1", "rad", "rad"]
     # Readings moved by the terms, given to the machine of the calibrated URDF, are the whole machine.
     readings = poses(machine)
     moved = readings.copy()
     u = readings[:, 1]
-    moved[:, 1] += read["terms"][0]["amount"] * u + read["terms"][1]["amount"] * np.cos(3.0 * u)
-    moved[:, 2] += read["terms"][2]["amount"]
+    moved[:, 1] += read["terms"][0]["coefficient"] * u + read["terms"][1]["coefficient"] * np.cos(3.0 * u)
+    moved[:, 2] += read["terms"][2]["coefficient"]
     conditions = Conditions(approach=np.ones_like(readings))
     assert np.abs(bare.tips(moved) - machine.tips(readings, conditions)).max() < 1e-12
     assert [part.part for part in found.left_out] == ["placements"]

@@ -116,7 +116,7 @@ def test_intervals_with_learned_widths_hold_the_truth(small: float) -> None:
 
 
 class Lab:
-    """A UR10, badly made, with uneven gears: amounts of harmonics drawn with standard deviation ``width``."""
+    """A UR10, badly made, with uneven gears: coefficients of harmonics drawn with standard deviation ``width``."""
 
     def __init__(self, seed: int, width: float, *, at: tuple[float, ...] = OFF_AXIS, **errors: float) -> None:
         self.rng = rng = np.random.default_rng([seed, 41])
@@ -208,7 +208,7 @@ def test_of_harmonics_that_are_not_there_nothing_is_told() -> None:
 
 
 def test_too_few_parameters_keep_an_ordinary_width() -> None:
-    """A point on the last axis sees nothing of the last joint, and two amounts are no population."""
+    """A point on the last axis sees nothing of the last joint, and two coefficients are no population."""
     lab = Lab(4, 1e-4, at=ON_AXIS)
     elbow, last = lab.robot.readings[2].name, lab.robot.readings[5].name
     fit = calib.identify(lab.wavy(harmonics=[last]), lab.data(150))

@@ -105,8 +105,8 @@ class Lab:
         parts = (self.plain, DRIVES if drives else {}, LINKS if links else {}, STRAIN if warm else 0.0)
         self.arm = Soft(moved.joints, moved.ranges, *parts)
         self.base = machines.anywhere(rng)
-        self.truth = {f"{joint}.elastic": amount for joint, amount in DRIVES.items() if drives}
-        self.truth |= {f"{joint}.bending": amount for joint, amount in LINKS.items() if links}
+        self.truth = {f"{joint}.elastic": coefficient for joint, coefficient in DRIVES.items() if drives}
+        self.truth |= {f"{joint}.bending": coefficient for joint, coefficient in LINKS.items() if links}
         self.truth |= {"arm.expansion": STRAIN} if warm else {}
         self.readings, self.degrees = self.plain.draw(rng, n), rng.uniform(15.0, 40.0, n)
 
@@ -179,7 +179,7 @@ def test_without_masses_moments_predict_as_well() -> None:
         missed.append([lab.miss(fit) for fit in fits])
         assert {p.unit for p in fits[1].parameters if ".moment_" in p.name} == {"kg m rad/Nm"}
     known, without_masses, neither = np.mean(missed, axis=0)
-    # Rows that are held out have their noise as well; 18 amounts in the place of 3 cost a few per cent of it.
+    # Rows that are held out have their noise as well; 18 coefficients in the place of 3 cost a few per cent of it.
     held_out = np.hypot([known, without_masses], np.sqrt(3.0) * SIGMA)
     assert held_out[1] < 1.05 * held_out[0]
     assert without_masses < 0.03 * neither

@@ -111,14 +111,14 @@ def test_backlash_and_a_grid_of_the_arm_count_in_its_table(folder: Path) -> None
     """The arm takes its own sides of approach from the table, the robot those of its own joints."""
     half = 1e-3  # of the gap
     robot = with_joint_terms(calib.load_robot(CASE / "welder.urdf", "flange"), [JointTerm("joint_2", "backlash")])
-    amounts = replace(robot.no_deviations(), terms=np.array([half]))
+    coefficients = replace(robot.no_deviations(), terms=np.array([half]))
     nodes = np.array([(a, b) for a in (-4.0, 0.0, 4.0) for b in (-4.0, 0.0, 4.0)])
     errors = np.random.default_rng(2).normal(scale=1e-3, size=(9, 3))
     grid = grid_from_residuals(
         np.column_stack([nodes, np.zeros((9, 4))]), errors, robot.readings, ["joint_1", "joint_2"], "base"
     )
     point = np.array([0.0, 0.0, 0.2])
-    arm = TouchingArm(CalibratedMachine(robot, amounts, np.eye(4), {}, grid), point, 1e-4)
+    arm = TouchingArm(CalibratedMachine(robot, coefficients, np.eye(4), {}, grid), point, 1e-4)
     positioner = calib.load_robot(CASE / "positioner.urdf", "table")
     rows = [row for row in (folder / TABLE).read_text(encoding="utf-8").splitlines() if not row.startswith("#")]
     path = folder / "sides.csv"

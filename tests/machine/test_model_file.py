@@ -221,13 +221,13 @@ def test_terms_of_every_kind_come_back(kind: Kind) -> None:
     robot = machines.load("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     for word in ("all", *kind.words):
         for term in kind.chosen(word, parts(robot), {}):
-            plain = {"reading": term.reading, "kind": term.kind, "order": term.order, "amount": 1e-5}
+            plain = {"reading": term.reading, "kind": term.kind, "order": term.order, "coefficient": 1e-5}
             entry = TermEntry(**plain, body=term.body)
             assert json.loads(entry.model_dump_json()) == plain | ({"body": term.body} if term.body else {})
             assert TermEntry.model_validate_json(entry.model_dump_json()).term == term
 
 
-TERM = {"reading": "lift", "kind": "cos", "order": 2, "amount": 1e-4}
+TERM = {"reading": "lift", "kind": "cos", "order": 2, "coefficient": 1e-4}
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ WEIGHED = (
 
 
 def amounts_of(robot: Robot, rng: np.random.Generator, size: float) -> Array:
-    """Amounts that move tips by some ``size`` rad; far from zero they are tenths."""
+    """Coefficients that move tips by some ``size`` rad; far from zero they are tenths."""
     scale = {"elastic": 1e-2, "moment": 1e-2, "bending": 1e-2, "expansion": 1e-1, "gain": 1.0}
     return np.array([scale[term.kind] for term in robot.terms]) * rng.uniform(-size, size, len(robot.terms))
 
@@ -66,7 +66,7 @@ def rows(robot: Robot, rng: np.random.Generator, n: int = 3) -> tuple[Array, Con
     [("ur10", 1e-3), ("ur10", 0.1), ("panda", 0.1), ("gantry", 0.1), ("irb2400", 1e-3), ("irb2400", 0.1)],
 )
 def test_derivatives_match_central_differences(name: str, size: float) -> None:
-    """By amounts, by placements and by offsets, which all act through links that have given way."""
+    """By coefficients, by placements and by offsets, which all act through links that have given way."""
     rng = np.random.default_rng(2)
     robot = soft(robot_of(name))
     u, told = rows(robot, rng)
@@ -379,11 +379,11 @@ def test_names_and_units() -> None:
         "a.expansion",
         "arm.expansion",
     ]
-    assert [kind_of(term).amount(term, "angle").unit for term in terms] == [
+    assert [kind_of(term).coefficient(term, "angle").unit for term in terms] == [
         "kg m rad/Nm",
         "kg rad/Nm",
         "rad/Nm",
         "1/K",
         "1/K",
     ]
-    assert [kind_of(term).amount(term, "length").unit for term in terms[:3]] == ["kg m2/N", "kg m/N", "rad/Nm"]
+    assert [kind_of(term).coefficient(term, "length").unit for term in terms[:3]] == ["kg m2/N", "kg m/N", "rad/Nm"]

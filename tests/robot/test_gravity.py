@@ -150,16 +150,16 @@ def test_an_elastic_joint_gives_way_to_what_it_holds() -> None:
     terms = [JointTerm("joint_2", "elastic"), JointTerm("joint_3", "elastic")]
     robot = with_joint_terms(irb2400(), terms)
     u = np.random.default_rng(3).uniform(-0.4, 0.4, (6, 6))
-    amounts = np.array([4e-6, 7e-6])
-    d = Deviations(np.zeros((len(robot.chain), 6)), np.zeros(len(robot.moving)), amounts)
+    coefficients = np.array([4e-6, 7e-6])
+    d = Deviations(np.zeros((len(robot.chain), 6)), np.zeros(len(robot.moving)), coefficients)
     torques = Holding(weights_of(robot))(u)
     moved = u.copy()
-    moved[:, 1:3] -= amounts * torques[:, 1:3]
+    moved[:, 1:3] -= coefficients * torques[:, 1:3]
     np.testing.assert_allclose(robot.tips(u, d), irb2400().tips(moved), rtol=0, atol=1e-13)
     by_terms = robot.motion(u, d).by_terms
     for t in range(2):
         step = 1e-4 * (np.arange(2) == t)
-        ends = [robot.tips(u, replace(d, terms=amounts + s * step)) for s in (1.0, -1.0)]
+        ends = [robot.tips(u, replace(d, terms=coefficients + s * step)) for s in (1.0, -1.0)]
         tip = robot.tips(u, d)
         v = (np.swapaxes(tip[:, :3, :3], 1, 2) @ (ends[0] - ends[1])[:, :3, 3, None])[:, :, 0] / 2e-4
         assert np.abs(by_terms[:, :3, t] - v).max() < 2e-4 * np.abs(v).max()

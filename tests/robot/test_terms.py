@@ -39,7 +39,7 @@ def drawn(kind: Kind) -> tuple[Robot, Deviations, Array, Conditions]:
     """A badly made robot with all terms of a kind, ten times as large as ordinary ones, and rows."""
     rng = np.random.default_rng(KINDS.index(kind))
     robot = calib.error_model(UR10, terms=every_term(kind)).robot
-    sizes = np.array([kind.amount(term, "angle").typical_size for term in robot.terms])
+    sizes = np.array([kind.coefficient(term, "angle").typical_size for term in robot.terms])
     placements = rng.normal(scale=1e-3, size=(len(robot.chain), 6))
     d = Deviations(placements, np.zeros(len(robot.moving)), 10.0 * sizes * rng.uniform(-1, 1, len(sizes)))
     told = Conditions(rng.choice([-1.0, 1.0], (ROWS, 6)), rng.uniform(10, 30, ROWS), rng.uniform(-50, 50, (ROWS, 6)))
@@ -76,7 +76,7 @@ def test_a_parameter_has_its_name_unit_and_size(kind: Kind) -> None:
     assert [parameter.name for parameter in found] == [term.name for term in terms]
     for parameter, term in zip(found, terms, strict=True):
         assert term.name.startswith(f"{term.reading or 'arm'}.{term.kind}")
-        assert (parameter.unit, parameter.scale) == kind.amount(term, "angle")
+        assert (parameter.unit, parameter.scale) == kind.coefficient(term, "angle")
         assert parameter.unit in SHOWN
         assert parameter.weak == TERM_WIDTH * parameter.scale
     for dimension, name in kind.priors.items():
@@ -96,7 +96,7 @@ def test_what_it_may_not_be_of_is_refused_in_a_sentence(kind: Kind) -> None:
     assert foreign(UR10, [JointTerm("nowhere", kind.names[0])])
     assert foreign(UR10, [replace(term, order=1 - min(term.order, 1)) for term in chosen(kind)])
     assert not foreign(UR10, every_term(kind))
-    if not kind.of_link and "length" not in kind.amounts:
+    if not kind.of_link and "length" not in kind.coefficients:
         with pytest.raises(JobError, match=f"^{kind.key}: 'bridge' slides, and {kind.only}"):
             calib.error_model(GANTRY, terms={kind.key: ["bridge"]})
         assert foreign(GANTRY, [replace(chosen(kind)[0], reading="bridge")])
@@ -150,14 +150,14 @@ def test_derivatives_by_amounts_match_central_differences(kind: Kind) -> None:
 
 @ALL
 def test_slopes_by_the_reading_match_central_differences(kind: Kind) -> None:
-    """Exactly, or for those that are left out: an ordinary amount changes the reading's motion by less than 1 %."""
+    """Exactly, or for those that are left out: a typical coefficient changes the reading's motion by less than 1 %."""
     robot, d, u, told = drawn(kind)
     names = [reading.name for reading in robot.readings]
     for t, term in enumerate(robot.terms):
         if kind.of_link:
             continue
-        amount = kind.amount(term, "angle").typical_size
-        alone = TipModel(robot, Deviations(d.placements, d.offsets, amount * (np.arange(len(d.terms)) == t)))
+        coefficient = kind.coefficient(term, "angle").typical_size
+        alone = TipModel(robot, Deviations(d.placements, d.offsets, coefficient * (np.arange(len(d.terms)) == t)))
         assert alone._terms is not None
         k, h = names.index(term.reading), 1e-5
         step = h * (np.arange(len(names)) == k)
@@ -176,4 +176,4 @@ def test_docs_tell_of_it(kind: Kind) -> None:
     for name in kind.names:
         assert f".{name}" in joint_terms
     for term in chosen(kind):
-        assert kind.amount(term, "angle").unit in joint_terms
+        assert kind.coefficient(term, "angle").unit in joint_terms

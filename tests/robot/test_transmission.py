@@ -42,8 +42,8 @@ def robot_of(name: str) -> Robot:
 
 def deviations(robot: Robot, rng: np.random.Generator, size: float) -> Deviations:
     placements = rng.normal(scale=1e-3, size=(len(robot.chain), 6))
-    amounts = rng.uniform(-size, size, len(robot.terms))
-    return Deviations(placements, rng.normal(scale=1e-3, size=len(robot.moving)), amounts)
+    coefficients = rng.uniform(-size, size, len(robot.terms))
+    return Deviations(placements, rng.normal(scale=1e-3, size=len(robot.moving)), coefficients)
 
 
 def readings_of(robot: Robot, rng: np.random.Generator, n: int = 5) -> Array:
@@ -53,11 +53,11 @@ def readings_of(robot: Robot, rng: np.random.Generator, n: int = 5) -> Array:
 def test_names_and_units() -> None:
     terms = [JointTerm("a", "gain"), JointTerm("a", "cos", 2), JointTerm("a", "sin", 12), JointTerm("a", "elastic")]
     assert [term.name for term in terms] == ["a.gain", "a.cos_2", "a.sin_12", "a.elastic"]
-    assert [kind_of(term).amount(term, "angle").unit for term in terms] == ["1", "rad", "rad", "rad/Nm"]
+    assert [kind_of(term).coefficient(term, "angle").unit for term in terms] == ["1", "rad", "rad", "rad/Nm"]
     others = [JointTerm("a", kind) for kind in ("torque", "backlash", "thermal")]
-    assert [kind_of(term).amount(term, "angle").unit for term in others] == ["rad/Nm", "rad", "rad/K"]
+    assert [kind_of(term).coefficient(term, "angle").unit for term in others] == ["rad/Nm", "rad", "rad/K"]
     sliding = [JointTerm("a", kind) for kind in ("gain", "elastic", "backlash", "thermal")]
-    assert [kind_of(term).amount(term, "length").unit for term in sliding] == ["1", "m/N", "m", "m/K"]
+    assert [kind_of(term).coefficient(term, "length").unit for term in sliding] == ["1", "m/N", "m", "m/K"]
 
 
 def alone(kind: str) -> Transmission:
@@ -75,11 +75,11 @@ def test_a_term_does_to_the_tip_what_other_readings_would(name: str) -> None:
     robot = robot_of(name)
     d, u = deviations(robot, rng, 0.1), readings_of(robot, rng)
     moved = u.copy()
-    for term, amount in zip(robot.terms, d.terms, strict=True):
+    for term, coefficient in zip(robot.terms, d.terms, strict=True):
         k = [reading.name for reading in robot.readings].index(term.reading)
         for n in range(len(u)):
             angle = term.order * u[n, k]
-            moved[n, k] += amount * {"gain": u[n, k], "cos": np.cos(angle), "sin": np.sin(angle)}[term.kind]
+            moved[n, k] += coefficient * {"gain": u[n, k], "cos": np.cos(angle), "sin": np.sin(angle)}[term.kind]
     plain = replace(robot, terms=())
     np.testing.assert_allclose(
         robot.tips(u, d), plain.tips(moved, Deviations(d.placements, d.offsets)), rtol=0, atol=1e-13

@@ -17,14 +17,14 @@ from calib.robot.terms import JointTerm, kind_of
 
 _COMMENTS = """\
 # Calibrated machine, in m, rad and SI. Quaternions in the order of ROS: x, y, z, w.
-# joint position = reading + offset + sum of amount * basis over the joint's terms. calibrated.urdf has the offsets in
-# its origins already: add them to readings only where the nominal URDF is kept, never with both.
+# joint position = reading + offset + sum of coefficient * basis over the joint's terms. calibrated.urdf has the offsets
+# in its origins already: add them to readings only where the nominal URDF is kept, never with both.
 """
 
 
 @checked
 def export_ros(model: CalibratedMachine) -> Export:
-    """Return YAML: joints with offsets, joint terms (kind, order, amount, unit), base and tool frames.
+    """Return YAML: joints with offsets, joint terms (kind, order, coefficient, unit), base and tool frames.
 
     ``calibration.joints``: names of the moving joints and offsets in rad or m; ``base``: the base link in the
     instrument's frame; ``tools``: in the tip link; ``terms``: as docs/joint_terms.md has them. Placements are not in
@@ -39,10 +39,10 @@ def export_ros(model: CalibratedMachine) -> Export:
             "kind": term.kind,
             "order": term.order,
             **({"body": term.body} if term.body else {}),
-            "amount": float(amount),
-            "unit": kind_of(term).amount(term, dimensions.get(term.reading, "angle")).unit,
+            "coefficient": float(coefficient),
+            "unit": kind_of(term).coefficient(term, dimensions.get(term.reading, "angle")).unit,
         }
-        for term, amount in zip(robot.terms, d.terms, strict=True)
+        for term, coefficient in zip(robot.terms, d.terms, strict=True)
     ]
     x, y, z = map(float, robot.gravity)
     contents: dict[str, Node] = {
@@ -64,12 +64,12 @@ def export_ros(model: CalibratedMachine) -> Export:
     def read_back(readings: Array) -> Array:
         read = read_yaml(text)["calibration"]
         offsets = read_only([joint["offset"] for joint in read["joints"]])
-        amounts = read_only([term["amount"] for term in read["terms"]])
+        coefficients = read_only([term["coefficient"] for term in read["terms"]])
         again = with_joint_terms(
             replace(robot, terms=(), weights=None),
             [JointTerm(t["joint"], t["kind"], t["order"], t.get("body", "")) for t in read["terms"]],
         )
-        return again.tips(readings, Deviations(own.placements, offsets, amounts), ordinary(readings))
+        return again.tips(readings, Deviations(own.placements, offsets, coefficients), ordinary(readings))
 
     readings = poses(model)
     expected = robot.tips(readings, own, ordinary(readings))

@@ -4,7 +4,7 @@ from typing import cast
 
 from calib.foundations.arrays import Array
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Basis, Kind, Parts, Shares, unsaid
+from calib.robot.terms.kind import Basis, Coefficient, Kind, Parts, Shares, unsaid
 from calib.robot.terms.term import JointTerm
 
 
@@ -13,7 +13,7 @@ class Backlash(Kind):
 
     names = ("backlash",)
     key = "backlash"
-    amounts = {"angle": Amount("rad", 1e-4), "length": Amount("m", 1e-5)}
+    coefficients = {"angle": Coefficient("rad", 1e-4), "length": Coefficient("m", 1e-5)}
 
     def basis(self, shares: Shares) -> Basis:
         """Return the sides."""

@@ -8,7 +8,7 @@ from calib.foundations.arrays import Array
 from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, beam, bending
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Amount, Basis, Parts, Rows, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Parts, Rows, Shares
 from calib.robot.terms.link import LinkKind
 
 
@@ -17,7 +17,7 @@ class Bending(LinkKind):
 
     names = ("bending",)
     key = "bending"
-    amounts = {"length": Amount("rad/Nm", 1e-5)}
+    coefficients = {"length": Coefficient("rad/Nm", 1e-5)}
     shown = {"rad/Nm": "urad/Nm"}
     masses = "stated"
 

@@ -1,7 +1,7 @@
 """Wind-up: the drive gives way to what it holds against gravity, at nominal geometry. Basis: -tau."""
 
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Basis, Dimension, Kind, Parts, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Shares
 from calib.robot.terms.term import JointTerm
 
 
@@ -10,7 +10,7 @@ class Elastic(Kind):
 
     names = ("elastic",)
     key = "elastic"
-    amounts = {"angle": Amount("rad/Nm", 1e-5), "length": Amount("m/N", 1e-7)}
+    coefficients = {"angle": Coefficient("rad/Nm", 1e-5), "length": Coefficient("m/N", 1e-7)}
     shown = {"rad/Nm": "urad/Nm", "m/N": "um/N"}
     masses = "stated"
     priors = {"angle": "elastic", "length": "elastic_sliding"}

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, expanding
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Amount, Basis, Parts, Shares, changes
+from calib.robot.terms.kind import Basis, Coefficient, Parts, Shares, changes
 from calib.robot.terms.link import LinkKind
 from calib.robot.terms.term import WHOLE_ARM, JointTerm
 from calib.robot.terms.thermal import warmth
@@ -17,7 +17,7 @@ class Expansion(LinkKind):
     names = ("expansion",)
     key = "expansion"
     words = (WHOLE_ARM,)
-    amounts = {"length": Amount("1/K", 1e-5)}
+    coefficients = {"length": Coefficient("1/K", 1e-5)}
     shown = {"1/K": "ppm/K"}
 
     def basis(self, shares: Shares) -> Basis:

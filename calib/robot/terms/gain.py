@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.robot.terms.kind import Amount, Basis, Kind, Shares, Slope
+from calib.robot.terms.kind import Basis, Coefficient, Kind, Shares, Slope
 
 
 class Gain(Kind):
@@ -10,7 +10,7 @@ class Gain(Kind):
 
     names = ("gain",)
     key = "gain"
-    amounts = {"angle": Amount("1", 1e-3), "length": Amount("1", 1e-3)}
+    coefficients = {"angle": Coefficient("1", 1e-3), "length": Coefficient("1", 1e-3)}
     shown = {"1": "ppm"}
 
     def basis(self, shares: Shares) -> Basis:

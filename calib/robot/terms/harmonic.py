@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Basis, Dimension, Kind, Option, Parts, Shares, Slope
+from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Option, Parts, Shares, Slope
 from calib.robot.terms.term import JointTerm
 
 HIGHEST_ORDER = 1000
@@ -29,7 +29,7 @@ class Harmonic(Kind):
     names = ("cos", "sin")
     key = "harmonics"
     options = {_ORDERS: Option((1, 2), _are_orders, f"a list of whole numbers from 1 to {HIGHEST_ORDER}")}
-    amounts = {"angle": Amount("rad", 1e-4)}
+    coefficients = {"angle": Coefficient("rad", 1e-4)}
     only = "harmonics are of angles"
     priors = {"angle": "harmonics"}
 

@@ -21,8 +21,8 @@ from calib.robot.terms.term import JointTerm
 Dimension = Literal["angle", "length"]
 
 
-class Amount(NamedTuple):
-    """Unit of an amount, and the size of one that surprises nobody, in SI units."""
+class Coefficient(NamedTuple):
+    """Unit of a coefficient, and its typical size, in SI units."""
 
     unit: str
     typical_size: float
@@ -68,7 +68,7 @@ class Rows:
         return self.weights(self.readings)
 
 
-# At rows: the bases (N, shares) of a kind, in rad or m per unit of each amount. At readings (N, nr): their slopes.
+# At rows: the bases (N, shares) of a kind, in rad or m per unit of each coefficient. At readings (N, nr): their slopes.
 Basis = Callable[[Rows], Array]
 Slope = Callable[[Array], Array]
 
@@ -94,7 +94,7 @@ class Kind(ABC):
     """A kind of joint terms, here of readings.
 
     ``names``: what its terms are called in files and among parameters. ``key``: what chooses them in a job, with other
-    ``words`` than "all" and "none", and ``options`` beside it. ``amounts``: by the dimension of the reading; where
+    ``words`` than "all" and "none", and ``options`` beside it. ``coefficients``: by the dimension of the reading; where
     there is none, ``only`` says of what such terms are. ``shown``: what a millionth of a unit is called in tables;
     lengths and angles are in mm and deg there. ``masses``: which ones its basis asks for. ``priors``: the field of
     :class:`calib.Priors`, by the dimension of the reading.
@@ -104,7 +104,7 @@ class Kind(ABC):
     key: ClassVar[str]
     words: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Option]] = MappingProxyType({})
-    amounts: ClassVar[Mapping[Dimension, Amount]]
+    coefficients: ClassVar[Mapping[Dimension, Coefficient]]
     shown: ClassVar[Mapping[str, str]] = MappingProxyType({})
     only: ClassVar[str] = ""
     masses: ClassVar[Literal["none", "stated", "unknown"]] = "none"
@@ -131,9 +131,9 @@ class Kind(ABC):
 
     # ---- what it is of
 
-    def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
-        """Return unit and typical size of the amount of a term, for a reading of this dimension."""
-        return self.amounts[dimension]
+    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
+        """Return unit and typical size of the coefficient of a term, for a reading of this dimension."""
+        return self.coefficients[dimension]
 
     def well_formed(self, term: JointTerm) -> bool:
         """Return whether a term has what its kind needs, and nothing else."""
@@ -141,7 +141,7 @@ class Kind(ABC):
 
     def refusal(self, parts: Parts, name: str) -> str | None:
         """Return why there is no such term of a reading of the robot, or None."""
-        if parts.readings[name] in self.amounts:
+        if parts.readings[name] in self.coefficients:
             return None
         return f"{name!r} {'slides' if parts.readings[name] == 'length' else 'turns'}, and {self.only}."
 

@@ -6,18 +6,18 @@ from typing import ClassVar
 from calib.foundations.errors import JobError
 from calib.foundations.selection import listed_names, select
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Dimension, Kind, Parts
+from calib.robot.terms.kind import Coefficient, Dimension, Kind, Parts
 from calib.robot.terms.term import WHOLE_ARM, JointTerm
 
 
 class LinkKind(Kind):
-    """A kind of terms of the link before a joint; with the word "arm" also of all links by one amount."""
+    """A kind of terms of the link before a joint; with the word "arm" also of all links by one coefficient."""
 
     of_link: ClassVar[bool] = True
 
-    def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
-        """Return unit and typical size of the amount, whatever the joint behind the link does."""
-        return self.amounts["length"]
+    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
+        """Return unit and typical size of the coefficient, whatever the joint behind the link does."""
+        return self.coefficients["length"]
 
     def there(self, parts: Parts, term: JointTerm) -> bool:
         """Return whether a term is of a link with a length."""

@@ -7,7 +7,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Basis, Dimension, Kind, Parts, Rows, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Rows, Shares
 from calib.robot.terms.term import JointTerm
 
 
@@ -16,7 +16,7 @@ class Moment(Kind):
 
     names = ("moment",)
     key = "moments"
-    amounts = {"angle": Amount("kg m rad/Nm", 1e-4), "length": Amount("kg m2/N", 1e-6)}
+    coefficients = {"angle": Coefficient("kg m rad/Nm", 1e-4), "length": Coefficient("kg m2/N", 1e-6)}
     shown = {
         "kg rad/Nm": "kg urad/Nm",
         "kg m rad/Nm": "kg m urad/Nm",
@@ -34,12 +34,12 @@ class Moment(Kind):
 
         return found
 
-    def amount(self, term: JointTerm, dimension: Dimension) -> Amount:
+    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
         """Return unit and size: of a mass that slides there are no metres."""
-        unit, typical_size = self.amounts[dimension]
+        unit, typical_size = self.coefficients[dimension]
         if term.body.endswith("_mass"):
             unit = "kg rad/Nm" if dimension == "angle" else "kg m/N"
-        return Amount(unit, typical_size)
+        return Coefficient(unit, typical_size)
 
     def well_formed(self, term: JointTerm) -> bool:
         """Return whether it names a mass."""
@@ -65,5 +65,5 @@ class Moment(Kind):
         return found
 
     def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether masses are not stated: where they are, compliances say it with fewer amounts."""
+        """Return whether masses are not stated: where they are, compliances say it with fewer coefficients."""
         return not parts.weighed()

@@ -26,6 +26,6 @@ class JointTerm:
 
     @property
     def name(self) -> str:
-        """Name of its amount among parameters: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4_x``."""
+        """Name of its coefficient as a parameter: ``joint_2.gain``, ``joint_2.cos_1``, ``joint_2.moment_joint_4_x``."""
         what = self.order or self.body
         return f"{self.owner}.{self.kind}_{what}" if what else f"{self.owner}.{self.kind}"

@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
-from calib.robot.terms.kind import Amount, Basis, Kind, Parts, Rows, Shares, changes
+from calib.robot.terms.kind import Basis, Coefficient, Kind, Parts, Rows, Shares, changes
 from calib.robot.terms.term import JointTerm
 
 
@@ -13,7 +13,7 @@ class Thermal(Kind):
 
     names = ("thermal",)
     key = "thermal"
-    amounts = {"angle": Amount("rad/K", 1e-5), "length": Amount("m/K", 1e-5)}
+    coefficients = {"angle": Coefficient("rad/K", 1e-5), "length": Coefficient("m/K", 1e-5)}
     shown = {"rad/K": "urad/K", "m/K": "um/K"}
 
     def basis(self, shares: Shares) -> Basis:

@@ -4,7 +4,7 @@ from typing import cast
 
 from calib.foundations.arrays import Array
 from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Amount, Basis, Kind, Parts, Shares, changes, unsaid
+from calib.robot.terms.kind import Basis, Coefficient, Kind, Parts, Shares, changes, unsaid
 from calib.robot.terms.term import JointTerm
 
 
@@ -13,7 +13,7 @@ class Torque(Kind):
 
     names = ("torque",)
     key = "torque"
-    amounts = {"angle": Amount("rad/Nm", 1e-5)}
+    coefficients = {"angle": Coefficient("rad/Nm", 1e-5)}
     shown = {"rad/Nm": "urad/Nm"}
     only = "torques are of joints that turn"
 

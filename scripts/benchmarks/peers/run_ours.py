@@ -28,7 +28,7 @@ def solve(case: Case, urdf: Path, setting: str) -> Solved:
     predicted = (machine.frames.base @ tips @ machine.frames.tools[0])[:, :3, 3]
     said = f"{fit.rank} combinations seen, {fit.numerical_rank} of them well; {fit.evaluations} evaluations"
     if setting == "terms":
-        said += f"; {len(model.robot.terms)} amounts of joint terms chosen"
+        said += f"; {len(model.robot.terms)} coefficients of joint terms chosen"
     return Solved(np.asarray(predicted), watch, len(fit.parameters), fit.converged, said)
 
 
