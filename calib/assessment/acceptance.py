@@ -22,7 +22,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
-from calib.identification.alignment import Known, Rows, align
+from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -189,7 +189,7 @@ def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMach
     tools = machine.state.frames.tools
     assert data.position is not None, "positions and poses have one"
     rows = Rows(tips, data.position, turned, data.tool)
-    return replace(machine, base=align(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
+    return replace(machine, base=base_and_tools(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
 
 
 def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:

@@ -15,9 +15,9 @@ from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
+from calib.identification.initialisation.frames import initial_frames
+from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import Frames, values_at
-from calib.identification.posing import with_common_names
-from calib.identification.start import start_frames
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
 
@@ -106,7 +106,7 @@ def _tried(
     model: ErrorModel, sets: Sequence[Measurements], null_space: Sequence[NullDirection]
 ) -> list[tuple[str, ...]]:
     """Return, for every direction, the remedies that show it."""
-    frames = start_frames(model, sets)
+    frames = initial_frames(model, sets)
     sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
     names = [parameter.name for parameter in model.parameters(sets[0].tools)]
     found: list[list[str]] = [[] for _ in null_space]

@@ -26,10 +26,10 @@ from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.identify import identify
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.posing import posed
 from calib.identification.system import Rates, evaluate
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
@@ -186,7 +186,7 @@ class _System:
         frames, d = geometric.machine.frames, geometric.machine.deviations
         held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
         given = None if losses is None else tuple(losses)
-        whole = posed(full, sets)
+        whole = initial_problem(full, sets)
         # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
         parameters = tuple(replace(p, prior=known.get(p.name, p.prior)) for p in whole.parameters)

@@ -33,8 +33,8 @@ from calib.foundations.errors import IdentificationError, JobError
 from calib.identification.error_model import ErrorModel, error_model, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
-from calib.identification.posing import posed
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 
@@ -145,7 +145,7 @@ def nested_models(model: ErrorModel, measurements: Sequence[Measurements]) -> di
     known = [_freed(other) for other in found.values()]
     if _freed(model) not in known:
         found[OWN] = model
-    return {name: other for name, other in found.items() if posed(other, measurements).parameters}
+    return {name: other for name, other in found.items() if initial_problem(other, measurements).parameters}
 
 
 def _freed(model: ErrorModel) -> tuple[frozenset[str], frozenset[tuple[str, str]], frozenset[str]]:

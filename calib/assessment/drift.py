@@ -16,7 +16,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
-from calib.identification.alignment import Known, Rows, align
+from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
 from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
@@ -243,5 +243,5 @@ def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, too
     guess = old.tools[tool][None]
     rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))
     with one_thread():
-        base, tools, _ = align(rows, Known(None, None, guess[:, :3, :3]), guess)
+        base, tools, _ = base_and_tools(rows, Known(None, None, guess[:, :3, :3]), guess)
     return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))

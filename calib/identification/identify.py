@@ -15,14 +15,14 @@ from calib.foundations.ranges import RANGES
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
+from calib.identification.initialisation.frames import is_fit
+from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_targets
 from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
-from calib.identification.posing import posed, with_common_names, with_new_targets
 from calib.identification.solver import Solution, solution_at, solve
-from calib.identification.start import is_fit
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
@@ -67,8 +67,8 @@ def _identify(
 ) -> Fit:
     if null_space not in ("nearest", "minimal", "refuse"):
         raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
-    posed_problem = posed(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
-    sets, parameters = posed_problem.measurements, _chosen(posed_problem.parameters, free)
+    whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
+    sets, parameters = whole.measurements, _chosen(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     for s in model_sigmas or ():
@@ -79,14 +79,14 @@ def _identify(
                 raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
     variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
-    aligned = posed_problem.reference
-    before = replace(posed_problem, parameters=tuple(p for p in posed_problem.parameters if not p.of_robot))
+    aligned = whole.reference
+    before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
     x0 = values_at(model.robot, before.parameters, aligned)
     fitted = not before.parameters or is_fit(sets)
     nominal = before.machine(x0 if fitted else solve(before, x0, variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
-    problem = replace(posed_problem, parameters=parameters, reference=reference, held=deviations)
+    problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
     _refuse_losses(losses, sets)
     if losses is not None:
         problem = replace(problem, given_losses=tuple(losses))

@@ -13,9 +13,9 @@ from calib.foundations.brief import brief
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
-from calib.identification.posing import posed
 from calib.identification.system import Evaluation, Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
@@ -73,7 +73,7 @@ def indices(singular_values: Array, poses: int) -> dict[str, float]:
 @checked
 def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Observability:
     """Return what the measurements determine; raises MeasurementError when they are not of this robot."""
-    problem = posed(model, measurements)
+    problem = initial_problem(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
     rows = _at_start(problem).rows[:, :-1]
     directions = identifiability.directions(rows)
@@ -93,9 +93,9 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
 def undetermined(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what no number of such measurements would determine, and which others would.
 
-    Raises MeasurementError and JobError as :func:`calib.identification.posing.posed` does.
+    Raises MeasurementError and JobError as :func:`calib.identification.initialisation.problem.initial_problem` does.
     """
-    problem = posed(model, measurements)
+    problem = initial_problem(model, measurements)
     found = []
     moving = problem.motions
     if moving is not None and moving.grows and _at_start(problem).set_up_motions[:, -1].any():

@@ -21,10 +21,10 @@ import numpy.typing as npt
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation.frames import initial_frames
+from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import values_at
 from calib.identification.parameters import Priors, scales
-from calib.identification.posing import with_common_names
-from calib.identification.start import start_frames
 from calib.identification.system import Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
@@ -160,7 +160,7 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
     """
     ordinary = _ordinary(model)
     parameters = ordinary.parameters(sets[0].tools)
-    frames = start_frames(ordinary, sets)
+    frames = initial_frames(ordinary, sets)
     problem = Problem(ordinary, parameters, frames, tuple(sets))
     units = np.repeat([1.0, 1.0 / model.robot.reach], 3)
     sigmas = [np.broadcast_to(units[: data.sigma.shape[1]], data.sigma.shape) for data in sets]
@@ -182,8 +182,8 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
 def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, float]:
     """Return the matrix A (3, 3) for R_base^T that explains the rows best, and the rms in m that it leaves.
 
-    As in :mod:`calib.identification.alignment`, ``A x_n + s = t_n + R_n p`` and ``R_n^T A R_measured`` is the same for
-    all rows of a tool, with A any matrix: linear, and never worse than the best rotation.
+    As in :mod:`calib.identification.initialisation.base_and_tools`, ``A x_n + s = t_n + R_n p`` and ``R_n^T A
+    R_measured`` is the same for all rows of a tool, with A any matrix: linear, and never worse than the best rotation.
     """
     tips = np.concatenate([data.tips(model.robot) for data in sets])
     R, t = tips[:, :3, :3], tips[:, :3, 3]

@@ -24,9 +24,9 @@ from calib.foundations.units import UNITS
 from calib.identification import system
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
-from calib.identification.posing import posed
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
 
@@ -146,7 +146,7 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
             raise MeasurementError(
                 f"{data.where}: observes {data.kind}, and the total differential is of positions; use identify."
             )
-    problem = posed(model, sets)
+    problem = initial_problem(model, sets)
     parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")

@@ -11,7 +11,7 @@ from calib.foundations.errors import IdentificationError, JobError, MeasurementE
 from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
-from calib.identification.posing import posed
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs, Progress
 from calib.job.residuals import residual_model
@@ -133,7 +133,7 @@ def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
 
 def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:
     """Return the metrics of a level. Base and tool are fitted anew: a level by itself leaves them where they were."""
-    parameters = posed(inputs.model, inputs.identify).parameters
+    parameters = initial_problem(inputs.model, inputs.identify).parameters
     frames = [escape(p.name) for p in parameters if p.kind in ("base", "tool")]
     judged = fit
     if frames:

@@ -21,8 +21,8 @@ from calib.assessment.design import choose, random_values, space
 from calib.foundations import rigid
 from calib.foundations.choices import Criterion
 from calib.identification.identify import residuals_of
+from calib.identification.initialisation.frames import initial_frames
 from calib.identification.machine import Frames
-from calib.identification.start import start_frames
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from scripts.examples import ur10_leica_job
@@ -113,7 +113,7 @@ def real(robot: calib.Robot, dataset: Path, splits: int, sets: int) -> list[str]
             for n in (30, 45)
         )
         reference = np.array([thirty[0], more[1]])
-        frames = start_frames(model, [data.subset(pool)])
+        frames = initial_frames(model, [data.subset(pool)])
         for name, criterion, misfit in WAYS:
             setup = Setup(frames, "position", SIGMA, misfit=misfit)
             q = data.readings[pool]

@@ -12,9 +12,9 @@ import calib
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import system, targets
 from calib.identification.identify import residuals_of
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.observability import observability
-from calib.identification.posing import posed
 from calib.identification.system import Problem
 from calib.identification.targets import Target
 from tests.support import cameras, machines
@@ -47,7 +47,7 @@ def test_columns_match_central_differences(camera_on: str, what: str) -> None:
     true = scene(rng, NOMINAL, camera_on, SEEN[what])
     data = true.measure(ROBOT, true.draw(rng, 8 if what == "mark" else 3))
     model = calib.error_model(ROBOT, offsets="all", placements=["*"], tool="pose")
-    start = Problem(model, (), posed(everything(camera_on, what), [data]).reference, (data,))
+    start = Problem(model, (), initial_problem(everything(camera_on, what), [data]).reference, (data,))
     layout = Layout.of(ROBOT, start.reference)
     parameters = (*model.parameters(), *targets.unknowns([data], {}, layout))
     problem = replace(start, parameters=parameters)

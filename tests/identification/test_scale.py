@@ -7,8 +7,8 @@ import pytest
 
 import calib
 from calib.identification import system
-from calib.identification.posing import posed
-from calib.identification.start import start_frames
+from calib.identification.initialisation.frames import initial_frames
+from calib.identification.initialisation.problem import initial_problem
 from tests.support import machines
 
 URDF, TIP = "example:ur_description/urdf/ur10_robot.urdf", "tool0"
@@ -35,7 +35,7 @@ def test_residuals_and_jacobians_never_stand_in_memory_as_a_whole(robot: calib.R
     true = machines.arm(URDF, TIP)
     readings = true.draw(rng, ROWS)
     data = seen(robot, readings, true.tips(readings)[:, :3, 3])
-    problem = posed(calib.error_model(robot, offsets="all", placements="all"), (data,))
+    problem = initial_problem(calib.error_model(robot, offsets="all", placements="all"), (data,))
     x = rng.normal(scale=1e-3, size=len(problem.parameters))
     tracemalloc.start()
     found = system.evaluate(problem, [data.sigma], x)
@@ -51,7 +51,7 @@ def test_a_row_is_what_it_is_in_whatever_block_it_stands(robot: calib.Robot) -> 
     true = machines.arm(URDF, TIP).moved(rng)
     readings = true.draw(rng, 1000)
     data = seen(robot, readings, true.tips(readings)[:, :3, 3])
-    problem = posed(calib.error_model(robot, offsets="all"), (data,))
+    problem = initial_problem(calib.error_model(robot, offsets="all"), (data,))
     machine = problem.machine(np.zeros(len(problem.parameters)))
     (together,) = system.residuals(robot, (data,), machine)
     (alone,) = system.residuals(robot, (data.subset([777]),), machine)
@@ -67,10 +67,10 @@ def test_a_start_from_some_of_the_rows_knows_every_tool(robot: calib.Robot) -> N
     number = (np.arange(30_000) >= 29_980).astype(int)
     placed = base @ true.tips(readings) @ machines.pose(tools)[number]
     data = seen(robot, readings, placed[:, :3, 3], ["first" if k == 0 else "last" for k in number])
-    frames = start_frames(calib.error_model(robot, offsets="all", tool="position"), (data,))
+    frames = initial_frames(calib.error_model(robot, offsets="all", tool="position"), (data,))
     assert np.allclose(frames.base, base, atol=1e-9)
     assert np.allclose(frames.tools[:, :3, 3], tools, atol=1e-9)
-    backwards = start_frames(
+    backwards = initial_frames(
         calib.error_model(robot, offsets="all", tool="position"), (data.subset(np.arange(30_000)[::-1]),)
     )
     assert np.allclose(backwards.tools[:, :3, 3], tools, atol=1e-9)

@@ -1,8 +1,9 @@
 """Start values of what cameras saw: tools, base and targets of pixels, for the nominal robot, in closed form.
 
-Every image of a board gives the pose of board and camera to each other (:mod:`calib.identification.resection`); of the
-board's frame as an instrument's, :func:`calib.identification.alignment.align` finds base and tools, as for any tracker
-of poses. A single mark that the robot carries past a camera, or the camera past the mark, has one common resection.
+Every image of a board gives the pose of board and camera to each other
+(:mod:`calib.identification.initialisation.resection`); of the board's frame as an instrument's,
+:func:`calib.identification.initialisation.base_and_tools.base_and_tools` finds base and tools, as for any tracker of
+poses. A single mark that the robot carries past a camera, or the camera past the mark, has one common resection.
 """
 
 from collections.abc import Sequence
@@ -13,10 +14,17 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
-from calib.identification.alignment import Known, Rows, align
 from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.resection import (
+    camera_pose,
+    camera_pose_and_point,
+    crossing,
+    misses,
+    ordinary,
+    rays,
+)
 from calib.identification.observations.pixels import marks_seen
-from calib.identification.resection import camera_pose, camera_pose_and_point, crossing, misses, ordinary, rays
 from calib.measurement.instruments import Camera
 from calib.measurement.measurements import Measurements
 from calib.measurement.projection import LEAST_DEPTH, undistort
@@ -160,7 +168,7 @@ def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tool
     )
     fixed = model.tool == "fixed"
     known = Known(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
-    base, found, _ = align(rows, known, tools)
+    base, found, _ = base_and_tools(rows, known, tools)
     # An image that is read wrongly is by far off the others.
     T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
     kept = ordinary(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & ordinary(
@@ -169,7 +177,7 @@ def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tool
     if kept.all():
         return base, found
     some = Rows(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
-    again = align(some, known, tools)
+    again = base_and_tools(some, known, tools)
     return again.base, again.tools
 
 

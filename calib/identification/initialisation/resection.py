@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray
-from calib.identification.alignment import cube_rotations
+from calib.identification.initialisation.base_and_tools import cube_rotations
 
 # Points are spread over three dimensions, over two, or over one, by their spread relative to the largest one.
 _FLAT = 0.05

@@ -47,7 +47,7 @@ class Known(NamedTuple):
     rotations: Array | None
 
 
-class Aligned(NamedTuple):
+class BaseAndTools(NamedTuple):
     """The base pose (4, 4), the tool poses (k, 4, 4), and whether every direction of a tool point is shown (k,)."""
 
     base: Array
@@ -55,7 +55,7 @@ class Aligned(NamedTuple):
     shown: BoolArray
 
 
-def align(rows: Rows, known: Known, guess: Array) -> Aligned:
+def base_and_tools(rows: Rows, known: Known, guess: Array) -> BaseAndTools:
     """Return the base pose and the tool poses that explain the rows best.
 
     ``guess`` (k, 4, 4): tool poses from which what the rows do not show takes its value. A direction of a tool point is
@@ -89,7 +89,7 @@ def align(rows: Rows, known: Known, guess: Array) -> Aligned:
     shown = np.ones(len(guess), dtype=np.bool_)
     if count < len(Vt):
         shown = np.linalg.norm(Vt[count:].T.reshape(-1, 3, len(Vt) - count), axis=(1, 2)) < _HARDLY
-    return Aligned(base, rigid.placement(rotations, points), shown)
+    return BaseAndTools(base, rigid.placement(rotations, points), shown)
 
 
 def _base_and_change(

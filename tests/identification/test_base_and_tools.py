@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.identification.alignment import Known, Rows, align
+from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
 from tests.support.machines import Array, anywhere, pose
 
 NOTHING = Known(None, None, None)
@@ -38,7 +38,7 @@ def test_positions_place_base_and_points(seed: int, knows: str) -> None:
         scene.tools[:, :3, 3] if "points" in knows else None,
         scene.guess[:, :3, :3],
     )
-    base, tools, _ = align(scene.rows(turned=False), known, scene.guess)
+    base, tools, _ = base_and_tools(scene.rows(turned=False), known, scene.guess)
     np.testing.assert_allclose(base, scene.base, atol=1e-12)
     np.testing.assert_allclose(tools[:, :3, 3], scene.tools[:, :3, 3], atol=1e-12)
     np.testing.assert_array_equal(tools[:, :3, :3], scene.guess[:, :3, :3])
@@ -53,14 +53,14 @@ def test_poses_place_base_and_tools(seed: int, knows: str) -> None:
         scene.tools[:, :3, 3] if "points" in knows else None,
         scene.tools[:, :3, :3] if "rotations" in knows else None,
     )
-    base, tools, _ = align(scene.rows(turned=True), known, scene.guess)
+    base, tools, _ = base_and_tools(scene.rows(turned=True), known, scene.guess)
     np.testing.assert_allclose(base, scene.base, atol=1e-12)
     np.testing.assert_allclose(tools, scene.tools, atol=1e-12)
 
 
 def test_a_tool_that_only_positions_saw_keeps_the_rotation_of_the_guess() -> None:
     scene = Scene(0)
-    base, tools, _ = align(scene.rows(turned=scene.tool == 0), NOTHING, scene.guess)
+    base, tools, _ = base_and_tools(scene.rows(turned=scene.tool == 0), NOTHING, scene.guess)
     np.testing.assert_allclose(base, scene.base, atol=1e-12)
     np.testing.assert_allclose(tools[0], scene.tools[0], atol=1e-12)
     np.testing.assert_allclose(tools[1], pose(scene.tools[1, :3, 3]), atol=1e-12)
@@ -79,7 +79,7 @@ def test_positions_of_a_bad_machine_are_explained_as_well_as_from_the_truth(seed
         return np.concatenate([base[:3, 3], Rotation.from_matrix(base[:3, :3]).as_rotvec(), tools[0, :3, 3]])
 
     best = least_squares(residual, x_of(scene.base, scene.tools), xtol=1e-12, ftol=1e-12)
-    found = residual(x_of(*align(scene.rows(turned=False), NOTHING, scene.guess)[:2]))
+    found = residual(x_of(*base_and_tools(scene.rows(turned=False), NOTHING, scene.guess)[:2]))
     assert found @ found <= 2 * best.cost * (1 + 1e-9)
 
 
@@ -90,7 +90,7 @@ def test_what_the_rows_do_not_determine_stays_as_guessed() -> None:
     scene.tips = pose(rotvec=np.outer(angles, [0.0, 0.0, 1.0]))
     scene.seen = scene.base @ scene.tips @ scene.tools
     guess = pose([[0.0, 0.0, 0.7]])
-    base, tools, _ = align(scene.rows(turned=False), NOTHING, guess)
+    base, tools, _ = base_and_tools(scene.rows(turned=False), NOTHING, guess)
     assert tools[0, 2, 3] == pytest.approx(0.7, abs=1e-9)
     assert np.hypot(*tools[0, :2, 3]) == pytest.approx(np.hypot(*scene.tools[0, :2, 3]), abs=1e-9)
     np.testing.assert_allclose((base @ scene.tips @ tools)[:, :3, 3], scene.seen[:, :3, 3], atol=1e-12)
@@ -100,6 +100,6 @@ def test_what_the_rows_do_not_determine_stays_as_guessed() -> None:
 def test_positions_so_near_to_one_point_that_no_number_is_left_place_something(size: float) -> None:
     scene = Scene(0)
     rows = scene.rows(turned=False)
-    base, tools, _ = align(rows._replace(position=size * rows.position), NOTHING, scene.guess)
+    base, tools, _ = base_and_tools(rows._replace(position=size * rows.position), NOTHING, scene.guess)
     assert np.isfinite(base).all()
     assert np.isfinite(tools).all()

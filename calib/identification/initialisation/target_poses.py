@@ -6,8 +6,9 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.identification import sightings, targets
+from calib.identification import targets
 from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation import cameras
 from calib.identification.machine import Frames
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import ordinary
@@ -26,7 +27,7 @@ def with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence
     for t, name in enumerate(names):
         own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
         own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
-        sights = sightings.sights(sets, tips, t)
+        sights = cameras.sights(sets, tips, t)
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
@@ -35,10 +36,10 @@ def with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             if sights and not sockets:
-                poses[t] = sightings.target_pose(name, sights, frames.base, frames.tools)
+                poses[t] = cameras.target_pose(name, sights, frames.base, frames.tools)
             else:
                 poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
-        sightings.refuse_behind(sights, frames.base, frames.tools, poses[t])
+        cameras.refuse_behind(sights, frames.base, frames.tools, poses[t])
     for k in range(len(lengths)):
         missing = [
             value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)

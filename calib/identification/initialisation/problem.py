@@ -10,18 +10,18 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation.frames import initialise, turned, turned_by
+from calib.identification.initialisation.target_poses import with_targets
 from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
-from calib.identification.placing import with_targets
 from calib.identification.solver import solve
-from calib.identification.start import start, turned, turned_by
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import Measurements
 from calib.robot.transmission import lacking
 
 
-def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
+def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     """Return the problem of finding all that is free, with base, tools and targets where the nominal robot has them.
 
     Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame is taken
@@ -43,7 +43,7 @@ def posed(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
         target.height_is_known for target in model.targets.values()
     ):
         model = replace(model, base="fixed")
-    reference, unshown = start(model, sets)
+    reference, unshown = initialise(model, sets)
     layout = Layout.of(model.robot, reference)
     of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
     of_model = _with_unshown_tools(of_model, unshown, layout)

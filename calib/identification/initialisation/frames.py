@@ -1,8 +1,9 @@
 """Start values of all frames, in closed form, for the nominal robot.
 
-Base and tools come from positions and poses, where there are any (:mod:`calib.identification.alignment`), and from
-images (:mod:`calib.identification.sightings`); other tool points from turning in a socket or about a ball's centre;
-targets from where the nominal robot puts the tool (:mod:`calib.identification.placing`).
+Base and tools come from positions and poses, where there are any
+(:mod:`calib.identification.initialisation.base_and_tools`), and from images
+(:mod:`calib.identification.initialisation.cameras`); other tool points from turning in a socket or about a ball's
+centre; targets from where the nominal robot puts the tool (:mod:`calib.identification.initialisation.target_poses`).
 """
 
 from collections.abc import Sequence
@@ -12,25 +13,25 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
-from calib.identification import sightings
-from calib.identification.alignment import Known, Rows, align
 from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation import cameras
+from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
 from calib.identification.machine import Frames
-from calib.identification.placing import NEGLIGIBLE, with_targets
 from calib.measurement.measurements import Measurements
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
 _ENOUGH, _FEW = 10_000, 100
 
 
-class Start(NamedTuple):
+class Initialisation(NamedTuple):
     """Frames to start from, and the tools (k,) of which some direction does not show in the nominal robot's poses."""
 
     frames: Frames
     unshown: BoolArray
 
 
-def start(model: ErrorModel, sets: Sequence[Measurements]) -> Start:
+def initialise(model: ErrorModel, sets: Sequence[Measurements]) -> Initialisation:
     """Return base, tools and targets that explain sets with common names best with the nominal robot.
 
     What is fixed or known stays as given.
@@ -53,20 +54,20 @@ def start(model: ErrorModel, sets: Sequence[Measurements]) -> Start:
             given.tools[:, :3, 3] if model.tool == "fixed" else None,
             None if model.tool == "pose" else given.tools[:, :3, :3],
         )
-        base, tools, shown = align(rows, known, given.tools)
+        base, tools, shown = base_and_tools(rows, known, given.tools)
         placed[rows.tool] = True
         unshown = placed & ~shown
     if any(data.camera is not None for data in sets):
-        base, tools, by_cameras = sightings.place_tools(model, sets, tips, base, tools, turned(sets, ("pose",)))
+        base, tools, by_cameras = cameras.place_tools(model, sets, tips, base, tools, turned(sets, ("pose",)))
         placed |= by_cameras
     if model.tool != "fixed" and not placed.all():
         tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
-    return Start(with_targets(model, sets, tips, Frames(base, tools)), unshown)
+    return Initialisation(with_targets(model, sets, tips, Frames(base, tools)), unshown)
 
 
-def start_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
-    """Return the frames of :func:`start`."""
-    return start(model, sets).frames
+def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
+    """Return the frames of :func:`initialise`."""
+    return initialise(model, sets).frames
 
 
 def is_fit(sets: Sequence[Measurements]) -> bool:
