@@ -75,7 +75,7 @@ def test_nothing_is_written_over_or_in_spite_of_an_error(folder: Path, results: 
     before = tree(results)
     for name in ("model.json", "calibrated.urdf"):
         said = run("export", "out", "--to", "offsets", "-o", f"out/{name}")
-        assert said == (1, "", f"Error: out/{name}: is there already; choose another name.\n")
+        assert said == (1, "", f"Error: out/{name}: already exists; choose another name.\n")
     said = run("export", "out", "--to", "ur", "-o", "ur.yaml")
     assert (said.code, said.out) == (1, "")
     assert said.err.startswith("Error: out: cannot be exported to ur: ")

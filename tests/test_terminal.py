@@ -51,7 +51,7 @@ def test_demo_never_writes_where_something_is(folder: Path) -> None:
     (folder / "calib-demo").mkdir()
     (folder / "calib-demo/mine.txt").write_text("mine")
     before = tree(folder)
-    assert run("demo") == (1, "", "Error: calib-demo: is there already; choose another name.\n")
+    assert run("demo") == (1, "", "Error: calib-demo: already exists; choose another name.\n")
     assert tree(folder) == before
 
 

@@ -122,7 +122,7 @@ def refuse_taken(path: Path) -> None:
     """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new."""
     # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
     if os.path.lexists(path):
-        raise OutputError(f"{path}: is there already; choose another name.")
+        raise OutputError(f"{path}: already exists; choose another name.")
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:

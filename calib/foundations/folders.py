@@ -62,7 +62,7 @@ class _Work:
 def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection[str] = ()) -> None:
     """Write a folder of files, which takes the place of ``path`` (no link: resolved) when all are on the disk.
 
-    On any error ``path`` is untouched and nothing is left. Of a folder that is there already, regular files called as
+    On any error ``path`` is untouched and nothing is left. Of a folder that already exists, regular files called as
     one of ``older`` are removed; anything else, which somebody has put there, is moved to the new one. Without
     ``older`` none may be there. Raises OutputError when the disk is full, the folder read-only, or another run keeps it
     for too long.

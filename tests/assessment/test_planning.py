@@ -146,7 +146,7 @@ def test_plan_of_a_urdf_with_sight_and_collisions(tmp_path: Path, monkeypatch: p
     cosine = np.sum(T[:, :3, 0] * to_tracker, axis=1) / np.linalg.norm(to_tracker, axis=1)
     assert np.all(cosine > np.cos(np.deg2rad(80.01)))
     again = run("plan", "arm.urdf", "-n", "15", "-o", "poses.csv")
-    assert (again.code, again.err) == (1, "Error: poses.csv: is there already; choose another name.\n")
+    assert (again.code, again.err) == (1, "Error: poses.csv: already exists; choose another name.\n")
 
 
 def test_plan_of_a_job_completes_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -143,7 +143,7 @@ def test_write_atomically_leaves_other_names_of_the_file_alone(tmp_path: Path) -
 def test_what_is_to_be_new_takes_the_place_of_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_new(tmp_path / "a", "new")
     assert (tmp_path / "a").read_text() == "new"
-    with pytest.raises(OutputError, match=r"a: is there already; choose another name\.$"):
+    with pytest.raises(OutputError, match=r"a: already exists; choose another name\.$"):
         write_new(tmp_path / "a", "newer")
     # Somebody writes it between the look and the deed; with and without hard links.
     for links in (True, False):

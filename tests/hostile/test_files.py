@@ -179,7 +179,7 @@ def test_files_that_cannot_be_looked_for_are_refused_in_a_sentence(
     assert (code, out, said.count("\n")) == (1, "", 1)
     assert said.startswith("Error: ")
     (folder / "nothing.csv").symlink_to("nowhere")
-    assert run(*command, "nothing.csv") == (1, "", "Error: nothing.csv: is there already; choose another name.\n")
+    assert run(*command, "nothing.csv") == (1, "", "Error: nothing.csv: already exists; choose another name.\n")
 
 
 def test_an_arm_that_may_not_be_looked_for_is_refused_in_a_sentence(folder: Path) -> None:

@@ -82,7 +82,7 @@ def test_sensitivity_and_performance(tmp_path: Path) -> None:
     assert run("sensitivity", CASE / "calibration.toml", "--plot", tmp_path / "plot.txt").code == 1
     plot.write_text("mine")
     said = run("sensitivity", CASE / "calibration.toml", "--plot", plot)
-    assert said == (1, "", f"Error: {plot}: is there already; choose another name.\n")
+    assert said == (1, "", f"Error: {plot}: already exists; choose another name.\n")
     assert plot.read_text() == "mine"
 
 
@@ -102,4 +102,4 @@ def test_commands_are_corrected(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.tips(corrected[None]) @ model.tools["tool"], wanted, atol=1e-6)
     again = run("compensate", tmp_path / "out", targets, "-o", tmp_path / "corrected.csv")
     assert (again.code, again.out) == (1, "")
-    assert "is there already" in again.err
+    assert "already exists" in again.err

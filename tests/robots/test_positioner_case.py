@@ -134,7 +134,7 @@ def test_cell_has_both_machines_at_the_calibrated_place(results: Path, tmp_path:
     assert {"lower_arm", "hand", "pedestal", "table"} <= drawn
     # A second time, nothing is overwritten.
     again = run("cell", CASE / "welder.urdf", results, "-o", cell)
-    assert (again.code, again.err) == (1, f"Error: {cell}: is there already; choose another name.\n")
+    assert (again.code, again.err) == (1, f"Error: {cell}: already exists; choose another name.\n")
 
 
 def test_cell_of_machines_that_one_instrument_saw(results: Path, tmp_path: Path) -> None:
