@@ -115,7 +115,7 @@ def test_check_writes_nothing_and_solves_nothing(folder: Path, monkeypatch: pyte
     assert (said.code, said.err) == (0, "")
     assert_plain(said.out)
     first, second, third, *directions = said.out.splitlines()
-    assert first == "Units, names, limits and rows: nothing to remark."
+    assert first == "Units, names, limits and rows: no findings."
     assert second.startswith("180 numbers determine 27 combinations of 45 parameters (condition number ")
     assert third == "The null space has 18 directions:"
     assert sum(line.startswith(" - ") for line in directions) == 18
@@ -158,7 +158,7 @@ def test_duplicate_rows_warn(folder: Path) -> None:
     assert_plain(said.out)
     assert json.loads((folder / "out/result.json").read_text(encoding="utf-8"))["findings"] == [DOUBLED]
     assert json.loads(run("check", JOB, "--json").out)["findings"] == [DOUBLED]
-    assert "nothing to remark" not in run("check", JOB).out
+    assert "no findings" not in run("check", JOB).out
 
 
 def test_validation_by_the_same_rows_warns(folder: Path) -> None:
@@ -168,7 +168,7 @@ def test_validation_by_the_same_rows_warns(folder: Path) -> None:
     assert said.code == 0
     assert said.out.replace("\n", " ").startswith(
         f"Warning: {JOB}: measurements[1].file: 'copy.csv' is '{TABLE}' again, from which the parameters are "
-        "identified; as a validation it proves nothing."
+        "identified; a validation with the same rows proves nothing."
     )
 
 

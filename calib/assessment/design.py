@@ -111,7 +111,7 @@ def space(
     directions = identifiability.directions(np.concatenate([of_poses, np.sqrt(known)]))
     V = directions.vectors[:, : directions.numerical_rank]
     if not V.shape[1]:
-        raise JobError("the candidates see no parameter.")
+        raise JobError("the candidate poses determine no parameter.")
     A = np.ascontiguousarray(J @ V)
     M, G = V.T @ known @ V, np.zeros((V.shape[1], candidates.of_misfit.shape[2]))
     if given is not None:

@@ -339,7 +339,7 @@ def before_and_after(
     better choice, since the tests' own cones would lose three degrees of freedom to the probe. Without any cone, the
     first tool of the calibrated arm serves both.
 
-    Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs to be told.
+    Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs.
     """
     for test in (*tests, *(() if probe is None else (probe,))):
         refuse_lacking(machine.robot, test.conditions, test.where)

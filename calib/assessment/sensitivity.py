@@ -219,7 +219,7 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
                 f"{path}: row {n}: {shown(name)} is not a free parameter of the model{nearest(name, units)}."
             )
         if name in found:
-            raise JobError(f"{path}: row {n}: {name!r} is there twice.")
+            raise JobError(f"{path}: row {n}: {name!r} appears twice.")
         dimension = _DIMENSIONS.get(units[name])
         if dimension is None:
             raise JobError(f"{path}: row {n}: {name!r} has the unit {units[name]}; errors are lengths and angles.")

@@ -31,9 +31,9 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
         Finding(
             "warning",
             "priors-narrowed",
-            "The solver did not settle with the usual widths that hold parameters without a prior, so they were made "
-            f"{fit.narrowed:g} times narrower: what these data hardly tell stays that much nearer to the nominal robot "
-            "and to the start of base and tool. Predictions near the measured poses hardly change by that; more poses, "
-            "at other orientations of the tool, or known values given as priors make it unnecessary.",
+            f"The solver did not converge with the usual weak priors, so they were made {fit.narrowed:g} times "
+            "narrower. Parameters that the data hardly determine stay that much nearer to the nominal robot, and base "
+            "and tool to their start values. Predictions near the measured poses hardly change. More poses, other "
+            "orientations of the tool, or priors for known values make this unnecessary.",
         ),
     )

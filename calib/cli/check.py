@@ -28,7 +28,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
     telling.tell(
         lambda: {"findings": findings, **seen.contents(), "advice": advised},
         lambda: [
-            *(map(warning, findings) if findings else [sentence("Units, names, limits and rows: nothing to remark.")]),
+            *(map(warning, findings) if findings else [sentence("Units, names, limits and rows: no findings.")]),
             sentence(
                 f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
                 f"parameters (condition number {seen.condition:.3g})."

@@ -189,7 +189,7 @@ def _start(model: CalibratedMachine, readings: Array) -> Array:
 def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions) -> None:
     names = [reading.name for reading in model.robot.readings]
     if missing := lacking(model.robot.terms, names, conditions):
-        raise JobError(f"{missing[0]} of the machine needs to be told {missing[1]!r} of every target.")
+        raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
 
 
 def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:

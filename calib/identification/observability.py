@@ -103,8 +103,8 @@ def undetermined(model: ErrorModel, measurements: Sequence[Measurements]) -> tup
             Finding(
                 "warning",
                 "size-unseen",
-                "The measurements do not tell how large the arm is: one that is larger throughout touches the same "
-                "things in other places. The nominal size is kept as far as it is free. One known length tells it: "
+                "The measurements do not determine the size of the arm: an arm that is larger throughout touches the "
+                "same targets in other places. The nominal size is kept. One known length determines it: "
                 "the distance between two sockets or planes ([[relations]]), a gauge, a ball bar, a ball of known "
                 "diameter, or positions from an instrument.",
             )
@@ -136,11 +136,11 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "tool-unseen",
-            f"With the tool{whose} the tip link turns by {np.degrees(turned):.3g} deg at most, or about one direction: "
-            "where the tool point is cannot be told from where the base is, nor what is to blame for either, and the "
-            "point is held near its start. Positions at such orientations are predicted well in spite of that, others "
-            "are not. Poses that turn the tip link by tens of degrees about two directions tell it, or a tool that is "
-            'known (tool = "fixed").',
+            f"With the tool{whose} the tip link turns by {np.degrees(turned):.3g} deg at most, or about one direction "
+            "only. The data then do not tell an error of the tool point from one of the base or of the joints, so the "
+            "tool point is held near its start value. Positions at such orientations are predicted well, others are "
+            "not. To determine the tool point, add poses that turn the tip link by tens of degrees about two "
+            'directions, or give the tool (tool = "fixed").',
         )
 
 

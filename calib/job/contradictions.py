@@ -19,7 +19,7 @@ def contradictions(job: Job) -> Iterator[str]:
     if job.error_model.terms == "auto":
         for key in (kind.key for kind in KINDS):
             if job.error_model.chosen_terms[key] != "none":
-                yield f'error_model.{key}: is chosen where terms = "auto"; leave one of them out.'
+                yield f'error_model.{key}: is given, and terms = "auto" chooses joint terms; leave one of them out.'
     for i, level in enumerate(job.levels):
         residual = level.residual_model
         if residual is not None and residual.kind == "grid" and residual.joints is None:

@@ -312,7 +312,7 @@ def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findi
             "warning",
             "not-held-out",
             f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
-            "the parameters are identified; as a validation it proves nothing.",
+            "the parameters are identified; a validation with the same rows proves nothing.",
         )
         for i, section in enumerate(job.measurements)
         if section.use == "validate" and section.hold_out is None and hashes[section.file] in fitted

@@ -185,7 +185,7 @@ def grid_from_residuals(
     all rows stand, or each of N, as "nodes.csv:12", for messages.
 
     Raises JobError when an option cannot be used, and MeasurementError naming the first row that is not on the grid or
-    is there twice, the first node that is missing, or the joint that moves and is not one of the grid's.
+    appears twice, the first node that is missing, or the joint that moves and is not one of the grid's.
     """
     readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
     place = where if isinstance(where, str) else where[0].rpartition(":")[0] if where else "nodes"
@@ -211,7 +211,7 @@ def grid_from_residuals(
     for n, node in enumerate(zip(*index, strict=True)):
         if row_of[node] >= 0:
             raise MeasurementError(
-                f"{at[n]}: the node {_node(node, nodes, numbers, robot_readings)} is there twice, first at "
+                f"{at[n]}: the node {_node(node, nodes, numbers, robot_readings)} appears twice, first at "
                 f"{at[row_of[node]]}."
             )
         row_of[node] = n

@@ -246,7 +246,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
         )
         terms = tuple(entry.term for entry in model.terms)
         if len(set(terms)) < len(terms) or foreign(robot, terms):
-            raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one is there twice.")
+            raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one appears twice.")
         equipped = with_joint_terms(robot, terms)
     except RobotError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e

@@ -89,7 +89,8 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
         yield Finding(
             "error",
             "degrees-as-radians",
-            f"{farthest(first)}, and divided by 57.3 all its rows fit: degrees seem to stand under [rad]{also}.",
+            f"{farthest(first)}, and divided by 57.3 all its rows fit: the numbers seem to be degrees, "
+            f"not [rad]{also}.",
         )
     for j in (int(j) for j in np.flatnonzero((beyond > slack) & ~degrees)):
         yield Finding(
@@ -110,7 +111,7 @@ def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterabl
             "warning",
             "radians-as-degrees",
             f"{m.where}: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit "
-            "the limits: radians seem to stand under [deg].",
+            "the limits: the numbers seem to be radians, not [deg].",
         )
 
 
@@ -152,7 +153,7 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
             "error",
             "millimetres-as-metres",
             f"{m.where}: half of the positions are over {typical:.4g} m from their median, and the robot reaches "
-            f"{reach:.4g} m; divided by 1000 they fit: millimetres seem to stand under [m].",
+            f"{reach:.4g} m; divided by 1000 they fit: the numbers seem to be millimetres, not [m].",
         )
     elif distance[farthest] > _TOO_WIDE * reach:
         yield Finding(
@@ -166,7 +167,7 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
             "warning",
             "metres-as-millimetres",
             f"{m.where}: half of the positions are within {typical:.4g} m of their median, and the robot reaches "
-            f"{reach:.4g} m: metres seem to stand under [mm], or the point was held still.",
+            f"{reach:.4g} m: the numbers seem to be metres, not [mm], or the point was held still.",
         )
 
 

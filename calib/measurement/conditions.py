@@ -21,14 +21,14 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
 
     In columns ``temperature``, ``tau_<joint>``, and ``direction`` or ``direction_<joint>``; ``in_order``: the order of
     the rows says it instead of the latter. Raises MeasurementError for a word that is no side, a unit of another
-    dimension, and where sides are said twice.
+    dimension, and where sides are given twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
     said = [name for name in ("direction", *own.values()) if name in table.columns]
     sources = [*(["the order of the rows"] if in_order else []), *said]
     if len(sources) > 1 and (in_order or "direction" in said):
         raise MeasurementError(
-            f"{table.where}: the side of approach is said twice, by {sources[0]} and by {sources[1]}; keep one."
+            f"{table.where}: the side of approach is given twice, by {sources[0]} and by {sources[1]}; keep one."
         )
     approach = None
     if in_order:

@@ -54,7 +54,7 @@ def measurements_from_table(
     poses were taken one after the other, and the order of the rows says from which side joints were reached.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, when a pair has not two rows or two lengths, and when the noise is said twice or of coordinates
+    not of unit length, when a pair has not two rows or two lengths, and when the noise is given twice or of coordinates
     that there are not; JobError when ``sigma``, ``instrument`` or ``offset`` cannot be used.
     """
     if kind not in get_args(Kind):

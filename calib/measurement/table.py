@@ -180,7 +180,7 @@ def table_from_frame(frame: Frame, where: str = "DataFrame", columns: Mapping[st
         if not isinstance(label, str):
             raise MeasurementError(f"{where}: the column label {label!r} is not text.")
         if labels.count(label) > 1:
-            raise MeasurementError(f"{where}: column {label!r} is there more than once.")
+            raise MeasurementError(f"{where}: column {label!r} appears more than once.")
     return table_from_arrays({label: frame[label].to_numpy() for label in labels}, where, columns)
 
 
@@ -238,7 +238,7 @@ def _header(titles: Sequence[str], columns: Mapping[str, str], at: str) -> list[
                 raise MeasurementError(f"{at}: column {title!r} is renamed to {new!r}, which has another unit.")
             symbol = given or symbol
         if name in header:
-            raise MeasurementError(f"{at}: column {name!r} is there more than once.")
+            raise MeasurementError(f"{at}: column {name!r} appears more than once.")
         header[name] = _Heading(name, _unit(name, symbol, at))
     for theirs, name in ours.items():
         raise MeasurementError(f"{at}: there is no column {theirs!r} to read as {name!r}{nearest(theirs, titles)}.")

@@ -283,7 +283,7 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
         if place is None:
             raise MeasurementError(f"{at}: both axes are turned; of the five points, one axis at most.")
         if place in rows:
-            raise MeasurementError(f"{at}: is there twice, as {place}; needed is one row of each sense of each axis.")
+            raise MeasurementError(f"{at}: appears twice, as {place}; needed is one row of each sense of each axis.")
         rows[place] = n
     if absent := [f"{place} ({what})" for place, what in _NAMES.items() if place not in rows]:
         raise MeasurementError(f"{table.where}: there is no {', '.join(absent)}.")

@@ -103,7 +103,7 @@ class Transmission:
     def _bases(self, readings: Array, conditions: Conditions) -> Array:
         """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient."""
         if missing := lacking(self._terms, self._readings, conditions):
-            raise RobotError(f"{missing[0]} needs to be told {missing[1]!r} of every row.")
+            raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
         rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
         for columns, basis in self._bases_of:
             found[:, columns] = basis(rows)

@@ -113,7 +113,7 @@ def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
         choose(space(candidates, "D"), 10)
     with pytest.raises(JobError, match="criterion: 'E' is not one of D, A, I"):
         space(candidates, "E", working)  # type: ignore[arg-type]
-    with pytest.raises(JobError, match="see no parameter"):
+    with pytest.raises(JobError, match="determine no parameter"):
         space(Rows.without_misfit(np.zeros((3, 2, 4))), "D")
 
 

@@ -345,8 +345,8 @@ REFUSALS: tuple[Refusal, ...] = (
         tuple(f"observes: {kind}" for kind in ("position", "pose", "socket", "plane", "indicator", "pixels")),
         "length_offset: a .* has no length",
     ),
-    Refusal(("geometry: dh",), ("terms: of masses", "terms: told"), "links give way between joints of the URDF"),
-    Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops is no DH table"),
+    Refusal(("geometry: dh",), ("terms: of masses", "terms: told"), "links bend and expand between joints of the URDF"),
+    Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops has no DH table"),
     Refusal(("levels: gaussian",), ("observes: socket", "observes: pixels"), "has no positions to be made of"),
     Refusal(("noise: tracker",), ("observes: socket", "observes: pixels"), "a laser.tracker measures no"),
 )

@@ -181,8 +181,8 @@ def test_conditions_of_several_sets_are_joined_where_all_have_them() -> None:
             {},
             "arrays:1: column 'direction_elbow_joint': 'up' is not a side of approach; allowed are +, -, 0, 1, -1",
         ),
-        ({"direction": ["+"] * 20}, {}, "said twice, by direction and by direction_shoulder_pan_joint; keep one"),
-        ({}, {"in_order": True}, "said twice, by the order of the rows and by direction_shoulder_pan_joint; keep one"),
+        ({"direction": ["+"] * 20}, {}, "given twice, by direction and by direction_shoulder_pan_joint; keep one"),
+        ({}, {"in_order": True}, "given twice, by the order of the rows and by direction_shoulder_pan_joint; keep one"),
         ({"direction_elbow": ["+"] * 20}, {}, "column 'direction_elbow' is neither a joint nor a known column"),
     ],
 )
@@ -224,9 +224,9 @@ def test_the_model_read_back_and_its_commands_know_them(folder: tuple[Path, cali
     found = for_joint_targets(model, u, conditions=told)
     assert found.reached.all(), found.reasons
     np.testing.assert_allclose(model.tips(found.readings, told), model.robot.tips(u), rtol=0, atol=2e-6)
-    with pytest.raises(RobotError, match=r"shoulder_pan_joint\.backlash needs to be told"):
+    with pytest.raises(RobotError, match=r"shoulder_pan_joint\.backlash needs '"):
         model.tips(u)
-    with pytest.raises(JobError, match="of every target"):
+    with pytest.raises(JobError, match="for every target"):
         for_joint_targets(model, u)
 
 

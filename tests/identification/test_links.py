@@ -268,12 +268,15 @@ def test_what_nobody_can_mean_is_refused() -> None:
     robot = calib.load_robot(*UR10)
     for options, sentence in (
         ({"bending": ["elbow"]}, "bending: 'elbow' matches no joint of the arm; did you mean 'elbow_joint'"),
-        ({"bending": ["world_joint"]}, "bending: there is no link before 'world_joint', which stands where"),
+        ({"bending": ["world_joint"]}, "bending: there is no link before 'world_joint': it is at the same place"),
         ({"bending": "arm"}, 'bending: \'arm\' is not "all", "none" or a list of names'),
         ({"expansion": "some"}, 'expansion: \'some\' is not "arm", "all", "none" or a list of names'),
-        ({"moments": ["shoulder_pan_joint"]}, "moments: 'shoulder_pan_joint' holds no mass against gravity"),
-        ({"bending": "all", "dh": "all"}, "bending: links give way between joints of the URDF; free placements"),
-        ({"expansion": "arm", "dh": "all"}, "expansion: links give way between joints of the URDF; free placements"),
+        ({"moments": ["shoulder_pan_joint"]}, "moments: 'shoulder_pan_joint' is loaded by gravity in no pose"),
+        ({"bending": "all", "dh": "all"}, "bending: links bend and expand between joints of the URDF; free placements"),
+        (
+            {"expansion": "arm", "dh": "all"},
+            "expansion: links bend and expand between joints of the URDF; free placements",
+        ),
     ):
         with pytest.raises(JobError, match=re.escape(sentence)):
             machines.model(robot, **options)

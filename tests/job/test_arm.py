@@ -169,7 +169,7 @@ SENTENCES: dict[str, tuple[Edit, str]] = {
                      "touched.csv: 'joint_1' is a joint of the arm that touches and of the robot; rename one in its "
                      "URDF."),
     "degrees as radians": (edit(TABLE, *((f"joint_{k} [deg]", f"joint_{k} [rad]") for k in range(1, 7))),
-                           "divided by 57.3 all its rows fit: degrees seem to stand under [rad]"),
+                           "divided by 57.3 all its rows fit: the numbers seem to be degrees, not [rad]"),
     "pivot of lengths": (write("pivot.csv", (ARM_CASE / "lengths.csv").read_bytes()),
                          "pivot.csv: is a length test; a pivot is a point touched many times."),
 }  # fmt: skip

@@ -188,7 +188,7 @@ def test_rows_that_are_no_grid() -> None:
     )
     assert changed(put(0, 2, 0.8)).startswith("n.csv:2: j3 stands at 45.8366 deg")
     again = changed(lambda rows, errors: (np.vstack([rows, rows[5]]), np.vstack([errors, errors[5]])))
-    assert again == "n.csv:65: the node j1 -60 deg, slide 300 mm, j4 30 deg is there twice, first at n.csv:7."
+    assert again == "n.csv:65: the node j1 -60 deg, slide 300 mm, j4 30 deg appears twice, first at n.csv:7."
     assert "must have at least two nodes" in changed(lambda rows, errors: (rows[:3], errors[:3]))
     assert "must be finite numbers" in changed(put(0, 0, np.nan))
     assert "must have the shapes (N, 4) and (N, 3)" in changed(lambda rows, errors: (rows[:, :3], errors))

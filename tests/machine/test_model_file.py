@@ -233,8 +233,8 @@ TERM = {"reading": "lift", "kind": "cos", "order": 2, "coefficient": 1e-4}
 @pytest.mark.parametrize(
     ("terms", "sentence"),
     [
-        ([TERM | {"reading": "level"}], "its joint terms are not those of nominal.urdf, or one is there twice"),
-        ([TERM, TERM], "its joint terms are not those of nominal.urdf, or one is there twice"),
+        ([TERM | {"reading": "level"}], "its joint terms are not those of nominal.urdf, or one appears twice"),
+        ([TERM, TERM], "its joint terms are not those of nominal.urdf, or one appears twice"),
         ([TERM | {"order": 0}], "terms[0] has a wrong value"),
         ([TERM | {"kind": "gain"}], "terms[0] has a wrong value"),
         ([TERM | {"kind": "magic"}], "terms[0].kind has a wrong value"),

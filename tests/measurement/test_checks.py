@@ -76,7 +76,7 @@ def test_degrees_under_rad() -> None:
             "error",
             "degrees-as-radians",
             f"t:{row}: column 'a' has {readings[row, 0]:.6g} rad where the limits are -2.9 and 2.9 rad, "
-            "and divided by 57.3 all its rows fit: degrees seem to stand under [rad]; likewise in 'b'.",
+            "and divided by 57.3 all its rows fit: the numbers seem to be degrees, not [rad]; likewise in 'b'.",
         )
     ]
 
@@ -89,7 +89,7 @@ def test_degrees_in_one_column_only() -> None:
             "error",
             "degrees-as-radians",
             f"t:{row}: column 'b' has {readings[row, 1]:.6g} rad where the limits are -3 and -0.1 rad, "
-            "and divided by 57.3 all its rows fit: degrees seem to stand under [rad].",
+            "and divided by 57.3 all its rows fit: the numbers seem to be degrees, not [rad].",
         )
     ]
 
@@ -104,7 +104,7 @@ def test_radians_under_deg() -> None:
         "warning",
         "radians-as-degrees",
         f"t: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit the limits: "
-        "radians seem to stand under [deg].",
+        "the numbers seem to be radians, not [deg].",
     )
 
 
@@ -151,7 +151,7 @@ def test_millimetres_under_m() -> None:
             "error",
             "millimetres-as-metres",
             "t: half of the positions are over 1010 m from their median, and the robot reaches 1.5 m; divided by 1000 "
-            "they fit: millimetres seem to stand under [m].",
+            "they fit: the numbers seem to be millimetres, not [m].",
         )
     ]
 
@@ -173,8 +173,8 @@ def test_metres_under_mm() -> None:
         (
             "warning",
             "metres-as-millimetres",
-            "t: half of the positions are within 0.00101 m of their median, and the robot reaches 1.5 m: metres seem "
-            "to stand under [mm], or the point was held still.",
+            "t: half of the positions are within 0.00101 m of their median, and the robot reaches 1.5 m: the "
+            "numbers seem to be metres, not [mm], or the point was held still.",
         )
     ]
 

@@ -121,7 +121,7 @@ def test_renaming_reads_headers_of_somebody_else(tmp_path: Path) -> None:
         ({"x": "mesurement_x"}, "there is no column 'mesurement_x' to read as 'x'; near is 'measurement_x [mm]'."),
         ({"x": "nothing"}, "there is no column 'nothing' to read as 'x'."),
         ({"x [m]": "measurement_x"}, "column 'measurement_x [mm]' is renamed to 'x [m]', which has another unit."),
-        ({"y": "measurement_x"}, "column 'y' is there more than once."),
+        ({"y": "measurement_x"}, "column 'y' appears more than once."),
         (
             {"x": "measurement_x", "z": "measurement_x"},
             "the renaming gives one column two names: {'x': 'measurement_x', 'z': 'measurement_x'}.",
@@ -150,7 +150,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ("x [m] [m]\n1\n", ":1: the header 'x [m] [m]' is not a name with a unit, like 'x [mm]'."),
         ("x [m],,y [m]\n1,2,3\n", ":1: a column has no name (is there a comma too many?)."),
         ("x [m], [m]\n1,2\n", ":1: a column has no name (is there a comma too many?)."),
-        ("\n#\nx [m], y [m], x [mm]\n1,2,3\n", ":3: column 'x' is there more than once."),
+        ("\n#\nx [m], y [m], x [mm]\n1,2,3\n", ":3: column 'x' appears more than once."),
         ("x [m], y [m]\n1,2\n\n3\n5,6\n", ":4: the header has 2 cells and this row has 1."),
         ("x [m], y [m]\n1,2,\n", ":2: the header has 2 cells and this row has 3."),
         (
@@ -226,8 +226,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (pd.DataFrame({"group": [1.0]}), "DataFrame:0: column 'group': 1.0 is not a word."),
         (pd.DataFrame({"group": ["a", " "]}), "DataFrame:1: column 'group': the cell is empty."),
         (pd.DataFrame({0: [1.0]}), "DataFrame: the column label 0 is not text."),
-        (pd.DataFrame([[1, 2]], columns=["x [m]", "x [m]"]), "DataFrame: column 'x [m]' is there more than once."),
-        (pd.DataFrame({"x [m]": [1.0], "x [mm]": [1.0]}), "DataFrame: column 'x' is there more than once."),
+        (pd.DataFrame([[1, 2]], columns=["x [m]", "x [m]"]), "DataFrame: column 'x [m]' appears more than once."),
+        (pd.DataFrame({"x [m]": [1.0], "x [mm]": [1.0]}), "DataFrame: column 'x' appears more than once."),
         (pd.DataFrame({"x [m]": []}), "DataFrame: has a header and no rows."),
         (pd.DataFrame(), "DataFrame: has a header and no rows."),
     ],

@@ -39,7 +39,7 @@ def test_rows_say_by_their_readings_which_they_are(tmp_path: Path, order: tuple[
     ("order", "more", "said"),
     [
         ((0, 1, 2, 3), "", "there is no P5 (tilt turned in its negative sense)."),
-        ((0, 1, 2, 3, 4, 1), "", "five.csv:7: tilt 0 deg, rotary 60 deg: is there twice, as P2;"),
+        ((0, 1, 2, 3, 4, 1), "", "five.csv:7: tilt 0 deg, rotary 60 deg: appears twice, as P2;"),
         ((0, 1, 2, 3, 4), "10,20,0,0,0", "five.csv:7: tilt 10 deg, rotary 20 deg: both axes are turned;"),
     ],
 )

@@ -229,7 +229,7 @@ HEADER = "joint, type, a [mm], d [mm], alpha [deg], theta [deg]\n"
         ("a, d [mm]\n1,2\n", "t.csv:1: column 'a' has no unit; write one in brackets, like 'a [mm]'."),
         ("a [deg], d [mm]\n1,2\n", "t.csv:1: column 'a': unit 'deg' is not a unit of length; allowed are m, cm, mm, "),
         ("a [mm], d [mm], alpha [deg]\n1,2,3\n", "t.csv:1: there is no column 'theta'; a DH table has a, d, alpha, "),
-        ("a [mm], a [mm]\n1,2\n", "t.csv:1: column 'a' is there more than once."),
+        ("a [mm], a [mm]\n1,2\n", "t.csv:1: column 'a' appears more than once."),
         ("joint [mm]\n1\n", "t.csv:1: column 'joint' holds words and takes no unit, but has [mm]."),
         ("alfa [deg]\n1\n", "t.csv:1: column 'alfa [deg]' is not one of joint, type, a, d, alpha, theta, beta."),
         (HEADER + "j, revolute, 1, 2, 3\n", "t.csv:2: the header has 6 cells and this row has 5."),
@@ -250,7 +250,7 @@ HEADER = "joint, type, a [mm], d [mm], alpha [deg], theta [deg]\n"
             "tool, 1, 2, 3, 4, 5, 6\n" + HEADER + ROW,
             "t.csv:1: tool: '1' has no unit; allowed are m,",
         ),
-        ("base, 1\nbase, 2\n" + HEADER, "t.csv:2: 'base' is there more than once."),
+        ("base, 1\nbase, 2\n" + HEADER, "t.csv:2: 'base' appears more than once."),
         ("convention, standard\n" + HEADER + ROW, "t.csv: states the standard convention, and was "),
     ],
 )

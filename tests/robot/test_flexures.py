@@ -360,7 +360,7 @@ def test_what_the_robot_does_not_have_is_refused() -> None:
         with pytest.raises(RobotError, match=sentence):
             with_joint_terms(robot, [term])
     hot = with_joint_terms(robot, [JointTerm("", "expansion")])
-    with pytest.raises(RobotError, match=r"arm\.expansion needs to be told 'temperature' of every row"):
+    with pytest.raises(RobotError, match=r"arm\.expansion needs 'temperature' for every row"):
         hot.tips(np.zeros((1, 6)), replace(hot.no_deviations(), terms=np.ones(1)))
 
 

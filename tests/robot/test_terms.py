@@ -101,7 +101,7 @@ def test_what_it_may_not_be_of_is_refused_in_a_sentence(kind: Kind) -> None:
             calib.error_model(GANTRY, terms={kind.key: ["bridge"]})
         assert foreign(GANTRY, [replace(chosen(kind)[0], reading="bridge")])
     if kind.of_link:
-        with pytest.raises(JobError, match=f"^{kind.key}: links give way between joints of the URDF"):
+        with pytest.raises(JobError, match=f"^{kind.key}: links bend and expand between joints of the URDF"):
             calib.error_model(UR10, placements=calib.dh.Free(), terms={kind.key: "all"})
 
 
@@ -127,7 +127,7 @@ def test_it_asks_for_the_conditions_that_it_needs(kind: Kind) -> None:
     robot, d, u, told = drawn(kind)
     robot.tips(u, d, told)
     if column := kind.lacking(robot.terms[0], 0, NO_CONDITIONS):
-        with pytest.raises(RobotError, match=f"needs to be told '{column}' of every row"):
+        with pytest.raises(RobotError, match=f"needs '{column}' for every row"):
             robot.tips(u, d)
     else:
         robot.tips(u, d)

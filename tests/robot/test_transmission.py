@@ -122,5 +122,5 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
 
 
 def test_a_term_asks_for_the_condition_that_it_needs() -> None:
-    with pytest.raises(RobotError, match=r"a\.thermal needs to be told 'temperature' of every row\."):
+    with pytest.raises(RobotError, match=r"a\.thermal needs 'temperature' for every row\."):
         alone("thermal").moved(np.zeros((1, 1)), NO_CONDITIONS)

@@ -146,7 +146,7 @@ def _parts(lines: Sequence[_Line], where: str) -> tuple[dict[str, _Line], _Line,
                 raise RobotError(f"{where}: has a header and no rows.")
             return before, lines[n], lines[n + 1 :]
         if name in before:
-            raise RobotError(f"{at}: {name!r} is there more than once.")
+            raise RobotError(f"{at}: {name!r} appears more than once.")
         before[name] = at, cells
     raise RobotError(f"{where}: has no header line, like 'joint, type, a [mm], d [mm], alpha [deg], theta [deg]'.")
 
@@ -161,7 +161,7 @@ def _units(header: _Line) -> dict[str, Unit | None]:
         if name not in (*_WORDS, *_DIMENSIONS):
             raise RobotError(f"{at}: column {title!r} is not one of {', '.join((*_WORDS, *_DIMENSIONS))}.")
         if name in units:
-            raise RobotError(f"{at}: column {name!r} is there more than once.")
+            raise RobotError(f"{at}: column {name!r} appears more than once.")
         if name in _WORDS and symbol is not None:
             raise RobotError(f"{at}: column {name!r} holds words and takes no unit, but has [{symbol}].")
         if name in _DIMENSIONS and not symbol:

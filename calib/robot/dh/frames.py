@@ -179,7 +179,7 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
     if not 0.0 <= parallel <= MOST_PARALLEL:
         raise RobotError(f"parallel: {parallel!r} is not an angle between 0 and {MOST_PARALLEL} rad.")
     if robot.loops:
-        raise RobotError(f"{robot.urdf.where}: an arm with closed loops is no DH table; free placements instead.")
+        raise RobotError(f"{robot.urdf.where}: an arm with closed loops has no DH table; free placements instead.")
     modified = convention == "modified"
     elements, steps, slides = _walk(robot, parallel, modified=modified)
     chain, owner, at = _chain(robot, dict(zip(elements, slides, strict=True)), dict(zip(elements, steps, strict=True)))

@@ -37,7 +37,7 @@ class LinkKind(Kind):
         names = listed_names(selection, self.key, *self.words)
         if short := next((name for name in names if name in parts.joints and name not in parts.links), None):
             raise JobError(
-                f"{self.key}: there is no link before {short!r}, which stands where the joint before it does."
+                f"{self.key}: there is no link before {short!r}: it is at the same place as the joint before it."
             )
         return select(names, list(parts.links), self.key, *self.words)
 
