@@ -23,7 +23,7 @@ def test_the_table_of_the_arm_cmm_recommends_placements(folder: Path) -> None:
     assert max(map(len, out.splitlines())) <= 80
     names = re.findall(r"^  (base and tool|offsets|placements|joint terms) +(\d+) +(\d+) ", out, re.M)
     assert names[:3] == [("base and tool", "9", "9"), ("offsets", "15", "13"), ("placements", "45", "27")]
-    assert "Recommended: placements (27 directions are seen)" in out
+    assert "Recommended: placements (27 directions are determined)" in out
     assert "60 rows in 60 groups, 4 folds" in out
     assert tree(folder) == before
 
