@@ -14,9 +14,10 @@ import numpy.typing as npt
 LARGEST_FILE: Final = 100_000_000
 _ENTRY = b"PK\x01\x02"  # begins an entry of a zip's directory; numbers may look like it now and then
 _MOST_ENTRIES = 1000
+# Numbers of a shape are parted by commas: else a row of digits could be read in endlessly many ways.
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00..\{'descr': '(?P<dtype>[<|](?:[if][248]|i1|b1|U[1-9][0-9]{0,4}))', 'fortran_order': False, "
-    rb"'shape': \((?P<shape>(?:[0-9]{1,12},? ?)*)\), \} *\n",
+    rb"'shape': \((?P<shape>(?:[0-9]{1,12}, ?)*(?:[0-9]{1,12})?)\), \} *\n",
     re.DOTALL,
 )
 _LONGEST_HEADER = 1000
