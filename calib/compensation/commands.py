@@ -204,9 +204,7 @@ def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array
 
 
 def _are_placements(poses: Array) -> bool:
-    R = poses[:, :3, :3]
-    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-6
-    return bool(orthogonal and (np.linalg.det(R) > 0.0).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
+    return bool(rigid.are_rotations(poses[:, :3, :3]).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def _out_of_reach(model: CalibratedMachine, poses: Array, tools: Array) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ expressed in the local frame of ``T``.
 
 import numpy as np
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, BoolArray
 
 _SMALL_ANGLE = 1e-4
 _TINY = 1e-150
@@ -133,6 +133,12 @@ def rotation_of_quaternion(q: Array) -> Array:
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     K = skew(q[..., 1:])
     return np.asarray(np.eye(3) + 2.0 * q[..., :1, None] * K + 2.0 * (K @ K))
+
+
+def are_rotations(R: Array) -> BoolArray:
+    """Return which of N matrices (N, 3, 3) are rotations, to 1e-6 in every entry of R^T R."""
+    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < 1e-6
+    return np.asarray(orthogonal & (np.linalg.det(R) > 0.0))
 
 
 def quaternion_of(R: Array) -> Array:

@@ -14,9 +14,6 @@ from calib.measurement.read import read_measurements
 from calib.measurement.table import QUATERNION_COLUMNS
 from calib.robot.robot import Robot
 
-# By how much rows of a rotation may miss being orthonormal.
-_ROTATION = 1e-6
-
 
 @checked
 def positions(
@@ -60,7 +57,7 @@ def poses(
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise MeasurementError(f"placements of shape {T.shape}: needed is (N, 4, 4).")
     R = T[:, :3, :3]
-    bad = ~(np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < _ROTATION) | ~(np.linalg.det(R) > 0.0)
+    bad = ~rigid.are_rotations(R)
     if bad.any():
         raise MeasurementError(f"placements: that of row {int(np.argmax(bad)) + 1} has no rotation.")
     turned = rigid.quaternion_of(R)
