@@ -193,6 +193,14 @@ def test_python_writes_the_folder_of_the_command(found: calib.Calibration, tmp_p
         calib.save(found, out)
 
 
+def test_rows_that_were_fitted_prove_nothing(found: calib.Calibration) -> None:
+    identified, held_out = (judged.data for judged in found.sets)
+    assert not found.findings
+    (finding,) = calib.assess(found.fit, [held_out, identified]).findings
+    assert finding.code == "not-held-out"
+    assert "as a validation it proves nothing" in calib.report(calib.assess(found.fit, identified))
+
+
 def test_plain_arrays_are_the_table(arm: calib.Robot) -> None:
     data = calib.read_measurements(CASE / TABLE, arm, sigma=0.02e-3)
     assert data.position is not None

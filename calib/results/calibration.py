@@ -162,13 +162,14 @@ def assess(
     decisive = figures["validation" if validation else "identification"]
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     ends = [end for judged in sets for end in judged.data.ends]
+    told = any(finding.code == "not-held-out" for finding in findings)
     return Calibration(
         fit,
         machine,
         tuple(sets),
         figures,
         (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
-        (*findings, *remarks(fit)),
+        (*findings, *([] if told else _not_held_out(own, validation)), *remarks(fit)),
         outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)}),
         lost_in_urdf(
             fit.robot,
@@ -179,6 +180,25 @@ def assess(
         trace=trace,
         origin=origin,
     )
+
+
+def _not_held_out(own: Sequence[Measurements], validation: Sequence[Measurements]) -> list[Finding]:
+    """Find tables that the model is both fitted to and judged by."""
+    return [
+        Finding(
+            "warning",
+            "not-held-out",
+            f"{table.where}: the model is fitted to these rows as well; as a validation it proves nothing.",
+        )
+        for table in validation
+        if any(
+            table.kind == other.kind
+            and np.array_equal(table.readings, other.readings)
+            and np.array_equal(table.value, other.value)
+            and (table.position is None or np.array_equal(table.position, np.asarray(other.position)))
+            for other in own
+        )
+    ]
 
 
 def _not_stopped(trace: Trace) -> str:
