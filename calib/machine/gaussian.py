@@ -23,7 +23,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.foundations.linear import one_thread
-from calib.machine.grid import FRAMES, SCHEMA, Frame, axes_of, head_of
+from calib.machine.grid import FRAMES, SCHEMA, Frame, axes_of, head_of, refuse_other_robot
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
 
@@ -261,9 +261,7 @@ def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = N
         known = _gaussian_of(arrays_of(data, _KEYS))
     except NotReadableError as e:
         raise OutputError(f"{path}: is not a Gaussian process of this toolkit: {e}.") from e
-    if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
-        theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
-        raise OutputError(f"{path}: is of a robot with the joints {theirs}, and this one has {ours}.")
+    refuse_other_robot(f"{path}: is", known.readings, robot_readings)
     return known
 
 

@@ -364,10 +364,17 @@ def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None)
         grid = _grid_of(arrays_of(data, _KEYS))
     except NotReadableError as e:
         raise OutputError(f"{path}: is not a residual grid of this toolkit: {e}.") from e
-    if robot_readings is not None and grid.readings != tuple((r.name, r.dimension) for r in robot_readings):
-        theirs, ours = (", ".join(name for name, _ in grid.readings), ", ".join(r.name for r in robot_readings))
-        raise OutputError(f"{path}: is the grid of a robot with the joints {theirs}, and this one has {ours}.")
+    refuse_other_robot(f"{path}: is the grid", grid.readings, robot_readings)
     return grid
+
+
+def refuse_other_robot(
+    whose: str, readings: Sequence[tuple[str, str]], robot_readings: Sequence[Reading] | None
+) -> None:
+    """Raise OutputError where a file's ``readings`` (names and dimensions) are not the robot's; None: any robot's."""
+    if robot_readings is not None and tuple(readings) != tuple((r.name, r.dimension) for r in robot_readings):
+        theirs, ours = (", ".join(name for name, _ in readings), ", ".join(r.name for r in robot_readings))
+        raise OutputError(f"{whose} of a robot with the joints {theirs}, and this one has {ours}.")
 
 
 def head_of(
