@@ -8,7 +8,8 @@ import json
 import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
+
+from calib.foundations.xml_text import Element, read_xml
 
 # Beyond one for every byte: of what a file shows again and again, or asks for and does not hold.
 MOST_CORNERS = 600_000
@@ -60,17 +61,19 @@ def _of_glb(data: bytes) -> Counts:
 
 
 def _of_collada(data: bytes) -> Counts:
-    root = ElementTree.fromstring(data)  # noqa: S314 - documents with a type, hence entities, are refused before
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
-    geometries = {geometry.get("id", ""): _of_geometry(geometry) for geometry in root.iter("geometry")}
-    for controller in root.iter("controller"):
-        skins = [geometries.get(skin.get("source", "")[1:], Counts(0, 0)) for skin in controller.iter("skin")]
-        geometries[controller.get("id", "")] = _sum(skins)
-    nodes = {node.get("id", ""): node for node in root.iter("node")}
+    everything: dict[str, list[Element]] = {}
+    for element in read_xml(data, texts=True).descendants():
+        everything.setdefault(_tag(element), []).append(element)
+    geometries = {of.attributes.get("id", ""): _of_geometry(of) for of in everything.get("geometry", ())}
+    for controller in everything.get("controller", ()):
+        skins = [
+            geometries.get(skin.attributes.get("source", "")[1:], Counts(0, 0)) for skin in _below(controller, "skin")
+        ]
+        geometries[controller.attributes.get("id", "")] = _sum(skins)
+    nodes = {node.attributes.get("id", ""): node for node in everything.get("node", ())}
     known: dict[int, Counts | None] = {}
 
-    def of_node(node: ElementTree.Element) -> Counts:
+    def of_node(node: Element) -> Counts:
         if id(node) in known:
             found = known[id(node)]
             if found is None:
@@ -78,34 +81,45 @@ def _of_collada(data: bytes) -> Counts:
             return found
         known[id(node)] = None
         parts = [Counts(0, 1)]
-        for child in node:
-            url = child.get("url", "")[1:]
-            if child.tag == "node":
+        for child in node.children:
+            url = child.attributes.get("url", "")[1:]
+            if _tag(child) == "node":
                 parts.append(of_node(child))
-            elif child.tag == "instance_node" and url in nodes:
+            elif _tag(child) == "instance_node" and url in nodes:
                 parts.append(of_node(nodes[url]))
-            elif child.tag in ("instance_geometry", "instance_controller"):
+            elif _tag(child) in ("instance_geometry", "instance_controller"):
                 parts.append(geometries.get(url, Counts(0, 1)))
         found = _sum(parts)
         known[id(node)] = found
         return found
 
-    shown = _sum([of_node(node) for scene in root.iter("visual_scene") for node in scene if node.tag == "node"])
+    scenes, libraries = everything.get("visual_scene", ()), everything.get("library_nodes", ())
+    shown = _sum([of_node(node) for scene in scenes for node in scene.children if _tag(node) == "node"])
     # Whatever is in the library is made as well, and once.
-    library = _sum([*geometries.values(), *(of_node(node) for group in root.iter("library_nodes") for node in group)])
+    library = _sum([*geometries.values(), *(of_node(node) for group in libraries for node in group.children)])
     return Counts(max(shown.corners, library.corners), max(shown.parts, library.parts))
 
 
-def _of_geometry(geometry: ElementTree.Element) -> Counts:
+def _of_geometry(geometry: Element) -> Counts:
     corners = parts = 0
-    for primitive in geometry.iter():
-        if primitive.tag in ("triangles", "polylist", "polygons", "tristrips", "trifans", "lines", "linestrips"):
-            each = 1 + max((int(i.get("offset", "0")) for i in primitive.iter("input")), default=0)
-            words = sum(len((p.text or "").split()) for p in primitive.iter("p"))
+    for primitive in geometry.descendants():
+        if _tag(primitive) in ("triangles", "polylist", "polygons", "tristrips", "trifans", "lines", "linestrips"):
+            inputs = _below(primitive, "input")
+            each = 1 + max((int(one.attributes.get("offset", "0")) for one in inputs), default=0)
+            words = sum(len(p.text.split()) for p in _below(primitive, "p"))
             # A polygon of n corners is n - 2 triangles.
-            corners += words // max(each, 1) * (1 if primitive.tag in ("triangles", "lines") else 3)
+            corners += words // max(each, 1) * (1 if _tag(primitive) in ("triangles", "lines") else 3)
             parts += 1
     return Counts(corners, parts)
+
+
+def _below(element: Element, tag: str) -> list[Element]:
+    return [one for one in element.descendants() if _tag(one) == tag]
+
+
+def _tag(element: Element) -> str:
+    """Return the tag without the prefix of its namespace."""
+    return element.tag.rpartition(":")[2]
 
 
 def _sum(found: list[Counts]) -> Counts:

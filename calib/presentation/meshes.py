@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
-from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +28,7 @@ LARGEST_FILE = 200_000_000
 # What the readers were seen to raise on damaged files; they have no exception of their own.
 _DAMAGED = (
     *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, OSError),
-    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error, expat.ExpatError),
+    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = np.deg2rad(30.0)
@@ -150,8 +149,6 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
     from collada.common import DaeError  # noqa: PLC0415
 
     try:
-        if suffix == ".dae":
-            _refuse_doctype(data)
         told = counts(data, suffix)
         if not told.within(spare + len(data)):
             return None
@@ -170,17 +167,6 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
     corners = 3 * sum(len(part.faces) for part in parts)
     usable = 0 < corners <= spare + len(data) and all(np.isfinite(part.vertices).all() for part in parts)
     return Mesh(joined(parts), max(corners, told.corners)) if usable else None
-
-
-def _refuse_doctype(data: bytes) -> None:
-    """Raise ValueError for XML with a document type, whose entities may grow without end or name other files."""
-
-    def refuse(*_: object) -> None:
-        raise ValueError("has a document type")
-
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.Parse(data, True)
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.parsers import expat
 
 import coal
 import numpy as np
@@ -24,6 +23,7 @@ from calib.foundations.files import read_bytes
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
+from calib.robot.urdf import Urdf, read_document
 
 _LARGEST_MESH = 200_000_000
 _FORMATS = {".dae", ".stl", ".obj", ".ply"}
@@ -48,9 +48,9 @@ class _Element:
     """A ``<collision>``: its link, and the attributes of its origin and of its shape."""
 
     link: str
-    origin: dict[str, str]
+    origin: Mapping[str, str]
     shape: str
-    attributes: dict[str, str]
+    attributes: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +184,7 @@ def self_collision(
     """
     shapes, notes = [], []
     meshes: _Meshes = {}
-    elements = _elements(robot.urdf.source)
+    elements = _elements(robot.urdf)
     if len(elements) > MOST_SHAPES:
         raise RobotError(
             f"{robot.urdf.where}: has {len(elements)} collision shapes; allowed are {MOST_SHAPES}, unless collisions "
@@ -205,35 +205,16 @@ def self_collision(
     return SelfCollision(robot, tuple(shapes), bodies, pairs, tuple(notes)).without_lasting(readings)
 
 
-def _elements(source: bytes) -> list[_Element]:
-    """Return the ``<collision>`` elements of a URDF that was read before, so that it is known to be harmless XML."""
-    found: list[_Element] = []
-    stack: list[str] = []
-    link, origin = "", dict[str, str]()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal link, origin
-        stack.append(tag)
-        match stack:
-            case ["robot", "link"]:
-                link = attributes.get("name", "")
-            case ["robot", "link", "collision"]:
-                origin = {}
-            case ["robot", "link", "collision", "origin"]:
-                origin = attributes
-            case ["robot", "link", "collision", "geometry", shape]:
-                found.append(_Element(link, {}, shape, attributes))
-
-    def end(_: str) -> None:
-        if stack == ["robot", "link", "collision"] and found and found[-1].link == link:
-            # The origin may stand behind the geometry.
-            found[-1] = _Element(link, origin, found[-1].shape, found[-1].attributes)
-        stack.pop()
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(source, True)
-    return found
+def _elements(urdf: Urdf) -> list[_Element]:
+    """Return the shapes of all ``<collision>`` elements of a URDF."""
+    return [
+        _Element(link.attributes["name"], origin, shape.tag, shape.attributes)
+        for link in read_document(urdf.source, urdf.where, generations=4).all("link")
+        for collision in link.all("collision")
+        for origin in [{key: value for element in collision.all("origin") for key, value in element.attributes.items()}]
+        for geometry in collision.all("geometry")
+        for shape in geometry.children
+    ]
 
 
 _Meshes = dict[tuple[Path, tuple[float, ...]], object]
@@ -269,7 +250,7 @@ def _shape(element: _Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
     )
 
 
-def _mesh(attributes: dict[str, str], roots: Sequence[Path], meshes: _Meshes, at: str) -> object:
+def _mesh(attributes: Mapping[str, str], roots: Sequence[Path], meshes: _Meshes, at: str) -> object:
     """Return a mesh; one that comes often is read once."""
     name = attributes.get("filename", "")
     path = find_mesh(name, roots)

@@ -11,8 +11,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, NoReturn, cast, get_args
-from xml.parsers import expat
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.rigid import placement, rotation_of_rpy
 from calib.foundations.units import NUMBER
 from calib.foundations.words import listed, near, shortened, shown
+from calib.foundations.xml_text import Element, NotXmlError, read_xml
 from calib.robot.sources import resolve
 
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -36,14 +36,11 @@ LARGEST_URDF = 10_000_000
 MOST_JOINTS = 200
 # Of the whole document, and as many joints: a cell with all its fixed frames has some hundreds.
 MOST_LINKS = 2000
-_DEEPEST = 100
 _LONGEST_NAME = 200
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
 LARGEST_NUMBER = 1e6
 # A shorter axis is a zero with rounding noise and has no direction.
 _SHORTEST_AXIS = 1e-6
-# cp1252 reaches expat through Python, the others are its own; all of them are ASCII in tags and numbers.
-_ENCODINGS = ("UTF-8", "UTF8", "UTF-16", "ISO-8859-1", "US-ASCII", "ASCII", "WINDOWS-1252")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +117,7 @@ def inertials(urdf: Urdf) -> Mapping[str, Inertial]:
     found: dict[str, Inertial] = {}
     for name, link in _unique("link", read_document(urdf.source, urdf.where, generations=3), urdf.where).items():
         at = f"{urdf.where}:{link.line}: link {shown(name)}"
-        stated = [child for child in link.children if child.tag == "inertial"]
+        stated = link.all("inertial")
         if not stated:
             continue
         if len(stated) > 1:
@@ -128,10 +125,10 @@ def inertials(urdf: Urdf) -> Mapping[str, Inertial]:
         parts = {child.tag: child for child in stated[0].children}
         if "mass" not in parts:
             raise RobotError(f"{at}: <inertial> has no <mass>.")
-        mass = _numbers(parts["mass"], "value", at, count=1)[0]
+        mass = numbers_of(parts["mass"], "value", at, count=1)[0]
         if mass < 0.0:
             raise RobotError(f"{at}: the mass {mass:g} kg is negative.")
-        centre = _origin(parts["origin"], at)[:3, 3] if "origin" in parts else read_only(np.zeros(3))
+        centre = origin_of(parts["origin"], at)[:3, 3] if "origin" in parts else read_only(np.zeros(3))
         found[name] = Inertial(mass, centre)
     return found
 
@@ -152,7 +149,7 @@ def parse_urdf(source: bytes, where: str) -> Urdf:
             f"{where}:{robot.line}: the outermost element is <{shortened(robot.tag)}>; a URDF has <robot>."
         )
     for tag in ("link", "joint"):
-        if (many := sum(element.tag == tag for element in robot.children)) > MOST_LINKS:
+        if (many := len(robot.all(tag))) > MOST_LINKS:
             raise RobotError(f"{where}: has {many} {tag}s; allowed are {MOST_LINKS}.")
     links = tuple(_unique("link", robot, where))
     if not links:
@@ -163,85 +160,20 @@ def parse_urdf(source: bytes, where: str) -> Urdf:
     return Urdf(_text(robot, "name", f"{where}:{robot.line}: the robot") or "", root, links, joints, source, where)
 
 
-# The document: XML as elements that know where they stand in the bytes. ------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Element:
-    """An XML element with the line and the byte where its start tag begins.
-
-    ``end`` is the byte after its start tag when it is empty (``<a/>``), else the byte where its end tag begins.
-    """
-
-    tag: str
-    attributes: Mapping[str, str]
-    line: int
-    start: int
-    end: int
-    children: tuple["Element", ...]
+# The document. ---------------------------------------------------------------------------------------------------
 
 
 def read_document(source: bytes, where: str, generations: int = 2) -> Element:
-    """Return the outermost element of an XML document with so many ``generations`` below it.
+    """Return the outermost element of a URDF with so many ``generations`` below it; ``where`` names it in messages.
 
-    Raises RobotError for what is not XML, and for entities, document types, endless nesting and unexpanded xacro.
+    Raises RobotError for what is too large, and for what :func:`calib.foundations.xml_text.read_xml` refuses.
     """
     if len(source) > LARGEST_URDF:
         raise RobotError(f"{where}: is larger than {LARGEST_URDF} bytes.")
-    builder = _Builder(where, generations)
     try:
-        builder.parser.Parse(source, True)
-    except expat.ExpatError as e:
-        raise RobotError(f"{where}:{e.lineno}: is not well-formed XML ({expat.ErrorString(e.code)}).") from e
-    return builder.root
-
-
-class _Builder:
-    """Expat's handlers: a stack of open elements, closed into frozen ones."""
-
-    def __init__(self, where: str, generations: int) -> None:
-        self.where = where
-        self.deepest = generations + 1
-        self.root: Element
-        self.depth = 0
-        self.open: list[tuple[str, dict[str, str], int, int, list[Element]]] = []
-        self.parser = expat.ParserCreate()
-        self.parser.XmlDeclHandler = self.declaration
-        self.parser.StartDoctypeDeclHandler = self.doctype
-        self.parser.StartElementHandler = self.start
-        self.parser.EndElementHandler = self.end
-
-    def refuse(self, what: str) -> NoReturn:
-        raise RobotError(f"{self.where}:{self.parser.CurrentLineNumber}: {what}")
-
-    def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        # Any other would be looked up among Python's codecs, which are more than character sets.
-        if encoding is not None and encoding.upper() not in _ENCODINGS:
-            self.refuse(f"the encoding {shown(encoding)} is not one that is read; save the file as UTF-8.")
-
-    def doctype(self, *_: object) -> None:
-        # Without a document type there are no entities, hence no bombs and nothing external.
-        self.refuse("a DOCTYPE is not allowed in a URDF; remove it.")
-
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.depth += 1
-        if self.depth > _DEEPEST:
-            self.refuse(f"elements are nested more than {_DEEPEST} deep.")
-        if tag.startswith("xacro:"):
-            self.refuse(f"<{shortened(tag)}> is not expanded; run xacro first and use the URDF that it prints.")
-        if self.depth <= self.deepest:
-            self.open.append((tag, attributes, self.parser.CurrentLineNumber, self.parser.CurrentByteIndex, []))
-
-    def end(self, _tag: str) -> None:
-        self.depth -= 1
-        if self.depth >= self.deepest:
-            return
-        tag, attributes, line, start, children = self.open.pop()
-        element = Element(tag, attributes, line, start, self.parser.CurrentByteIndex, tuple(children))
-        if self.open:
-            self.open[-1][-1].append(element)
-        else:
-            self.root = element
+        return read_xml(source, generations)
+    except NotXmlError as e:
+        raise RobotError(f"{where}:{e.line}: {e}") from e
 
 
 # Elements to joints. ---------------------------------------------------------------------------------------------
@@ -250,13 +182,12 @@ class _Builder:
 def _unique(tag: str, robot: Element, where: str) -> dict[str, Element]:
     """Return the children ``tag`` of the robot by name, in document order; two of one name are refused."""
     found: dict[str, Element] = {}
-    for element in robot.children:
-        if element.tag == tag:
-            name = _required(element, "name", f"{where}:{element.line}: <{tag}>")
-            if name in found:
-                first = found[name].line
-                raise RobotError(f"{where}:{element.line}: {tag} {shown(name)} is declared already in line {first}.")
-            found[name] = element
+    for element in robot.all(tag):
+        name = _required(element, "name", f"{where}:{element.line}: <{tag}>")
+        if name in found:
+            first = found[name].line
+            raise RobotError(f"{where}:{element.line}: {tag} {shown(name)} is declared already in line {first}.")
+        found[name] = element
     return found
 
 
@@ -278,7 +209,7 @@ def _joint(name: str, element: Element, where: str) -> UrdfJoint:
         type=cast(JointType, type_),
         parent=ends["parent"],
         child=ends["child"],
-        origin=_origin(*parts["origin"]) if "origin" in parts else read_only(np.eye(4)),
+        origin=origin_of(*parts["origin"]) if "origin" in parts else read_only(np.eye(4)),
         # Exporters write axis 0 0 0 and limits on fixed joints, where neither means anything.
         axis=_axis(*parts["axis"]) if "axis" in parts and (one_position or type_ == "planar") else read_only([1, 0, 0]),
         lower=lower,
@@ -300,16 +231,17 @@ def _parts(name: str, joint: Element, where: str) -> dict[str, tuple[Element, st
     return parts
 
 
-def _origin(element: Element, at: str) -> Array:
+def origin_of(element: Element, at: str) -> Array:
+    """Return the placement (4, 4) that an ``<origin>`` states; ``at`` begins a message. Raises RobotError."""
     xyz, rpy = (
-        np.array(_numbers(element, name, at, count=3)) if name in element.attributes else np.zeros(3)
+        np.array(numbers_of(element, name, at, count=3)) if name in element.attributes else np.zeros(3)
         for name in ("xyz", "rpy")
     )
     return read_only(placement(rotation_of_rpy(rpy), xyz))
 
 
 def _axis(element: Element, at: str) -> Array:
-    axis = _numbers(element, "xyz", at, count=3)
+    axis = numbers_of(element, "xyz", at, count=3)
     length = math.hypot(*axis)
     if length < _SHORTEST_AXIS:
         raise RobotError(f"{at}: <axis> xyz={shown(element.attributes['xyz'])} has no direction.")
@@ -355,13 +287,13 @@ def _number(element: Element, attribute: str, at: str, default: float, largest: 
     """Return the plain decimal number of an attribute, or ``default`` where it is omitted."""
     if attribute not in element.attributes:
         return default
-    return _numbers(element, attribute, at, count=1, largest=largest)[0]
+    return numbers_of(element, attribute, at, count=1, largest=largest)[0]
 
 
-def _numbers(
+def numbers_of(
     element: Element, attribute: str, at: str, *, count: int, largest: float = LARGEST_NUMBER
 ) -> tuple[float, ...]:
-    """Return the ``count`` plain decimal numbers of an attribute that must be there."""
+    """Return the ``count`` plain decimal numbers of an attribute that must be there. Raises RobotError."""
     at = f"{at}: <{element.tag}>"
     text = _text(element, attribute, at)
     if text is None:

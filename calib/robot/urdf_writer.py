@@ -15,7 +15,8 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError, RobotError
 from calib.foundations.rigid import rpy_of
 from calib.foundations.words import shown
-from calib.robot.urdf import LARGEST_NUMBER, Element, Urdf, UrdfJoint, parse_urdf, read_document
+from calib.foundations.xml_text import Element
+from calib.robot.urdf import LARGEST_NUMBER, Urdf, UrdfJoint, parse_urdf, read_document
 
 # Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
 _ROUNDING = 1e-12

@@ -159,10 +159,10 @@ K = '<link name="c"/><joint name="k" type="{}"><parent link="b"/><child link="c"
         (arm() + b"<x/>", "arm.urdf:6: is not well-formed XML (junk after document element)."),
         (arm("&e;"), "arm.urdf:5: is not well-formed XML (undefined entity)."),
         (arm("\0"), "arm.urdf:5: is not well-formed XML (not well-formed (invalid token))."),
-        (b"<!DOCTYPE robot>" + arm(), "arm.urdf:1: a DOCTYPE is not allowed in a URDF; remove it."),
+        (b"<!DOCTYPE robot>" + arm(), "arm.urdf:1: a DOCTYPE is not allowed; remove it."),
         (
             b'<!DOCTYPE robot [\n<!ENTITY a "aa">\n<!ENTITY b SYSTEM "file:///etc/passwd">]>' + arm("&b;"),
-            "arm.urdf:1: a DOCTYPE is not allowed in a URDF; remove it.",
+            "arm.urdf:1: a DOCTYPE is not allowed; remove it.",
         ),
         (
             b'<?xml version="1.0" encoding="shift_jis"?>' + arm(),
