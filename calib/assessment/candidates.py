@@ -13,10 +13,9 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Observed
 from calib.foundations.errors import JobError
 from calib.identification.error_model import ErrorModel
-from calib.identification.machine import Frames, values_at
-from calib.identification.parameters import scales
-from calib.identification.system import Problem, jacobian
-from calib.measurement.measurements import unmeasured
+from calib.identification.machine import Frames, machine, values_at
+from calib.identification.parameters import directions, scales
+from calib.machine.tool_motion import tool_jacobian
 from calib.robot.collision import Effort, SelfCollision
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Robot, TipModel
@@ -68,40 +67,32 @@ def rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
     """Return what measuring each of N poses would bring, as rows of 3 numbers for positions and 6 for poses."""
     sigma = np.repeat([setup.sigma, setup.sigma_angle], 3)[: 6 if setup.observes == "pose" else 3]
     J, H = _motions(model, setup, readings, setup.observes)
-    return Rows(-J / sigma[:, None], H / sigma[:, None])
+    return Rows(J / sigma[:, None], H / sigma[:, None])
 
 
 def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
     """Return the motions of the tool's position at N working poses, in m: what an I-optimal design keeps small."""
     J, H = _motions(model, setup, readings, "position")
-    return Rows(-J, H)
+    return Rows(J, H)
 
 
 def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
-    """Return residuals' changes (N, d, p) for one parameter scale, and effects (N, d, h) left out, in m and rad."""
-    robot, frames = model.robot, setup.frames
-    tips, by_reading = TipModel(robot).driven(readings)
-    placed = frames.base @ tips @ frames.tools[0]
-    data = unmeasured(
-        [reading.name for reading in robot.readings],
-        readings,
-        placed[:, :3, 3],
-        placed[:, :3, :3] if observes == "pose" else None,
-        conditions=ordinary(readings),
-        where="candidates",
-    )
-    parameters = model.parameters()
-    problem = Problem(model, parameters, frames, (data,))
-    (J,) = jacobian(problem, values_at(robot, parameters, frames))
-    H = np.zeros((len(readings), J.shape[1], 0))
+    """Return the tool's motions (N, d, p) for the scale of each parameter, and (N, d, h) for effects left out."""
+    robot, frames, parameters = model.robot, setup.frames, model.parameters()
+    at = machine(robot, parameters, frames, values_at(robot, parameters, frames))
+    by_state = tool_jacobian(robot, at, readings, ordinary(readings))[:, : 6 if observes == "pose" else 3]
+    J = by_state @ (directions(parameters, by_state.shape[2]) * scales(parameters))
+    H = np.zeros((*J.shape[:2], 0))
     if setup.misfit > 0.0:
+        tips, by_reading = TipModel(robot).driven(readings)
         local = rigid.adjoint(rigid.inverse(frames.tools[0])) @ by_reading
-        moved = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)[:, : J.shape[1]]
+        turned = (frames.base @ tips @ frames.tools[0])[:, :3, :3]
+        moved = np.concatenate([turned @ local[:, :3], local[:, 3:]], axis=1)[:, : J.shape[1]]
         waves = [wave(k * readings)[:, None] for k in _ORDERS for wave in (np.cos, np.sin)]
         H = np.concatenate([moved * wave for wave in waves], axis=2)
         size = float(np.sqrt(np.mean(np.sum(H[:, :3] ** 2, axis=(1, 2)))))
         H = H * (setup.misfit / size)
-    return J * scales(parameters), H
+    return J, H
 
 
 # ---- which poses can be measured

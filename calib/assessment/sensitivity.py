@@ -27,15 +27,15 @@ from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
 from calib.foundations.units import Dimension
 from calib.foundations.words import shown
-from calib.identification import identifiability, system
+from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
-from calib.identification.machine import values_at
-from calib.identification.parameters import Parameter, scales
-from calib.identification.system import Problem
-from calib.measurement.measurements import unmeasured
+from calib.identification.machine import Frames, Machine, machine, values_at
+from calib.identification.parameters import Parameter, directions, scales
+from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.table import nearest
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
+from calib.robot.robot import Robot
 
 _DIMENSIONS: Mapping[str, Dimension] = {"m": "length", "rad": "angle"}
 _LARGEST_TABLE = 1_000_000
@@ -120,8 +120,8 @@ def coefficients(model: ErrorModel, readings: npt.ArrayLike) -> Coefficients:
 
     Raises JobError when nothing is free, MeasurementError when the readings are not of this robot.
     """
-    problem, x = _at_nominal(model, readings)
-    return Coefficients(tuple(p.name for p in problem.parameters), read_only(_jacobian(problem, x)))
+    poses, x = _at_nominal(model, readings)
+    return Coefficients(tuple(p.name for p in poses.parameters), read_only(poses.jacobian(x)))
 
 
 @checked
@@ -130,22 +130,22 @@ def predicted_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[
 
     What is not named has no error. Raises JobError for a name that is no free parameter, or a value that is no number.
     """
-    problem, x = _at_nominal(model, readings)
-    return read_only(_jacobian(problem, x) @ _values(problem.parameters, errors))
+    poses, x = _at_nominal(model, readings)
+    return read_only(poses.jacobian(x) @ _values(poses.parameters, errors))
 
 
 @checked
 def exact_error(model: ErrorModel, readings: npt.ArrayLike, errors: Mapping[str, float]) -> Array:
     """Return the tip error F(x + dx) - F(x) (N, 3) in m for ``errors`` as in :func:`predicted_error`."""
-    problem, x = _at_nominal(model, readings)
-    return read_only(_point(problem, x + _values(problem.parameters, errors)) - _point(problem, x))
+    poses, x = _at_nominal(model, readings)
+    return read_only(poses.points(x + _values(poses.parameters, errors)) - poses.points(x))
 
 
 @checked
 def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     """Return how far every parameter moves the tip over a set of poses, and which parameters positions tell apart."""
-    problem, x = _at_nominal(model, readings)
-    J, parameters = _jacobian(problem, x), problem.parameters
+    poses, x = _at_nominal(model, readings)
+    J, parameters = poses.jacobian(x), poses.parameters
     motion = np.linalg.norm(J, axis=1)
     scaled = J.reshape(-1, len(parameters)) * scales(parameters)
     # A joint whose axis runs through the tip moves it by rounding: that is nothing, and no direction of its own.
@@ -180,12 +180,12 @@ def group_study(
     if not (len(factors) and np.all(np.isfinite(factors))):
         raise JobError(f"factors: {factors!r} are not numbers.")
     groups = _unique(map(group_of, errors))
-    problem, x = _at_nominal(model, readings)
-    nominal = _point(problem, x)
+    poses, x = _at_nominal(model, readings)
+    nominal = poses.points(x)
 
     def length(factor: float, scaled_group: str | None) -> Array:
         scaled = {name: value * (factor if group_of(name) == scaled_group else 1.0) for name, value in errors.items()}
-        moved = _point(problem, x + _values(problem.parameters, scaled))
+        moved = poses.points(x + _values(poses.parameters, scaled))
         return np.asarray(np.linalg.norm(moved - nominal, axis=1))
 
     scaled = np.array([[length(factor, group) for factor in factors] for group in groups])
@@ -238,8 +238,30 @@ def _unique(words: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Array]:
-    """Return the poses as rows of a problem that nobody measured, and the nominal robot's parameter values (p,)."""
+class _Poses(NamedTuple):
+    """Readings (N, nr) with conditions, of a robot with frames whose ``parameters`` are errors."""
+
+    robot: Robot
+    parameters: tuple[Parameter, ...]
+    reference: Frames
+    readings: Array
+    conditions: Conditions
+
+    def at(self, x: Array) -> Machine:
+        return machine(self.robot, self.parameters, self.reference, x)
+
+    def points(self, x: Array) -> Array:
+        """Return the tip points (N, 3) at parameter values x (p,)."""
+        return tool_poses(self.robot, self.at(x), self.readings, self.conditions)[:, :3, 3]
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivatives (N, 3, p) of the points."""
+        by_state = tool_jacobian(self.robot, self.at(x), self.readings, self.conditions)[:, :3]
+        return np.asarray(by_state @ directions(self.parameters, by_state.shape[2]))
+
+
+def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[_Poses, Array]:
+    """Return the poses, and the nominal robot's parameter values (p,)."""
     names = tuple(reading.name for reading in model.robot.readings)
     q = np.asarray(readings, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] != len(names) or not len(q) or not np.all(np.isfinite(q)):
@@ -252,18 +274,8 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[Problem, Ar
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
-    poses = unmeasured(names, q, np.zeros((len(q), 3)), conditions=warm, where="poses")
     reference = model.given_frames(tools)
-    return Problem(model, parameters, reference, (poses,)), values_at(model.robot, parameters, reference)
-
-
-def _point(problem: Problem, x: Array) -> Array:
-    """Return the tip points (N, 3): measured at the origin, they are what the residuals lack."""
-    return -system.residuals(problem.model.robot, problem.measurements, problem.machine(x))[0]
-
-
-def _jacobian(problem: Problem, x: Array) -> Array:
-    return -system.jacobian(problem, x)[0]
+    return _Poses(model.robot, parameters, reference, q, warm), values_at(model.robot, parameters, reference)
 
 
 def _values(parameters: Sequence[Parameter], errors: Mapping[str, float]) -> Array:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
@@ -14,11 +13,12 @@ from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.parameters import directions, scales
 from calib.identification.system import residuals
 from calib.machine.residual_model import ResidualModel, shifted
+from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import NO_CONDITIONS, Conditions
-from calib.robot.robot import Deviations, Robot, TipModel
+from calib.robot.robot import Deviations, Robot
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -68,21 +68,8 @@ class CalibratedMachine:
         Rows: position in the instrument's axes, in m, and small turns about the tool's axes, in rad. Columns: as the
         rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
         """
-        layout, number = Layout(self.robot, len(self.tools)), list(self.tools).index(self.tool_named(tool))
-        motion = TipModel(self.robot, self.deviations).motion(readings, conditions)
-        T_tool = self.tools[tool]
-        placed = motion.placement @ T_tool
-        state = self.state
-        J = np.zeros((len(placed), 6, layout.size))
-        # Local twists of the tip, then of the tool.
-        J[:, :, : layout.terms] = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
-        J[:, :, layout.terms : layout.base] = motion.by_terms
-        J[:, :, : layout.base] = rigid.adjoint(rigid.inverse(T_tool)) @ J[:, :, : layout.base]
-        J[:, :, layout.base : layout.tools] = rigid.adjoint(rigid.inverse(placed)) @ state.base_twists
-        own = slice(layout.tools + 6 * number, layout.tools + 6 * number + 6)
-        J[:, :, own] = state.tool_twists[number]
-        J[:, :3] = (self.base @ placed)[:, :3, :3] @ J[:, :3]
-        return J
+        number = list(self.tools).index(self.tool_named(tool))
+        return tool_jacobian(self.robot, self.state, readings, conditions, number)
 
     @checked
     def residuals(self, data: Measurements) -> Array:

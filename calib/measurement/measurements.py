@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
 from calib.measurement.instruments import Camera
-from calib.measurement.kinds import Kind, size
+from calib.measurement.kinds import Kind
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 
@@ -152,42 +152,3 @@ def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], In
     new = np.full(len(names) + 1, -1, dtype=np.intp)
     new[there] = np.arange(len(there))
     return tuple(names[k] for k in there), new
-
-
-def unmeasured(
-    reading_names: Sequence[str],
-    readings: Array,
-    position: Array,
-    orientation: Array | None = None,
-    *,
-    tools: Sequence[str] = ("tool",),
-    tool: int = 0,
-    conditions: Conditions = NO_CONDITIONS,
-    where: str,
-) -> Measurements:
-    """Return positions (N, 3) or, with orientations (N, 3, 3), poses that nobody measured, such as predicted ones.
-
-    Their sigmas are 1 m and 1 rad.
-    """
-    n = len(readings)
-    kind: Kind = "position" if orientation is None else "pose"
-    return Measurements(
-        kind=kind,
-        reading_names=tuple(reading_names),
-        readings=read_only(readings),
-        position=read_only(position),
-        orientation=None if orientation is None else read_only(orientation),
-        value=read_only(np.zeros((n, 0))),
-        sigma=read_only(np.ones((n, size(kind)))),
-        tools=tuple(tools),
-        tool=np.full(n, tool, dtype=np.intp),
-        targets=(),
-        target=np.full(n, -1, dtype=np.intp),
-        other=None,
-        offsets=(),
-        offset=-1,
-        group=None,
-        where=where,
-        lines=np.arange(n, dtype=np.intp),
-        conditions=conditions,
-    )
