@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.units import MM, MRAD
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
@@ -59,7 +60,7 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     parameters.
     """
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
-    factor = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+    factor = {"m": (1.0 / MM, "mm"), "rad": (1.0 / MRAD, "mrad")}
     said = []
     for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
         if weak:

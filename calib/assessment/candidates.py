@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Observed
 from calib.foundations.errors import JobError
+from calib.foundations.units import DEG
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, machine, values_at
 from calib.identification.parameters import directions, scales
@@ -109,7 +110,7 @@ class Sight:
 
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
     facing: tuple[float, float, float] | None = None
-    acceptance: float = float(np.deg2rad(30.0))
+    acceptance: float = 30.0 * DEG
     nearest: float = 0.0
     farthest: float = float("inf")
 
@@ -117,7 +118,7 @@ class Sight:
         if self.facing is not None and not np.linalg.norm(self.facing) > 0.0:
             raise JobError(f"facing: {self.facing} has no direction.")
         if not 0.0 < self.acceptance <= np.pi:
-            raise JobError(f"acceptance: {np.rad2deg(self.acceptance):g} deg is not between 0 and 180 deg.")
+            raise JobError(f"acceptance: {self.acceptance / DEG:g} deg is not between 0 and 180 deg.")
         if not 0.0 <= self.nearest < self.farthest:
             raise JobError(f"range: from {self.nearest:g} m to {self.farthest:g} m holds no distance.")
 

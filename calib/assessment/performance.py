@@ -23,7 +23,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
-from calib.foundations.units import Dimension, Unit, unit_of
+from calib.foundations.units import MM, Dimension, Unit, unit_of
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.conditions import conditions, refuse_lacking
 from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
@@ -417,7 +417,7 @@ def _only(test: Touches, column: str, rows: IntArray) -> float:
         n = int(np.argmax(other))
         lines = test.lines[rows]
         raise MeasurementError(
-            f"column {column!r} is {1e3 * values[0]:.6g} mm in line {lines[0]} and {1e3 * values[n]:.6g} mm in line "
+            f"column {column!r} is {values[0] / MM:.6g} mm in line {lines[0]} and {values[n] / MM:.6g} mm in line "
             f"{lines[n]} of the same target or pair."
         )
     return float(values[0])

@@ -9,6 +9,7 @@ import typer
 from calib.cli.application import PATH, Telling, command
 from calib.cli.options import Json, Quiet, ResultFolder
 from calib.foundations.choices import Target
+from calib.foundations.units import MM
 from calib_start import loading
 
 _WORSE = (
@@ -66,4 +67,4 @@ def export(
 
 
 def _said(cost: float) -> str:
-    return "all, as its readings are others" if math.isnan(cost) else f"{cost * 1e3:.4f} mm rms"
+    return "all, as its readings are others" if math.isnan(cost) else f"{cost / MM:.4f} mm rms"

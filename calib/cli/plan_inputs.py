@@ -11,7 +11,7 @@ from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
-from calib.foundations.units import Dimension
+from calib.foundations.units import DISPLAY_OF, Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, error_model
 from calib.job.inputs import load_arm
@@ -26,9 +26,8 @@ from calib.robot.transmission import lacking
 
 def pose_table(robot: Robot, readings: Array) -> str:
     """Return poses (N, nr) as the beginning of a measurement table: joints in degrees and mm."""
-    unit = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
-    header = [f"{reading.name} [{unit[reading.dimension][0]}]" for reading in robot.readings]
-    factors = [unit[reading.dimension][1] for reading in robot.readings]
+    header = [f"{reading.name} [{DISPLAY_OF[reading.dimension].symbol}]" for reading in robot.readings]
+    factors = [DISPLAY_OF[reading.dimension].times for reading in robot.readings]
     return csv_text([header, *([f"{value:.4f}" for value in row] for row in readings * factors)])
 
 

@@ -18,6 +18,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread
+from calib.foundations.units import DEG, MM, MRAD
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -453,14 +454,14 @@ def _beyond(row: Array, readings: Sequence[Reading]) -> str:
 
 
 def _said(value: float, reading: Reading) -> str:
-    return f"{np.degrees(value):.7g} deg" if reading.dimension == "angle" else f"{value * 1e3:.7g} mm"
+    return f"{value / DEG:.7g} deg" if reading.dimension == "angle" else f"{value / MM:.7g} mm"
 
 
 def _far(position: float, angle: float, slope: Array) -> str:
     least = np.linalg.svd(slope, compute_uv=False)[-1] if slope.shape[1] >= slope.shape[0] else np.inf
-    turn = "" if np.isnan(angle) else f" and {angle * 1e3:.4g} mrad"
+    turn = "" if np.isnan(angle) else f" and {angle / MRAD:.4g} mrad"
     where = ", where the arm is singular" if least < _SINGULAR else ""
-    return f"no solution found: the nearest found is {position * 1e3:.4g} mm{turn} away{where}"
+    return f"no solution found: the nearest found is {position / MM:.4g} mm{turn} away{where}"
 
 
 def _newton(

@@ -14,7 +14,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
-from calib.foundations.units import UNITS, Dimension, Unit
+from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import orientations, stacked
 from calib.measurement.conditions import conditions
@@ -163,9 +163,9 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
             else:
                 values = table.columns[name].values
                 cells.append(str(values[n]) if unit is None else _cell(float(values[n]) / unit.factor, ".12g"))
-        cells.append(_cell(found.position_error[n] * 1e3, ".6f"))
+        cells.append(_cell(found.position_error[n] / MM, ".6f"))
         if turned:
-            cells.append(_cell(found.orientation_error[n] * 1e3, ".6f"))
+            cells.append(_cell(found.orientation_error[n] / MRAD, ".6f"))
         rows.append([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
     return csv_text(rows)
 

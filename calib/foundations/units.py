@@ -1,11 +1,11 @@
 """Units at the edges: SI inside, a unit on everything a user reads or writes.
 
-The only place where a conversion factor stands.
+The only place where a conversion factor stands, whether something is read, computed or shown.
 """
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -63,6 +63,22 @@ UNITS: dict[str, Unit] = {
         Unit("1", "number", 1.0),
     )
 }
+
+# ``value / MM`` is a length in millimetres, ``5.0 * DEG`` an angle in rad.
+MM, INCH, MRAD, DEG = (UNITS[symbol].factor for symbol in ("mm", "inch", "mrad", "deg"))
+MINUTE, MICRO = 60.0, 1e-6
+
+
+class Display(NamedTuple):
+    """What people are shown of an SI quantity: ``value * times``, in the unit ``symbol``."""
+
+    times: float
+    symbol: str
+
+
+# By SI unit, and for joint readings by dimension.
+DISPLAY = {"m": Display(1.0 / MM, "mm"), "rad": Display(1.0 / DEG, "deg"), "px": Display(1.0, "px")}
+DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"]}
 
 # The plain decimal and exponent forms only: float() would also take 1_0, nan, inf and full-width digits.
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?", re.ASCII)

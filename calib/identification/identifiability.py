@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.units import MM, MRAD
 from calib.identification.parameters import Parameter
 
 RANK_TOLERANCE = 1e-9
@@ -171,4 +172,5 @@ def null_directions(
 
 
 def _figure(value: float, unit: str) -> str:
-    return f"{value * 1e3:+.3g} m{unit}" if unit in ("m", "rad") else f"{value:+.3g} {unit}".removesuffix(" 1")
+    milli = {"m": MM, "rad": MRAD}
+    return f"{value / milli[unit]:+.3g} m{unit}" if unit in milli else f"{value:+.3g} {unit}".removesuffix(" 1")

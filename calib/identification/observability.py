@@ -10,6 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
+from calib.foundations.units import DEG
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
@@ -136,7 +137,7 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "tool-unseen",
-            f"With the tool{whose} the tip link turns by {np.degrees(turned):.3g} deg at most, or about one direction "
+            f"With the tool{whose} the tip link turns by {turned / DEG:.3g} deg at most, or about one direction "
             "only. The data then do not tell an error of the tool point from one of the base or of the joints, so the "
             "tool point is held near its start value. Positions at such orientations are predicted well, others are "
             "not. To determine the tool point, add poses that turn the tip link by tens of degrees about two "

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.units import DEG, INCH, MM
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
 from calib.identification.initialisation.problem import with_common_names
@@ -33,7 +34,7 @@ from calib.robot.robot import Reading
 # Ordinary joint offsets: their standard deviation, and how many of these at most. Allowing for them is what makes the
 # signatures sharp: besides 1 deg of offsets and 1 mm of placements, a UR10's flipped wrist_2 leaves 53 times what it
 # leaves mended, and only 5 times if they are not allowed for; besides 5 deg and 10 mm, 3.3 times and 1.3.
-_ORDINARY_ANGLE = float(np.radians(5.0))
+_ORDINARY_ANGLE = 5.0 * DEG
 _ORDINARY_LENGTH = 0.01
 _MOST_ORDINARY = 2.0
 # The thresholds, as fractions of the reach and as factors, from simulated UR10 and Panda arms, 10 to 300 positions or
@@ -271,7 +272,7 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
     questions = (
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
-        f"is a zero off by more than {np.degrees(_MOST_ORDINARY * _ORDINARY_ANGLE):.0f} deg",
+        f"is a zero off by more than {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
         "do readings and measurements of a row belong together",
         "or are there two mistakes?",
     )
@@ -294,7 +295,7 @@ def _where(sets: Sequence[Measurements], scope: Sequence[int]) -> str:
 
 
 def _mm(metres: float) -> str:
-    millimetres = 1e3 * metres
+    millimetres = metres / MM
     return f"{millimetres:.0f} mm" if millimetres >= 100.0 else f"{millimetres:.2g} mm"
 
 
@@ -314,7 +315,7 @@ def _of_readings(readings: Sequence[Reading]) -> Iterator[Mistake]:
     for reading, one in zip(readings, ones, strict=True):
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
-            yield Mistake("shifted-zero", says, _read(offset=np.radians(float(degrees)) * one))
+            yield Mistake("shifted-zero", says, _read(offset=float(degrees) * DEG * one))
     for dimension, factor, says in _READING_UNITS:
         its = np.array([reading.dimension == dimension for reading in readings])
         if its.any():
@@ -380,20 +381,20 @@ def _reordered(order: Sequence[int]) -> Mend:
 
 
 _READING_UNITS: tuple[tuple[str, float, str], ...] = (
-    ("angle", np.pi / 180.0, "degrees stand under [rad] in all angles"),
-    ("angle", 180.0 / np.pi, "radians stand under [deg] in all angles"),
-    ("length", 1e-3, "millimetres stand under [m] in all joints that slide"),
-    ("length", 1e3, "metres stand under [mm] in all joints that slide"),
+    ("angle", DEG, "degrees stand under [rad] in all angles"),
+    ("angle", 1.0 / DEG, "radians stand under [deg] in all angles"),
+    ("length", MM, "millimetres stand under [m] in all joints that slide"),
+    ("length", 1.0 / MM, "metres stand under [mm] in all joints that slide"),
 )
 
 # How many times too large the positions are.
 _POSITION_UNITS = (
-    (1e3, "millimetres stand under [m] in x, y, z"),
-    (1e-3, "metres stand under [mm] in x, y, z"),
-    (25.4, "millimetres stand under [inch] in x, y, z"),
-    (1.0 / 25.4, "inches stand under [mm] in x, y, z"),
-    (1.0 / 25.4e-3, "inches stand under [m] in x, y, z"),
-    (25.4e-3, "metres stand under [inch] in x, y, z"),
+    (1.0 / MM, "millimetres stand under [m] in x, y, z"),
+    (MM, "metres stand under [mm] in x, y, z"),
+    (INCH / MM, "millimetres stand under [inch] in x, y, z"),
+    (MM / INCH, "inches stand under [mm] in x, y, z"),
+    (1.0 / INCH, "inches stand under [m] in x, y, z"),
+    (INCH, "metres stand under [inch] in x, y, z"),
 )
 
 _COLUMNS = tuple(

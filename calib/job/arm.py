@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.foundations.arrays import read_only
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
-from calib.foundations.units import parse_quantity
+from calib.foundations.units import MM, parse_quantity
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, residual_file
@@ -86,8 +86,8 @@ def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Pat
             Finding(
                 "warning",
                 "pivot-scatters",
-                f"{touches.where}: the touches scatter by {found.noise * 1e3:.3g} mm per coordinate, and sigma says "
-                f"{arm.sigma * 1e3:.3g} mm.",
+                f"{touches.where}: the touches scatter by {found.noise / MM:.3g} mm per coordinate, and sigma says "
+                f"{arm.sigma / MM:.3g} mm.",
             )
         )
     return ReadArm(replace(arm, point=found.tool_point), {**files, file: folder / file}, tuple(findings))

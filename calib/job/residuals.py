@@ -7,6 +7,7 @@ import numpy as np
 from calib.assessment.gaussian_choice import bought
 from calib.assessment.validation import groups
 from calib.foundations.errors import JobError
+from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.job.inputs import Inputs, Progress
@@ -63,7 +64,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         return ResidualLevel(known, len(known.joints) + 2)
     without, held = gain
     sentence = (
-        f"The Gaussian process is left out: at rows held out it brings the position error from {without.rms * 1e3:.3g} "
-        f"mm to {held.rms * 1e3:.3g} mm, which is not better by more than a standard error."
+        f"The Gaussian process is left out: at rows held out it brings the position error from {without.rms / MM:.3g} "
+        f"mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding("warning", "gaussian-process-left-out", sentence))

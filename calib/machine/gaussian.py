@@ -23,6 +23,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.foundations.linear import one_thread
+from calib.foundations.units import MM
 from calib.machine.grid import FRAMES, SCHEMA, Frame, axes_of, head_of, refuse_other_robot
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
@@ -108,7 +109,7 @@ class GaussianResiduals:
         """Return for every row of readings (N, nr) that no measured error is near, or an empty text."""
         prior = self.kernel.amplitude
         return tuple(
-            f"no error was measured near: the standard deviation there is {sigma * 1e3:.3g} mm, of {prior * 1e3:.3g} mm"
+            f"no error was measured near: the standard deviation there is {sigma / MM:.3g} mm, of {prior / MM:.3g} mm"
             if sigma > _UNKNOWN * prior
             else ""
             for sigma in self.sigma(readings)

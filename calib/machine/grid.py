@@ -18,6 +18,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
+from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
 
@@ -31,7 +32,6 @@ _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
 SCHEMA = 1
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
-_UNITS = {"angle": ("deg", 180.0 / np.pi), "length": ("mm", 1e3)}
 
 
 class _Cells(NamedTuple):
@@ -159,7 +159,7 @@ def _within(values: Array, axis: Array) -> BoolArray:
 
 
 def _said(value: float, dimension: str) -> str:
-    symbol, factor = _UNITS[dimension]
+    factor, symbol = DISPLAY_OF[dimension]
     return f"{value * factor:.6g} {symbol}"
 
 
@@ -394,7 +394,7 @@ def head_of(
     if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
         raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
     table = arrays["dimensions"]
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(_UNITS)).all():
+    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(DISPLAY_OF)).all():
         raise NotReadableError("its joints have no names and dimensions")
     readings = tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table)
     return cast(Frame, str(arrays["frame"])), readings

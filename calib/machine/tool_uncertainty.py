@@ -13,6 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
+from calib.foundations.units import DISPLAY_OF
 from calib.identification.machine import Layout
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.uncertainty import ToolUncertainty, UncertaintyMap
@@ -160,7 +161,7 @@ def outside_identified(machine: CalibratedMachine, readings: Array) -> tuple[str
         beyond = np.maximum(low[j] - slack[j] - values, values - high[j] - slack[j])
         if np.any(beyond > 0.0):
             worst = int(np.argmax(beyond))
-            factor, unit = {"angle": (180.0 / np.pi, "deg"), "length": (1e3, "mm")}[reading.dimension]
+            factor, unit = DISPLAY_OF[reading.dimension]
             said.append(
                 f"{reading.name} is outside the range it was identified in, {low[j] * factor:.4g} to "
                 f"{high[j] * factor:.4g} {unit}, in {np.count_nonzero(beyond > 0.0)} of {len(readings)} rows; "

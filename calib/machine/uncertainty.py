@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
+from calib.foundations.units import MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class ToolUncertainty:
         return np.asarray(distance <= squared_bound(probability, 3, self.degrees_of_freedom))
 
     def __repr__(self) -> str:
-        known = f"position {np.median(self.position) * 1e3:.4g} mm" if len(self.covariance) else "nothing"
+        known = f"position {np.median(self.position) / MM:.4g} mm" if len(self.covariance) else "nothing"
         return f"<ToolUncertainty at {len(self.covariance)} configurations: {known} (median)>"
 
 

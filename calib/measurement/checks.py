@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.units import DEG, MM
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Reading
 
@@ -22,7 +23,6 @@ _BEYOND = 0.1
 _FAR_BEYOND = 2.0
 # A wrong header shows in many rows, a slip of the pen in one.
 _MANY = 0.1
-_DEGREES = 180.0 / np.pi
 # Positions scatter by the robot's size: a factor of 1000 leaves more than a decade on both sides of these.
 _TOO_WIDE = 20.0
 _TOO_NARROW = 1e-3
@@ -69,7 +69,7 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
     slack = _SLACK * (1.0 + largest)
     excess = _excess(m.readings, readings)
     beyond = excess.max(axis=0)
-    in_degrees = _excess(m.readings / _DEGREES, readings).max(axis=0) <= slack
+    in_degrees = _excess(m.readings * DEG, readings).max(axis=0) <= slack
     many = np.mean(excess > slack, axis=0) >= _MANY
     far = many & (np.abs(m.readings).max(axis=0) > _FAR_BEYOND * largest)
     degrees = far & in_degrees & np.array([reading.dimension == "angle" for reading in readings], dtype=np.bool_)
@@ -104,9 +104,9 @@ def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterabl
     angles = [j for j, reading in enumerate(readings) if reading.dimension == "angle"]
     values = m.readings[:, angles]
     largest = float(np.abs(values).max(initial=0.0))
-    moving = np.ptp(values, axis=0).max(initial=0.0) > _IN_MOTION / _DEGREES
-    fits = _excess(values * _DEGREES, [readings[j] for j in angles]).max(initial=-np.inf) <= _SLACK
-    if moving and fits and largest < 2.0 * np.pi / _DEGREES:
+    moving = np.ptp(values, axis=0).max(initial=0.0) > _IN_MOTION * DEG
+    fits = _excess(values / DEG, [readings[j] for j in angles]).max(initial=-np.inf) <= _SLACK
+    if moving and fits and largest < 2.0 * np.pi * DEG:
         yield Finding(
             "warning",
             "radians-as-degrees",
@@ -148,7 +148,7 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
     distance = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=-1)
     typical, farthest = float(np.median(distance)), int(distance.argmax())
     motion = float(np.ptp(m.readings, axis=0).max(initial=0.0))
-    if typical > _TOO_WIDE * reach and typical / 1000.0 <= 2.0 * reach:
+    if typical > _TOO_WIDE * reach and typical * MM <= 2.0 * reach:
         yield Finding(
             "error",
             "millimetres-as-metres",

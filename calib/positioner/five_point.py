@@ -17,6 +17,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.ranges import refuse_sigma
+from calib.foundations.units import DEG, MM
 from calib.measurement.checks import Finding
 from calib.measurement.columns import stacked
 from calib.measurement.table import Table, read_table
@@ -40,13 +41,13 @@ _NAMES: Mapping[str, str] = {
     "P5": "tilt turned in its negative sense",
 }
 # The patent asks for more than 30 deg; below 60 deg and 100 mm the table is known ten times worse than its points.
-_SMALL_TURN = float(np.radians(60.0))
+_SMALL_TURN = 60.0 * DEG
 _SMALL_RADIUS = 0.1
 # Height of the triangle over its longest side: +-30 deg have 0.13.
 _THIN = 0.1
 _DEGENERATE = 1e-9
 # How far a point may lie from where its angle says: a degree, or six standard deviations of the point.
-_TURN_TOLERANCE = float(np.radians(1.0))
+_TURN_TOLERANCE = 1.0 * DEG
 _SIGMAS = 6.0
 
 
@@ -185,7 +186,7 @@ def _circle_frame(P: Array, axis: str) -> tuple[Array, tuple[float, float]]:
 
 
 def _refuse_signs(axis: str, names: tuple[str, str], angles: Sequence[float]) -> None:
-    first, second = (float(np.degrees(a)) for a in angles)
+    first, second = (a / DEG for a in angles)
     if first < 0.0 < second:
         raise MeasurementError(
             f"{names[0]} and {names[1]} are swapped: {names[0]} has to be the positive turn of the {axis} axis, and "
@@ -209,8 +210,8 @@ def _refuse_turns(
     expected = (float(angles[0]), -float(angles[1]))
     if max(abs(t - e) for t, e in zip(turns, expected, strict=True)) <= tolerance:
         return
-    seen = " and ".join(f"{np.degrees(t):.4g}" for t in turns)
-    said = " and ".join(f"{np.degrees(e):.4g}" for e in expected)
+    seen = " and ".join(f"{t / DEG:.4g}" for t in turns)
+    said = " and ".join(f"{e / DEG:.4g}" for e in expected)
     if max(abs(t - e) for t, e in zip(turns, reversed(expected), strict=True)) <= tolerance:
         raise MeasurementError(
             f"{names[0]} and {names[1]} are swapped: seen from P1 they are turned by {seen} deg, one way and the "
@@ -225,8 +226,8 @@ def _refuse_turns(
 def _doubts(
     axis: str, names: tuple[str, str], P: Array, radius: float, turns: tuple[float, float], sigma: float
 ) -> list[Finding]:
-    expected = np.degrees(expected_circle_error(radius, [0.0, turns[0], -turns[1]], sigma))
-    so = f"with {sigma * 1e3:.3g} mm per coordinate its direction is expected to be {expected:.2g} deg off."
+    expected = expected_circle_error(radius, [0.0, turns[0], -turns[1]], sigma) / DEG
+    so = f"with {sigma / MM:.3g} mm per coordinate its direction is expected to be {expected:.2g} deg off."
     found = []
     smallest = min(turns)
     if smallest < _SMALL_TURN - _SIGMAS * sigma / radius - _DEGENERATE:
@@ -234,7 +235,7 @@ def _doubts(
             Finding(
                 "warning",
                 "small-turn",
-                f"{names[int(turns[1] < turns[0])]} is turned by only {np.degrees(smallest):.3g} deg about the {axis} "
+                f"{names[int(turns[1] < turns[0])]} is turned by only {smallest / DEG:.3g} deg about the {axis} "
                 f"axis, and 60 or more are advised; {so}",
             )
         )
@@ -243,7 +244,7 @@ def _doubts(
             Finding(
                 "warning",
                 "small-radius",
-                f"the mark is only {radius * 1e3:.3g} mm from the {axis} axis, and 100 or more are advised; {so}",
+                f"the mark is only {radius / MM:.3g} mm from the {axis} axis, and 100 or more are advised; {so}",
             )
         )
     sides = np.linalg.norm(P - np.roll(P, 1, axis=0), axis=1)
@@ -253,8 +254,8 @@ def _doubts(
             Finding(
                 "warning",
                 "almost-collinear",
-                f"P1, {names[0]} and {names[1]} lie almost on a line, {height * 1e3:.3g} mm off one of "
-                f"{sides.max() * 1e3:.3g} mm; {so}",
+                f"P1, {names[0]} and {names[1]} lie almost on a line, {height / MM:.3g} mm off one of "
+                f"{sides.max() / MM:.3g} mm; {so}",
             )
         )
     return found
@@ -279,7 +280,7 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
     rows: dict[str, int] = {}
     for n, (tilt, rotary) in enumerate(turns):
         place = _PLACES.get((float(np.sign(tilt)), float(np.sign(rotary))))
-        at = f"{table.where}:{table.lines[n]}: tilt {np.degrees(tilt):g} deg, rotary {np.degrees(rotary):g} deg"
+        at = f"{table.where}:{table.lines[n]}: tilt {tilt / DEG:g} deg, rotary {rotary / DEG:g} deg"
         if place is None:
             raise MeasurementError(f"{at}: both axes are turned; of the five points, one axis at most.")
         if place in rows:

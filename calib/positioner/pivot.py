@@ -20,6 +20,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.ranges import refuse_sigma
+from calib.foundations.units import MM
 
 # A direction of p in which the link turns by less than this (rms, rad) is not determined: readings scatter by as much.
 _SEEN = 1e-3
@@ -60,8 +61,8 @@ class Pivot:
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
 
     def __str__(self) -> str:
-        x, y, z = self.tool_point * 1e3
-        text = f"Tool point ({x:.4f}, {y:.4f}, {z:.4f}) mm, rms {self.rms * 1e3:.4f} mm"
+        x, y, z = self.tool_point / MM
+        text = f"Tool point ({x:.4f}, {y:.4f}, {z:.4f}) mm, rms {self.rms / MM:.4f} mm"
         if self.rank < 3:
             axes = " and ".join("({:.3f}, {:.3f}, {:.3f})".format(*direction) for direction in self.null_basis.T)
             text += f"; not determined along {axes} of the link: tilt the tool about other axes as well"

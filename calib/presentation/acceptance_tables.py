@@ -12,11 +12,9 @@ from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import Figure
 from calib.foundations.arrays import BoolArray
 from calib.foundations.csv_text import csv_text
+from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
 from calib.machine.uncertainty import UncertaintyMap
 from calib.robot.robot import Reading
-
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}
-_OF_READINGS = {"length": _SHOWN["m"], "angle": _SHOWN["rad"]}
 
 
 def verification_table(found: Verification) -> Table:
@@ -30,7 +28,7 @@ def verification_table(found: Verification) -> Table:
     for when, judgement in whens:
         if judgement is not None:
             for m in judgement.metrics.values():
-                factor, unit = _SHOWN[m.unit]
+                factor, unit = DISPLAY[m.unit]
                 style = "bold" if judgement is found.decisive else None
                 shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
                 out.add_row(when, str(m.n), *shown, unit, style=style)
@@ -44,13 +42,13 @@ def verification_lines(found: Verification) -> list[Text]:
         largest = found.decisive.metrics["position"].max
         side = "is within" if found.within_limit else "exceeds"
         lines.append(
-            Text(f"The largest position error, {largest * 1e3:.4f} mm, {side} the limit, {found.limit * 1e3:g} mm.")
+            Text(f"The largest position error, {largest / MM:.4f} mm, {side} the limit, {found.limit / MM:g} mm.")
         )
     lines.append(Text(_tested(found.decisive.test)))
     anew = found.base_refitted
     if anew is not None and found.base_moved is not None and not found.refit and not found.as_calibrated.test.passed:
         shift, turn = found.base_moved
-        by = f"{shift * 1e3:.3f} mm and {np.degrees(turn):.4f} deg"
+        by = f"{shift / MM:.3f} mm and {turn / DEG:.4f} deg"
         if anew.test.passed:
             lines.append(Text(f"With the base moved by {by} it does: the arm is as calibrated, and stands elsewhere."))
         else:
@@ -77,14 +75,14 @@ def change_table(found: Comparison) -> Table:
     out.add_column("unit")
     out.add_column("moved")
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
-        factor, unit = _SHOWN[change.unit]
+        factor, unit = DISPLAY[change.unit]
         values = (change.old, change.new, change.new - change.old, change.sigma)
         shown = (f"{value * factor:+.4f}" for value in values[:3])
         out.add_row(
             change.name,
             *shown,
             f"{change.sigma * factor:.4f}",
-            f"{change.at_tip * 1e3:.3f} mm",
+            f"{change.at_tip / MM:.3f} mm",
             unit,
             "yes" if change.moved else "no",
         )
@@ -105,8 +103,8 @@ def comparison_lines(found: Comparison) -> list[Text]:
         ]
     lines.append(
         Text(
-            f"At the tip the two differ by {found.tip_rms * 1e3:.4f} mm rms, {found.tip_max * 1e3:.4f} mm at most, "
-            f"base and tool refitted; their uncertainties explain {found.stated * 1e3:.4f} mm."
+            f"At the tip the two differ by {found.tip_rms / MM:.4f} mm rms, {found.tip_max / MM:.4f} mm at most, "
+            f"base and tool refitted; their uncertainties explain {found.stated / MM:.4f} mm."
         )
     )
     moved = [change.name for change in found.changes if change.moved]
@@ -128,7 +126,7 @@ def iso_table(figures: Sequence[Figure]) -> Table:
         out.add_column(name, justify="right")
     out.add_column("unit")
     for figure in figures:
-        factor, unit = _SHOWN[figure.unit]
+        factor, unit = DISPLAY[figure.unit]
         out.add_row(figure.name, figure.place, str(figure.n), f"{figure.value * factor:.4f}", unit)
     return out
 
@@ -144,7 +142,7 @@ def map_table(found: UncertaintyMap, known: BoolArray) -> Table:
     out.add_column("unit")
     out.add_column("known", justify="right")
     for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        factor, shown = _SHOWN[unit]
+        factor, shown = DISPLAY[unit]
         values = np.percentile(found.sigmas[:, k], (5, 50, 95, 100)) * factor
         out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(known[:, k]):.0f} %")
     return out
@@ -152,13 +150,11 @@ def map_table(found: UncertaintyMap, known: BoolArray) -> Table:
 
 def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
     """Return every sampled pose of a map as a table: joints in degrees and mm, the rest as its columns say."""
-    factors = np.array([_OF_READINGS[reading.dimension][0] for reading in readings])
-    columns = [*(f"{r.name} [{_OF_READINGS[r.dimension][1]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
+    factors = np.array([DISPLAY_OF[reading.dimension][0] for reading in readings])
+    columns = [*(f"{r.name} [{DISPLAY_OF[r.dimension][1]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
     header = [*columns, "sigma [mm]", "sigma_angle [deg]", "null_space [mm]", "null_space_angle [deg]"]
-    both = np.array([1e3, 180.0 / np.pi])
-    rows = np.hstack(
-        [found.readings * factors, found.positions * 1e3, found.sigmas * both, found.null_space_rms * both]
-    )
+    both = np.array([MM, DEG])
+    rows = np.hstack([found.readings * factors, found.positions / MM, found.sigmas / both, found.null_space_rms / both])
     return csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)])
 
 

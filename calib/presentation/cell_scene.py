@@ -8,6 +8,7 @@ import numpy as np
 from calib.compensation.cell import CalibratedCell
 from calib.foundations.arrays import Array
 from calib.foundations.errors import RobotError
+from calib.foundations.units import DISPLAY_OF
 from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.scene import Mark, Scene
 from calib.robot.deviation import axis_frame
@@ -68,7 +69,7 @@ def _sweeps(robot: Robot) -> tuple[tuple[str, ...], Array]:
         way = _WAY[reading.dimension]
         low = -way if reading.lower is None else reading.lower
         high = way if reading.upper is None else reading.upper
-        factor, unit = {"angle": (180.0 / np.pi, "deg"), "length": (1e3, "mm")}[reading.dimension]
+        factor, unit = DISPLAY_OF[reading.dimension]
         for q in np.linspace(max(low, -way), min(high, way), _STEPS):
             rows.append(f"{reading.name} at {q * factor:.0f} {unit}")
             found.append(np.where(np.arange(len(robot.readings)) == j, q, 0.0))

@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from calib.foundations.errors import OutputError
+from calib.foundations.units import MINUTE
 from calib.presentation.report.document import Prose, Report
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
@@ -126,7 +127,7 @@ def time_left(elapsed: float, done: float, total: float) -> str:
     if done <= 0.0:
         return ""
     seconds = elapsed * (total - done) / done
-    return f"about {seconds:.0f} s left" if seconds < 100.0 else f"about {seconds / 60.0:.0f} min left"
+    return f"about {seconds:.0f} s left" if seconds < 100.0 else f"about {seconds / MINUTE:.0f} min left"
 
 
 def _printable(text: str) -> str:

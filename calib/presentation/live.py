@@ -19,7 +19,7 @@ import numpy as np
 from calib.foundations.errors import CalibError, OutputError, PoseError
 from calib.foundations.files import read_inside, stamp
 from calib.foundations.folders import reading_folder
-from calib.foundations.units import UNITS
+from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
 from calib.presentation.arm import arm_of
@@ -184,7 +184,7 @@ def answer(model: CalibratedMachine, message: str | bytes) -> dict[str, Any]:
         tips = robot.tips(readings, d, usual)[0], robot.tips(readings, conditions=usual)[0]
     except PoseError as e:
         return {"sentence": f"At these readings {e.reason}."}
-    distance = 1e3 * float(np.linalg.norm(tips[0][:3, 3] - tips[1][:3, 3]))
+    distance = float(np.linalg.norm(tips[0][:3, 3] - tips[1][:3, 3])) / MM
     return {
         "positions": positions,
         "sentence": f"The tips of the nominal and the calibrated arm, on one base, are {distance:.3f} mm apart here.",

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.units import DEG
 from calib.presentation.mesh_counts import MOST_CORNERS, counts
 
 Rgb = tuple[float, float, float]
@@ -31,7 +32,7 @@ _DAMAGED = (
     *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
 )
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
-_CREASE = np.deg2rad(30.0)
+_CREASE = 30.0 * DEG
 # Of a mesh's size: vertices nearer than this are one.
 _SAME = 1e-6
 # The fewest faces of a body, and how many more faces than asked may be left.

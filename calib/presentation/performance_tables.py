@@ -6,6 +6,7 @@ from rich import box
 from rich.table import Table
 
 from calib.assessment.performance import Performance
+from calib.foundations.units import MM
 
 CAPTION = (
     "After the methods of ASME B89.4.22 and ISO 10360-12; no certificate. "
@@ -47,7 +48,7 @@ def performance_rows(arms: Mapping[str, Performance]) -> list[list[str]]:
             first.place,
             str(first.n),
             first.name,
-            *(f"{1e3 * figure.value:.4f}" for figure in (first, *others)),
+            *(f"{figure.value / MM:.4f}" for figure in (first, *others)),
         ]
         for first, *others in zip(*(arm.figures for arm in arms.values()), strict=True)
     ]

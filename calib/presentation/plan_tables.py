@@ -5,13 +5,14 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.assessment.planning import Plan
+from calib.foundations.units import MM
 
 
 def forecast_table(plan: Plan) -> Table:
     """Return what more and fewer poses would bring, chosen and at random, in mm."""
     out = Table(
         title="Error of the tool for want of more poses, rms [mm]",
-        caption=f"over the working poses; what the model leaves out comes on top: {plan.floor * 1e3:.4f} mm",
+        caption=f"over the working poses; what the model leaves out comes on top: {plan.floor / MM:.4f} mm",
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,
@@ -20,7 +21,7 @@ def forecast_table(plan: Plan) -> Table:
         out.add_column(name, justify="right")
     for forecast in plan.forecasts:
         chosen = len(plan.readings) == forecast.poses
-        values = (f"{value * 1e3:.4f}" for value in (forecast.chosen, forecast.random))
+        values = (f"{value / MM:.4f}" for value in (forecast.chosen, forecast.random))
         out.add_row(str(forecast.poses), *values, style="bold" if chosen else None)
     return out
 

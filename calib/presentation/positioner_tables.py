@@ -4,6 +4,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
+from calib.foundations.units import MM
 from calib.positioner.five_point import FivePoint
 
 
@@ -17,5 +18,5 @@ def axes_table(found: FivePoint) -> Table:
         out.add_column(f"direction {name}", justify="right")
     for axis, T in (("tilt", found.B_L), ("rotary", found.B_R)):
         point, direction = np.asarray(T)[:3, 3], np.asarray(T)[:3, 2]
-        out.add_row(axis, *(f"{value * 1e3:.4f}" for value in point), *(f"{value:+.7f}" for value in direction))
+        out.add_row(axis, *(f"{value / MM:.4f}" for value in point), *(f"{value:+.7f}" for value in direction))
     return out

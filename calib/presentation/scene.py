@@ -18,6 +18,7 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
+from calib.foundations.units import MM
 from calib.presentation.arm import Arm, link_placements
 from calib.presentation.mesh_counts import MOST_CORNERS
 from calib.presentation.meshes import (
@@ -175,7 +176,7 @@ def render_scene(scene: Scene) -> str:
     box = np.concatenate([box, marked[np.linalg.norm(marked - box.mean(axis=0), axis=1) < 1.5 * extent]])
     low, high = box.min(axis=0), box.max(axis=0)
 
-    errors = [1e3 * np.linalg.norm(x - scene.measured, axis=1) for x in (scene.before, scene.after)]
+    errors = [np.linalg.norm(x - scene.measured, axis=1) / MM for x in (scene.before, scene.after)]
     edges = _edges(np.concatenate(errors))
     drawings = [
         *_robot(links, extent),
@@ -243,7 +244,7 @@ def _kind(joint: str) -> str:
 
 def _edges(errors: Array) -> Array:
     """Return the limits (n + 1,) in mm between the n colours of errors (N,) in mm, each as many times the last."""
-    positive = errors[errors > 1e3 * _ROUNDING]
+    positive = errors[errors > _ROUNDING / MM]
     if not positive.size:
         return np.linspace(0.0, 1.0, len(SCALE) + 1)
     high = float(positive.max())

@@ -6,10 +6,8 @@ from rich.table import Table
 from rich.text import Text
 
 from calib.assessment.sensitivity import GroupStudy, Sensitivity
-from calib.foundations.units import UNITS
+from calib.foundations.units import MM, UNITS
 from calib.presentation.tables import null_space_lines
-
-_MM = UNITS["mm"].factor
 
 
 def sensitivity_table(sensitivity: Sensitivity) -> Table:
@@ -29,7 +27,7 @@ def sensitivity_table(sensitivity: Sensitivity) -> Table:
             f"{rms:.4f}",
             f"{largest:.4f}",
             f"mm/{'1e-3' if parameter.unit == '1' else f'm{parameter.unit}'}",
-            f"{rms * UNITS['deg'].factor / _MM:.3f} mm" if angle else "",
+            f"{rms * UNITS['deg'].factor / MM:.3f} mm" if angle else "",
         )
     return out
 
@@ -45,7 +43,7 @@ def sensitivity_verdict(sensitivity: Sensitivity) -> list[RenderableType]:
 
 def group_table(study: GroupStudy) -> Table:
     """Return what becomes of the tip error when the errors of one group are scaled; in mm over the poses."""
-    n, errors = len(study.errors), study.errors / _MM
+    n, errors = len(study.errors), study.errors / MM
     caption = f"as given, the tip error is {errors.min():.3f} to {errors.max():.3f} mm, {errors.mean():.3f} on average"
     out = _table(f"Change of the tip error over {n} poses", caption)
     out.add_column("errors scaled")
@@ -56,7 +54,7 @@ def group_table(study: GroupStudy) -> Table:
     for group, changes in zip(study.groups, study.changes, strict=True):
         for factor, change in zip(study.factors, changes, strict=True):
             last = factor == study.factors[-1]
-            shown = (f"{value / _MM:+.3f}" for value in (change.min(), change.mean(), change.max()))
+            shown = (f"{value / MM:+.3f}" for value in (change.min(), change.mean(), change.max()))
             out.add_row(group, f"{factor:g}", *shown, "mm", end_section=last)
     return out
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
+from calib.foundations.units import DISPLAY, MICRO, MM, Display
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
 from calib.measurement.kinds import UNIT_OF, size
@@ -15,10 +16,8 @@ from calib.robot.terms import KINDS
 
 # What is shown of a length in m, an angle in rad, a place in a picture, and coefficients of joint terms.
 SHOWN = {
-    "m": (1e3, "mm"),
-    "rad": (180.0 / np.pi, "deg"),
-    "px": (1.0, "px"),
-    **{unit: (1e6, shown) for kind in KINDS for unit, shown in kind.shown.items()},
+    **DISPLAY,
+    **{unit: Display(1.0 / MICRO, shown) for kind in KINDS for unit, shown in kind.shown.items()},
 }
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]
@@ -172,7 +171,7 @@ def lost_sentences(lost: float) -> tuple[str, ...]:
     """Return what a person must know who takes the calibrated URDF alone, where it cannot hold the machine."""
     if lost == 0.0:
         return ()
-    off = "takes other readings" if np.isnan(lost) else f"is off by {lost * 1e3:.3f} mm rms at the tip at these poses"
+    off = "takes other readings" if np.isnan(lost) else f"is off by {lost / MM:.3f} mm rms at the tip at these poses"
     return (f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.",)
 
 

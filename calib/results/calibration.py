@@ -14,6 +14,7 @@ from calib.assessment.trust import doubts, remarks
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
+from calib.foundations.units import DISPLAY, MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.identification.total_differential import Trace
@@ -110,7 +111,7 @@ class Calibration:
 
 
 def _shown(found: Metrics) -> str:
-    factor, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg")}.get(found.unit, (1.0, found.unit))
+    factor, unit = DISPLAY[found.unit]
     return f"{found.rms * factor:.4g} {unit}"
 
 
@@ -202,5 +203,5 @@ def _not_held_out(own: Sequence[Measurements], validation: Sequence[Measurements
 
 
 def _not_stopped(trace: Trace) -> str:
-    largest = trace.iterations[-1].largest * 1e3
+    largest = trace.iterations[-1].largest / MM
     return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."

@@ -17,6 +17,7 @@ from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable, write_folder
 from calib.foundations.json_text import NotJsonError, document, parse_json
+from calib.foundations.units import DEG, MM
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
@@ -306,8 +307,8 @@ def _columns_of(kind: Kind) -> tuple[str, ...]:
 
 def _shown(value: float, title: str) -> str:
     if "[mm]" in title:
-        return f"{value * 1e3:.6f}"
-    return f"{np.degrees(value):.7f}" if "[deg]" in title else f"{value:.5f}"
+        return f"{value / MM:.6f}"
+    return f"{value / DEG:.7f}" if "[deg]" in title else f"{value:.5f}"
 
 
 def _dh_table(fit: Fit) -> dict[str, str]:

@@ -1,8 +1,12 @@
 """Units: factors, the strict grammar of numbers, and one exact sentence for every refusal."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import calib
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import NUMBER, UNITS, Dimension, parse_quantity, symbols, unit_of
 
@@ -61,6 +65,13 @@ def test_the_caller_chooses_the_error() -> None:
     with pytest.raises(MeasurementError):
         unit_of("deg", "length", "t", MeasurementError)
     assert unit_of("mm", "length", "t").factor == 1e-3
+
+
+def test_no_other_module_converts() -> None:
+    root = Path(calib.__file__).parent
+    converts = re.compile(r"np\.(degrees|radians|deg2rad|rad2deg)\(|180\.0|\* 1e3\b|\b1e3 \*|25\.4|/ 1e-3\b")
+    there = [path for path in sorted(root.rglob("*.py")) if converts.search(path.read_text(encoding="utf-8"))]
+    assert [str(path.relative_to(root)) for path in there] == [str(Path("foundations", "units.py"))]
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "+1.", ".5", "1.5e-3", "1E+10", "007"])

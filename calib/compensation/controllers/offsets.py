@@ -15,7 +15,7 @@ from calib.compensation.controllers.export import Export, LeftOut, exported, pos
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
-from calib.foundations.units import UNITS
+from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
 from calib.robot.robot import Deviations
 
@@ -44,8 +44,8 @@ def export_offsets(model: CalibratedMachine) -> Export:
     after = rms(expected[:, :3, 3], whole_positions(model, readings))
     comments = (
         "# Joint position = reading + offset, in the sense of the joint of the URDF.\n"
-        f"# rms at the tip to the whole calibration: without any correction {before * 1e3:.4f} mm, "
-        f"with these offsets alone {after * 1e3:.4f} mm.\n"
+        f"# rms at the tip to the whole calibration: without any correction {before / MM:.4f} mm, "
+        f"with these offsets alone {after / MM:.4f} mm.\n"
     )
     table = comments + csv_text(rows)
 
