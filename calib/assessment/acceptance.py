@@ -22,7 +22,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
-from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -188,8 +188,8 @@ def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMach
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
     tools = machine.state.frames.tools
     assert data.position is not None, "positions and poses have one"
-    rows = Rows(tips, data.position, turned, data.tool)
-    return replace(machine, base=base_and_tools(rows, Known(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
+    rows = TipObservations(tips, data.position, turned, data.tool)
+    return replace(machine, base=base_and_tools(rows, KnownFrames(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
 
 
 def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.assessment.design import Rows
+from calib.assessment.design import DesignRows
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
@@ -64,17 +64,17 @@ class Setup:
                 raise JobError(f"{name}: {value!r} is not a number from {least:g}.")
 
 
-def rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
+def rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
     """Return what measuring each of N poses would bring, as rows of 3 numbers for positions and 6 for poses."""
     sigma = np.repeat([setup.sigma, setup.sigma_angle], 3)[: 6 if setup.observes == "pose" else 3]
     J, H = _motions(model, setup, readings, setup.observes)
-    return Rows(J / sigma[:, None], H / sigma[:, None])
+    return DesignRows(J / sigma[:, None], H / sigma[:, None])
 
 
-def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> Rows:
+def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
     """Return the motions of the tool's position at N working poses, in m: what an I-optimal design keeps small."""
     J, H = _motions(model, setup, readings, "position")
-    return Rows(J, H)
+    return DesignRows(J, H)
 
 
 def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:

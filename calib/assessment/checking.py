@@ -8,7 +8,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.observability import undetermined
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding
-from calib.measurement.checks import check as check_table
+from calib.measurement.checks import table_findings as check_table
 from calib.measurement.measurements import Measurements
 
 

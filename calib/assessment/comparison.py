@@ -17,9 +17,9 @@ import numpy as np
 
 from calib.assessment.choice import choose_terms
 from calib.assessment.validation import (
+    ChosenRows,
     CrossValidation,
     HeldOut,
-    Rows,
     folds,
     groups,
     held_out,
@@ -194,7 +194,7 @@ def compare_models(
         told = iter([(text, left - k) for k, text in enumerate(texts)])
         find = _finder(model, name in choose, model_sigmas, losses, told, progress)
         try:
-            fits[name] = find(Rows.of(sets, [np.ones(len(data), dtype=np.bool_) for data in sets]))
+            fits[name] = find(ChosenRows.of(sets, [np.ones(len(data), dtype=np.bool_) for data in sets]))
             crossed[name] = predict_held_out(find, model, sets, group, fold)
         except IdentificationError as e:
             refused[name] = str(e)
@@ -224,10 +224,10 @@ def _finder(
     losses: Sequence[Loss] | None,
     told: Iterator[tuple[str, int]],
     progress: Callable[[str, int], None],
-) -> Callable[[Rows], Fit]:
+) -> Callable[[ChosenRows], Fit]:
     """Return what identifies a model from some rows, joint terms chosen from these alone, and tells of every fit."""
 
-    def find(rows: Rows) -> Fit:
+    def find(rows: ChosenRows) -> Fit:
         progress(*next(told))
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
         here = model.within(rows.sets)

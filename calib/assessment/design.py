@@ -36,7 +36,7 @@ _IMPROVES = 1e-9
 _NOTHING_KNOWN = 1e-9
 
 
-class Rows(NamedTuple):
+class DesignRows(NamedTuple):
     """Rows of N poses. ``of_parameters`` (N, m, p): whitened, for a change of each parameter by its scale.
 
     ``of_misfit`` (N, m, h): what effects that the model leaves out do, each of unit variance, whitened; h may be 0.
@@ -46,7 +46,7 @@ class Rows(NamedTuple):
     of_misfit: Array
 
     @classmethod
-    def without_misfit(cls, of_parameters: Array) -> "Rows":
+    def without_misfit(cls, of_parameters: Array) -> "DesignRows":
         """Return rows of a model that leaves nothing out."""
         return cls(of_parameters, np.zeros((*of_parameters.shape[:2], 0)))
 
@@ -87,10 +87,10 @@ class Design:
 
 
 def space(
-    candidates: Rows,
+    candidates: DesignRows,
     criterion: Criterion = "I",
-    working: Rows | None = None,
-    given: Rows | None = None,
+    working: DesignRows | None = None,
+    given: DesignRows | None = None,
     prior: Array | None = None,
 ) -> Space:
     """Return what designs of the candidates are judged by, in the directions that all of them would know usably.
@@ -108,7 +108,7 @@ def space(
     known = np.diag(np.zeros(p) if prior is None else prior**-2.0)
     before = [] if given is None else [_flat(given.of_parameters)]
     of_poses = linear.triangle(np.concatenate([_flat(J), *before]))
-    directions = identifiability.directions(np.concatenate([of_poses, np.sqrt(known)]))
+    directions = identifiability.singular_directions(np.concatenate([of_poses, np.sqrt(known)]))
     V = directions.vectors[:, : directions.numerical_rank]
     if not V.shape[1]:
         raise JobError("the candidate poses determine no parameter.")
@@ -127,7 +127,9 @@ def space(
     M = M + _NOTHING_KNOWN * typical * np.eye(V.shape[1])
     H = candidates.of_misfit if criterion == "I" else np.zeros((*J.shape[:2], 0))
     G, C_misfit = (G, C_misfit) if criterion == "I" else (G[:, :0], C_misfit[:, :0])
-    return Space(A, H, M, G, C, C_misfit, misfit, V, identifiability.directions(of_poses).numerical_rank, criterion)
+    return Space(
+        A, H, M, G, C, C_misfit, misfit, V, identifiability.singular_directions(of_poses).numerical_rank, criterion
+    )
 
 
 def value_of(s: Space, chosen: Sequence[int]) -> float:

@@ -16,7 +16,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
-from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
@@ -241,7 +241,9 @@ def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, too
     tips = [machine.tips(readings, ordinary(readings)) for machine in (old, new)]
     target = (tips[1] @ new.tools[tool])[:, :3, 3]
     guess = old.tools[tool][None]
-    rows = Rows(tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp))
+    rows = TipObservations(
+        tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp)
+    )
     with one_thread():
-        base, tools, _ = base_and_tools(rows, Known(None, None, guess[:, :3, :3]), guess)
+        base, tools, _ = base_and_tools(rows, KnownFrames(None, None, guess[:, :3, :3]), guess)
     return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))

@@ -8,7 +8,7 @@ from scipy.linalg import cho_solve, cholesky
 from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.linear import one_thread
-from calib.machine.gaussian import GaussianResiduals, Kernel, in_row_order, likeliest
+from calib.machine.gaussian import GaussianResiduals, Kernel, in_row_order, likeliest_kernel
 
 
 class Bought(NamedTuple):
@@ -39,7 +39,7 @@ def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntA
     for half in (0, 1):
         judged = fold % 2 == half
         with one_thread():
-            kernel = likeliest(*in_row_order(points[~judged], errors[~judged]))
+            kernel = likeliest_kernel(*in_row_order(points[~judged], errors[~judged]))
         left[judged] = held_out_errors(kernel, points, errors, fold)[judged]
     without, held = (np.sum(np.asarray(rows) ** 2, axis=1) for rows in (errors, left))
     return Bought(held_out(without, group), held_out(held, group))

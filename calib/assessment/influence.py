@@ -40,7 +40,7 @@ class Influence:
     prediction: float
 
 
-class Rows(NamedTuple):
+class WhitenedRows(NamedTuple):
     """Rows of one set: whitened residuals (n, d), Jacobian (n, d, p) and weights (n,) given by the set's loss."""
 
     measurements: int
@@ -122,13 +122,13 @@ class Residue:
         """Return what the table of a set is called."""
         return self.files.get(data.where, data.where)
 
-    def blocks(self) -> Iterator[Rows]:
+    def blocks(self) -> Iterator[WhitenedRows]:
         """Yield all rows, block by block."""
         rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters))
         for i, data in enumerate(self.fit.measurements):
             for block in rates.blocks(data):
                 sigma = self.sigma[i][block.rows]
-                yield Rows(
+                yield WhitenedRows(
                     i, block.rows, block.observed.residual / sigma, block.J / sigma[:, :, None], self.w[i][block.rows]
                 )
 

@@ -31,7 +31,7 @@ _WORDS = ("target", "direction")
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class IsoFigure:
     """One figure of ISO 9283: ``value`` in ``unit`` (m or rad) at a ``place``, from ``n`` cycles."""
 
     name: str
@@ -41,7 +41,7 @@ class Figure:
     unit: str
 
 
-def records(figures: Sequence[Figure]) -> list[dict[str, Any]]:
+def records(figures: Sequence[IsoFigure]) -> list[dict[str, Any]]:
     """Return one plain record for every figure."""
     return [asdict(figure) for figure in figures]
 
@@ -175,7 +175,7 @@ def repeatability_drift(first: Array, last: Array) -> float:
 
 
 @checked
-def figures(data: Cycles) -> tuple[Figure, ...]:
+def figures(data: Cycles) -> tuple[IsoFigure, ...]:
     """Return the figures that a table of cycles has data for.
 
     For every pose RP, and with commands AP; with several directions vAP, AP and RP for each of them; between every two
@@ -184,7 +184,7 @@ def figures(data: Cycles) -> tuple[Figure, ...]:
 
     Raises MeasurementError for a pose of fewer than two cycles.
     """
-    found: list[Figure] = []
+    found: list[IsoFigure] = []
     for place, rows in rows_by_word(data.target).items():
         if data.direction is None:
             found += _of_pose(data, place, rows)
@@ -194,29 +194,29 @@ def figures(data: Cycles) -> tuple[Figure, ...]:
                 found += _of_pose(data, f"{place} from {way}", own)
             if len(ways) > 1:
                 value = multidirectional_variation([data.position[own] for own in ways.values()])
-                found.append(Figure("vAP_P", place, min(map(len, ways.values())), value, "m"))
+                found.append(IsoFigure("vAP_P", place, min(map(len, ways.values())), value, "m"))
     found += _distances(data)
     return (*found, *_drifts(data))
 
 
-def _of_pose(data: Cycles, place: str, rows: IntArray) -> list[Figure]:
+def _of_pose(data: Cycles, place: str, rows: IntArray) -> list[IsoFigure]:
     n = len(rows)
     if n < 2:
         raise MeasurementError(f"{data.where}: pose {place!r} has one cycle; repeatability takes two or more.")
     attained = data.position[rows]
     found = []
     if data.commanded is not None:
-        found.append(Figure("AP_P", place, n, position_accuracy(attained, data.commanded[rows[0]]), "m"))
+        found.append(IsoFigure("AP_P", place, n, position_accuracy(attained, data.commanded[rows[0]]), "m"))
         parts = attained.mean(axis=0) - data.commanded[rows[0]]
-        found += [Figure(f"AP_{axis}", place, n, float(v), "m") for axis, v in zip("xyz", parts, strict=True)]
-    found.append(Figure("RP_l", place, n, position_repeatability(attained), "m"))
+        found += [IsoFigure(f"AP_{axis}", place, n, float(v), "m") for axis, v in zip("xyz", parts, strict=True)]
+    found.append(IsoFigure("RP_l", place, n, position_repeatability(attained), "m"))
     if data.turn is not None:
         turns = _turns(data, rows)
         if data.commanded_turn is not None:
             values = orientation_accuracy(turns)
-            found += [Figure(f"AP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
+            found += [IsoFigure(f"AP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
         values = orientation_repeatability(turns)
-        found += [Figure(f"RP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
+        found += [IsoFigure(f"RP_{axis}", place, n, float(v), "rad") for axis, v in zip("abc", values, strict=True)]
     return found
 
 
@@ -229,7 +229,7 @@ def _turns(data: Cycles, rows: IntArray) -> Array:
     return rigid.log3(attained @ reference.T)
 
 
-def _distances(data: Cycles) -> list[Figure]:
+def _distances(data: Cycles) -> list[IsoFigure]:
     found = []
     poses = rows_by_word(data.target)
     for (a, first), (b, second) in itertools.combinations(poses.items(), 2):
@@ -238,12 +238,12 @@ def _distances(data: Cycles) -> list[Figure]:
         x, y, n = data.position[first], data.position[second], len(first)
         if data.commanded is not None:
             wanted = float(np.linalg.norm(data.commanded[first[0]] - data.commanded[second[0]]))
-            found.append(Figure("AD_P", f"{a} to {b}", n, distance_accuracy(x, y, wanted), "m"))
-        found.append(Figure("RD_P", f"{a} to {b}", n, distance_repeatability(x, y), "m"))
+            found.append(IsoFigure("AD_P", f"{a} to {b}", n, distance_accuracy(x, y, wanted), "m"))
+        found.append(IsoFigure("RD_P", f"{a} to {b}", n, distance_repeatability(x, y), "m"))
     return found
 
 
-def _drifts(data: Cycles) -> list[Figure]:
+def _drifts(data: Cycles) -> list[IsoFigure]:
     if data.time is None:
         return []
     found = []
@@ -254,10 +254,10 @@ def _drifts(data: Cycles) -> list[Figure]:
             continue
         first, last = data.position[ordered[:third]], data.position[ordered[-third:]]
         if data.commanded is not None:
-            found.append(Figure("dAP_P", place, third, accuracy_drift(first, last, data.commanded[rows[0]]), "m"))
+            found.append(IsoFigure("dAP_P", place, third, accuracy_drift(first, last, data.commanded[rows[0]]), "m"))
         went = float(np.linalg.norm(last.mean(axis=0) - first.mean(axis=0)))
         found += [
-            Figure("dRP_P", place, third, repeatability_drift(first, last), "m"),
-            Figure("drift of the mean", place, third, went, "m"),
+            IsoFigure("dRP_P", place, third, repeatability_drift(first, last), "m"),
+            IsoFigure("drift of the mean", place, third, went, "m"),
         ]
     return found

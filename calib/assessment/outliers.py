@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.assessment.disagreement import Jump, OutlyingGroup, groups_of, jumps_of
-from calib.assessment.influence import ALONE, Influence, Residue, Rows
+from calib.assessment.influence import ALONE, Influence, Residue, WhitenedRows
 from calib.foundations import linear
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
@@ -106,7 +106,7 @@ class _Judged(NamedTuple):
     prediction: Array
 
 
-def _judged(residue: Residue, block: Rows) -> _Judged:
+def _judged(residue: Residue, block: WhitenedRows) -> _Judged:
     """Judge the rows of a block."""
     i, w = block.measurements, block.w[:, None]
     CJ = residue.C @ np.swapaxes(block.J, -1, -2)

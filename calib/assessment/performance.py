@@ -138,7 +138,7 @@ def _numbers(table: Table, name: str, dimension: Dimension) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class PerformanceFigure:
     """One acceptance figure: ``value`` in m, from ``n`` touches, lengths or articulations."""
 
     test: str
@@ -158,10 +158,10 @@ class Articulation:
     two_s: float
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[PerformanceFigure, ...]:
         """Both figures."""
         return tuple(
-            Figure("single-point articulation", self.place, self.n, name, value)
+            PerformanceFigure("single-point articulation", self.place, self.n, name, value)
             for name, value in (("largest", self.largest), ("2s", self.two_s))
         )
 
@@ -176,10 +176,10 @@ class Volumetric:
     two_s: float
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[PerformanceFigure, ...]:
         """All three figures."""
         return tuple(
-            Figure("volumetric length", "all", self.n, name, value)
+            PerformanceFigure("volumetric length", "all", self.n, name, value)
             for name, value in (("largest", self.largest), ("range", self.range), ("2s", self.two_s))
         )
 
@@ -194,10 +194,10 @@ class Probing:
     form: float
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[PerformanceFigure, ...]:
         """Both figures, named by how many touches were made."""
         return tuple(
-            Figure("probing", self.place, self.n, f"{name}.Sph.1x{self.n}", value)
+            PerformanceFigure("probing", self.place, self.n, f"{name}.Sph.1x{self.n}", value)
             for name, value in (("PSize", self.size), ("PForm", self.form))
         )
 
@@ -212,10 +212,10 @@ class Location:
     diameter: float
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[PerformanceFigure, ...]:
         """The figure, named by touches and articulations."""
         name = f"LDia.{self.n}x{self.touches}"
-        return (Figure("articulated location", self.place, self.n, name, self.diameter),)
+        return (PerformanceFigure("articulated location", self.place, self.n, name, self.diameter),)
 
 
 Result = Articulation | Volumetric | Probing | Location
@@ -318,7 +318,7 @@ class Performance:
     results: tuple[Result, ...]
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> tuple[PerformanceFigure, ...]:
         """All figures, in the order of the tests."""
         return tuple(figure for result in self.results for figure in result.figures)
 

@@ -151,7 +151,7 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     # A joint whose axis runs through the tip moves it by rounding: that is nothing, and no direction of its own.
     size = np.linalg.norm(scaled, axis=0)
     scaled = np.where(size > identifiability.RANK_TOLERANCE * size.max(initial=0.0), scaled, 0.0)
-    seen = identifiability.directions(scaled)
+    seen = identifiability.singular_directions(scaled)
     _, null_space = identifiability.told(scaled, seen.rank, parameters)
     return Sensitivity(
         parameters,

@@ -194,7 +194,7 @@ def cross_validate(
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     group = groups(sets)
 
-    def find(rows: Rows) -> Fit:
+    def find(rows: ChosenRows) -> Fit:
         return identify(
             model.within(rows.sets), rows.sets, model_sigmas=rows.sigmas(model_sigmas), losses=rows.losses(losses)
         )
@@ -203,7 +203,7 @@ def cross_validate(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class ChosenRows:
     """Some rows of ``every`` set: ``sets`` without those that have none, and ``which`` of all they are.
 
     Tools and targets without rows are not among their names, so that nothing is known of them.
@@ -214,10 +214,10 @@ class Rows:
     which: tuple[int, ...]
 
     @staticmethod
-    def of(sets: Sequence[Measurements], chosen: Sequence[BoolArray]) -> "Rows":
+    def of(sets: Sequence[Measurements], chosen: Sequence[BoolArray]) -> "ChosenRows":
         """Return the rows chosen by a mask (N,) of every set."""
         which = tuple(i for i, mask in enumerate(chosen) if mask.any())
-        return Rows(tuple(sets), tuple(sets[i].subset(chosen[i]).with_own_names() for i in which), which)
+        return ChosenRows(tuple(sets), tuple(sets[i].subset(chosen[i]).with_own_names() for i in which), which)
 
     def losses(self, losses: Sequence[Loss] | None) -> list[Loss] | None:
         """Return the losses of the sets that have rows, given those of all sets."""
@@ -232,7 +232,7 @@ class Rows:
 
 
 def predict_held_out(
-    find: Callable[[Rows], Fit], model: ErrorModel, sets: Sequence[Measurements], group: IntArray, fold: IntArray
+    find: Callable[[ChosenRows], Fit], model: ErrorModel, sets: Sequence[Measurements], group: IntArray, fold: IntArray
 ) -> CrossValidation:
     """Predict the rows of every fold by a fit to all others, which ``find`` makes; ``group``, ``fold``: (N,) of rows.
 
@@ -242,9 +242,9 @@ def predict_held_out(
     own = np.split(fold, np.cumsum([len(data) for data in sets])[:-1])
     found = tuple(np.empty_like(data.sigma) for data in sets)
     for k in range(int(fold.max()) + 1):
-        fit = find(Rows.of(sets, [f != k for f in own]))
+        fit = find(ChosenRows.of(sets, [f != k for f in own]))
         fit = replace(fit, model=replace(fit.model, targets=model.targets))
-        left_out = Rows.of(sets, [f == k for f in own])
+        left_out = ChosenRows.of(sets, [f == k for f in own])
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r
     return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)

@@ -16,7 +16,7 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
         from calib.identification.observability import observability
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
         from calib.presentation.tables import null_space_lines
     telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
@@ -28,8 +28,8 @@ def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
     telling.tell(
         lambda: {"findings": findings, **seen.contents(), "advice": advised},
         lambda: [
-            *(map(warning, findings) if findings else [sentence("Units, names, limits and rows: no findings.")]),
-            sentence(
+            *(map(warning, findings) if findings else [printable("Units, names, limits and rows: no findings.")]),
+            printable(
                 f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
                 f"parameters (condition number {seen.condition:.3g})."
             ),

@@ -50,7 +50,7 @@ def compensate(
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
     refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
@@ -69,6 +69,6 @@ def compensate(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
             *map(warning, outside),
-            sentence(f"{len(found)} targets, {said}. The corrected commands are in {out}."),
+            printable(f"{len(found)} targets, {said}. The corrected commands are in {out}."),
         ],
     )

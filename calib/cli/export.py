@@ -37,7 +37,7 @@ def export(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.folders import reading_folder
         from calib.machine.model_file import load_machine
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
         from calib.results.folder import DH_FILE
         from calib.robot import dh
     refuse_taken(out)
@@ -56,12 +56,12 @@ def export(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
             *(warning(f"{part.part}: not in the file; at the tip {_said(part.cost)}.") for part in found.left_out),
-            sentence(
+            printable(
                 f"At the tip the nominal machine is {_said(found.before)} from the calibrated one, {machine} "
                 f"{_said(found.lost)}, over random poses {where}."
             ),
             *([warning(_WORSE)] if found.lost > found.before else []),
-            sentence(f"Read back and compared; the file is {out}."),
+            printable(f"Read back and compared; the file is {out}."),
         ],
     )
 

@@ -36,7 +36,7 @@ def five_point(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.positioner import five_point_of
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
         from calib.presentation.positioner_tables import axes_table
     if out is not None:
         refuse_taken(out)
@@ -48,6 +48,6 @@ def five_point(
         lambda: [
             *(warning(finding.sentence) for finding in found.findings),
             axes_table(found),
-            *([] if out is None else [sentence(f"The positioner's URDF is {out}.")]),
+            *([] if out is None else [printable(f"The positioner's URDF is {out}.")]),
         ],
     )

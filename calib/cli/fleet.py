@@ -43,7 +43,7 @@ def fleet(
         from calib.foundations.folders import made_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
-        from calib.presentation.console import sentence, show_error, warning
+        from calib.presentation.console import printable, show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
         from calib.presentation.tables import sheet_table
     telling = Telling(as_json, quiet)
@@ -64,8 +64,8 @@ def fleet(
         lambda: [
             sheet_table(fleet_sheet(lines)),
             *(warning(f"{line.name}: {line.word}: {' '.join(line.why)}") for line in lines if line.word != "trusted"),
-            sentence(fleet_sentence(lines) + unchanged),
-            sentence(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
+            printable(fleet_sentence(lines) + unchanged),
+            printable(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
         ],
     )
     words = {line.word for line in lines}

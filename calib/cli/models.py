@@ -34,7 +34,7 @@ def models(
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
         from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
         from calib.presentation.tables import sheet_table
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
@@ -66,6 +66,6 @@ def models(
         lambda: [
             *(warning(f"{name}: {why}") for name, why in found.refused.items()),
             sheet_table(comparison_sheet(found)),
-            *map(sentence, comparison_sentences(found)),
+            *map(printable, comparison_sentences(found)),
         ],
     )

@@ -65,7 +65,7 @@ def plan(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
-        from calib.presentation.console import sentence, warning
+        from calib.presentation.console import printable, warning
         from calib.presentation.plan_tables import enough_sentence, forecast_table, index_table
         from calib.robot.collision import self_collision
     refuse_taken(out)
@@ -74,8 +74,8 @@ def plan(
         say("reading the arm")
         robot, model, roots = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker), rigid.translation(given.point(tool, "tool"))[None])
-        right = None if working is None else given.table(working, robot)
-        noise = (given.length(sigma, "sigma"), given.angle(sigma_angle, "sigma_angle"))
+        right = None if working is None else given.table_readings(working, robot)
+        noise = (given.parsed_length(sigma, "sigma"), given.parsed_angle(sigma_angle, "sigma_angle"))
         setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right)
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
         notes = given.untold(model)
@@ -89,9 +89,9 @@ def plan(
             notes += [] if collision is None else list(collision.notes)
         say("sampling candidates")
         if _NUMBER.fullmatch(candidates):
-            found = random_candidates(robot, frames, given.count(candidates), sight, collision, seed=seed)
+            found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.table(Path(candidates), robot), sight, collision)
+            found = possible(robot, frames, given.table_readings(Path(candidates), robot), sight, collision)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
@@ -99,8 +99,8 @@ def plan(
             candidates=found.readings,
             setup=setup,
             criterion=criterion,
-            measured=None if measured is None else given.table(measured, robot),
-            target=None if target is None else given.length(target, "target"),
+            measured=None if measured is None else given.table_readings(measured, robot),
+            target=None if target is None else given.parsed_length(target, "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
     rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
@@ -108,11 +108,11 @@ def plan(
         lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": notes},
         lambda: [
             *map(warning, notes),
-            sentence(f"{len(found.readings)} candidates of {found.tried} poses{': ' + rejected if rejected else ''}."),
-            sentence(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
+            printable(f"{len(found.readings)} candidates of {found.tried} poses{': ' + rejected if rejected else ''}."),
+            printable(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
             forecast_table(planned),
             index_table(planned),
             *([] if target is None else [enough_sentence(planned, target, more=measured is not None)]),
-            sentence(f"{len(planned.readings)} poses are in {out}."),
+            printable(f"{len(planned.readings)} poses are in {out}."),
         ],
     )

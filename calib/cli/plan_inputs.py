@@ -59,7 +59,7 @@ def untold(model: ErrorModel) -> list[str]:
     ]
 
 
-def count(text: str) -> int:
+def parsed_count(text: str) -> int:
     """Return a number of candidates."""
     # A number of thousands of digits is none for Python.
     if not 1 <= float(text) <= MOST_POSES:
@@ -81,13 +81,13 @@ def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str
     x, y, z = (0.0, 0.0, 1.0) if facing is None else map(float, _three(facing, "facing"))
     return Sight(
         facing=None if facing is None else (x, y, z),
-        acceptance=angle(acceptance, "acceptance"),
-        nearest=length(nearest, "nearest"),
-        farthest=float("inf") if farthest is None else length(farthest, "farthest"),
+        acceptance=parsed_angle(acceptance, "acceptance"),
+        nearest=parsed_length(nearest, "nearest"),
+        farthest=float("inf") if farthest is None else parsed_length(farthest, "farthest"),
     )
 
 
-def table(path: Path, robot: Robot) -> Array:
+def table_readings(path: Path, robot: Robot) -> Array:
     """Return the readings (N, nr) of a table, whatever else is in it."""
     table = read_table(path)
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in robot.readings}
@@ -99,7 +99,7 @@ def table(path: Path, robot: Robot) -> Array:
 def point(text: str, what: str) -> Array:
     """Return a point (3,) in m of a text like ``50 0 50 mm``."""
     *numbers, unit = text.split() or [""]
-    return np.array([length(f"{number} {unit}", what) for number in _words(numbers, text, what)])
+    return np.array([parsed_length(f"{number} {unit}", what) for number in _words(numbers, text, what)])
 
 
 def _three(text: str, what: str) -> list[float]:
@@ -113,11 +113,11 @@ def _words(numbers: list[str], text: str, what: str) -> list[str]:
     return numbers
 
 
-def length(text: str, what: str) -> float:
+def parsed_length(text: str, what: str) -> float:
     """Return a length in m."""
     return parse_within(text, RANGES.get(what, OF_DIMENSION["length"]), what)
 
 
-def angle(text: str, what: str) -> float:
+def parsed_angle(text: str, what: str) -> float:
     """Return an angle in rad."""
     return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)

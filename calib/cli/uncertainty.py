@@ -35,7 +35,7 @@ def uncertainty(
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.presentation.acceptance_tables import map_csv, map_table
-        from calib.presentation.console import sentence
+        from calib.presentation.console import printable
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -55,6 +55,6 @@ def uncertainty(
         lambda: {"sigmas": found.percentiles(), "known": near.shares()},
         lambda: [
             map_table(found, near.known),
-            *([] if out is None else [sentence(f"Every pose is in {out}.")]),
+            *([] if out is None else [printable(f"Every pose is in {out}.")]),
         ],
     )

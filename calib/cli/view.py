@@ -23,12 +23,12 @@ def view(
     with loading():
         import asyncio
 
-        from calib.presentation.console import sentence, show
+        from calib.presentation.console import printable, show
         from calib.presentation.live import serve
         from calib.results.folder import REPORT_FILE, SCENE_FILE
 
     def started(address: str) -> None:
-        show(sentence(f"The scene of {results} is at {address} until you press Ctrl-C."))
+        show(printable(f"The scene of {results} is at {address} until you press Ctrl-C."))
 
     serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, started)
     # Ctrl-C is how this ends well.

@@ -3,11 +3,10 @@
 The only place where a conversion factor stands, whether something is read, computed or shown.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
-
-import numpy as np
 
 from calib.foundations.errors import CalibError, JobError
 
@@ -46,7 +45,7 @@ UNITS: dict[str, Unit] = {
         Unit("rad", "angle", 1.0),
         Unit("mrad", "angle", 1e-3),
         Unit("urad", "angle", 1e-6),
-        Unit("deg", "angle", float(np.pi) / 180.0),
+        Unit("deg", "angle", math.pi / 180.0),
         Unit("Nm", "torque", 1.0),
         Unit("kg", "mass", 1.0),
         Unit("m/s2", "acceleration", 1.0),
@@ -110,7 +109,7 @@ def parse_quantity(text: str, dimension: Dimension, where: str, error: type[Cali
     if not match[2]:
         raise error(f"{where}: {text!r} has no unit; allowed are {', '.join(symbols(dimension))}.")
     value = float(match[1]) * unit_of(match[2], dimension, where, error).factor
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         raise error(f"{where}: {text!r} is not a finite number.")
     return value
 

@@ -56,7 +56,7 @@ class Directions:
         return int(np.count_nonzero(values > max(threshold, RANK_TOLERANCE * values[0]))) if values.size else 0
 
 
-def directions(triangle: Array) -> Directions:
+def singular_directions(triangle: Array) -> Directions:
     """Return the directions of a whitened, scaled Jacobian or its triangle (q, p)."""
     p = triangle.shape[1]
     _, values, Vt = np.linalg.svd(triangle, full_matrices=len(triangle) < p)
@@ -105,7 +105,7 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
     """
     if rank == 0:
         return ()
-    least = directions(triangle).singular_values[rank - 1]
+    least = singular_directions(triangle).singular_values[rank - 1]
     basis = np.zeros((triangle.shape[0], 0))
     taken: list[int] = []
     for share in (3e-2, 1e-3, 1e-5, 1e-7, RANK_TOLERANCE):
@@ -148,7 +148,7 @@ def told(rows: Array, rank: int, parameters: Sequence[Parameter]) -> tuple[tuple
     ``rows`` (q, p): scaled Jacobian or its triangle, at a point where shares are simple, such as the nominal robot.
     """
     kept = minimal_set(rows, rank, preference(parameters))
-    return kept, null_directions(directions(rows).null_basis(rank), parameters, kept)
+    return kept, null_directions(singular_directions(rows).null_basis(rank), parameters, kept)
 
 
 def null_directions(

@@ -95,7 +95,7 @@ def _identify(
     problem, found, learned = solve_learning(problem, x0, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    numerical_rank = min(found.directions.numerical_rank, identifiability.directions(found.start).rank)
+    numerical_rank = min(found.directions.numerical_rank, identifiability.singular_directions(found.start).rank)
     kept, directions = identifiability.told(found.start, numerical_rank, parameters)
     if null_space == "refuse" and directions:
         many = "1 combination" if len(directions) == 1 else f"{len(directions)} combinations"

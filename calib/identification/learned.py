@@ -17,7 +17,7 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Problem
-from calib.identification.widths import WIDEST, Rows, likeliest, likelihood
+from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
@@ -63,7 +63,7 @@ def solve_learning(
     widths = np.ones(len(names))
     problem = _with_widths(problem, names, widths)
     found = solve(problem, x0, variances)
-    rows = _rows(problem, found, variances, names)
+    rows = _equations(problem, found, variances, names)
     seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
     few = np.asarray(seen < _FEWEST)
     taught, shown = seen, ~few
@@ -75,7 +75,7 @@ def solve_learning(
         found = solve(problem, found.x, variances)
         if change < _NEGLIGIBLE_CHANGE:
             break
-        rows = _rows(problem, found, variances, names)
+        rows = _equations(problem, found, variances, names)
     taught = np.where(few, seen, taught)
     return problem, found, tuple(_told(problem.parameters, names, widths, taught, few, shown))
 
@@ -90,7 +90,9 @@ def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Probl
     )
 
 
-def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]) -> Rows:
+def _equations(
+    problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]
+) -> NormalEquations:
     """Return the equations at a solution, shifted to where stated priors have their means; weak ones hold there."""
     sigmas = weights.sigmas_of(problem, found.variances, problem.residuals(found.x))
     evaluation = problem.evaluate(sigmas, found.x)
@@ -123,7 +125,7 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
     grams = np.stack([gram(triangle) for triangle in evaluation.triangles])
     finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
     coarser = np.maximum(finest, 1.0)
-    return Rows(
+    return NormalEquations(
         grams / coarser[:, None, None] ** 2,
         np.array(counts, dtype=np.float64),
         known,
@@ -133,7 +135,7 @@ def _rows(problem: Problem, found: Solution, variances: Sequence[float | None] |
     )
 
 
-def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
+def _learned(rows: NormalEquations, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
     """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep the parameter scale."""
     new, taught, shown = np.ones(len(widths)), np.zeros(len(widths)), ~few
     if few.all():
@@ -143,7 +145,7 @@ def _learned(rows: Rows, widths: Array, few: BoolArray) -> tuple[Array, Array, B
     p = len(rows.group)
     known = rows.known.copy()
     known[range(p), range(p)] += np.where(kept, 1.0, 0.0)
-    found = likeliest(rows._replace(known=known, group=number[rows.group]), widths[~few])
+    found = likeliest_widths(rows._replace(known=known, group=number[rows.group]), widths[~few])
     new[~few], taught[~few], shown[~few] = found.widths, found.gamma, found.shown
     return new, taught, shown
 

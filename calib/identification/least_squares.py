@@ -9,7 +9,7 @@ from calib.identification.parameters import Parameter
 from calib.identification.system import Component, Evaluation
 
 
-class Rows(Protocol):
+class MeasuredSet(Protocol):
     """A set of measured rows, with the standard deviations (N, d) of the instrument; zero where nobody knows them."""
 
     @property
@@ -25,7 +25,7 @@ class LeastSquares(Protocol):
         """The unknowns."""
 
     @property
-    def measurements(self) -> Sequence[Rows]:
+    def measurements(self) -> Sequence[MeasuredSet]:
         """The sets of rows."""
 
     @property

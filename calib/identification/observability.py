@@ -77,7 +77,7 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     problem = initial_problem(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
     rows = _at_start(problem).rows[:, :-1]
-    directions = identifiability.directions(rows)
+    directions = identifiability.singular_directions(rows)
     rank = directions.rank
     _, null_space = identifiability.told(rows, rank, parameters)
     seen = directions.singular_values[:rank]

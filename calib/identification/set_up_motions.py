@@ -113,7 +113,7 @@ def without(J: Array, set_up_motions: Array) -> Array:
     """
     U, sizes, _ = np.linalg.svd(set_up_motions, full_matrices=False)
     U = U[:, sizes > _DEPENDENT]
-    found = identifiability.directions(J)
+    found = identifiability.singular_directions(J)
     seen = found.vectors[:, : found.rank]
     # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
     A, shares, B = np.linalg.svd(seen.T @ U, full_matrices=False)

@@ -445,20 +445,20 @@ class _Told(NamedTuple):
     def of(cls, problem: LeastSquares, data: Array, prior: _Prior) -> "_Told":
         """Tell it of the Jacobian of the data at the solution, or its triangle (q, p)."""
         rows = np.concatenate([data, prior.stated_rows])
-        directions = identifiability.directions(rows)
+        directions = identifiability.singular_directions(rows)
         null_basis = directions.null_basis(directions.numerical_rank)
         # Inner constraints close the null space: full rank by construction.
         constraints = identifiability.inner_constraints(null_basis, problem.parameters)
         seen = directions.singular_values[: directions.numerical_rank]
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
         spread = np.linalg.pinv(np.concatenate([rows, weight * constraints]), rcond=_SINGULAR)[:, : len(rows)]
-        return cls(identifiability.directions(data), null_basis, spread @ spread.T)
+        return cls(identifiability.singular_directions(data), null_basis, spread @ spread.T)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:
     count = sum(measured.sigma.size for measured in problem.measurements) + len(first.relations)
     priors = prior.stated_rows
-    rank = identifiability.directions(np.concatenate([first.rows[:, :-1], priors])).rank
+    rank = identifiability.singular_directions(np.concatenate([first.rows[:, :-1], priors])).rank
     if count + len(priors) <= rank:
         raise IdentificationError(
             f"{count} measured numbers and {len(priors)} priors determine {rank} unknowns and leave none to judge the "

@@ -35,7 +35,7 @@ _MOST_TURNS = 20
 _SETTLED = 1e-4
 
 
-class Rows(NamedTuple):
+class NormalEquations(NamedTuple):
     """Linear equations ``r + J z`` of all data, about z = 0, where learned priors have their means.
 
     ``grams`` (c, p + 1, p + 1): of ``[J r]`` of every component, whitened; ``counts`` (c,): its rows. ``known`` (p + 1,
@@ -73,7 +73,7 @@ class Widths(NamedTuple):
     shown: BoolArray
 
 
-def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
+def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likelihood:
     """Return the marginal likelihood for widths (g,) of the groups and factors (c,) of the components' sigmas."""
     p = len(rows.group)
     own = rows.group >= 0
@@ -97,7 +97,7 @@ def likelihood(rows: Rows, widths: Array, factors: Array) -> Likelihood:
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
 
 
-def likeliest(rows: Rows, start: Array) -> Widths:
+def likeliest_widths(rows: NormalEquations, start: Array) -> Widths:
     """Return the widths of the largest likelihood times widths; ``start`` (g,): those to begin with."""
     g = len(start)
     low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))

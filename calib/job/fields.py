@@ -32,7 +32,7 @@ def quantity(name: str) -> Callable[[object], object]:
                 "acceleration": "9.81 m/s2",
                 "turning compliance": "10 urad/Nm",
             }.get(dimension, "0.01 deg")
-            raise ValueError(f"{shown(text)} is not a text with a number and a unit, like {example!r}.")
+            raise ValueError(f"{as_toml(text)} is not a text with a number and a unit, like {example!r}.")
         try:
             value = parse_quantity(text, dimension, "")
         except JobError as e:
@@ -73,7 +73,7 @@ def list_of(count: int, what: str) -> Callable[[object], object]:
 
     def checked(value: object) -> object:
         if not isinstance(value, tuple) or len(value) != count:
-            raise ValueError(f"{shown(value)} is not a list of {what}.")
+            raise ValueError(f"{as_toml(value)} is not a list of {what}.")
         return value
 
     return checked
@@ -82,19 +82,19 @@ def list_of(count: int, what: str) -> Callable[[object], object]:
 def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     norm = math.hypot(*value)  # unlike NumPy's norm it does not overflow
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
-        raise ValueError(f"{shown(value)} has the norm {norm:.6g}, and must have 1; the order is w, x, y, z.")
+        raise ValueError(f"{as_toml(value)} has the norm {norm:.6g}, and must have 1; the order is w, x, y, z.")
     return value
 
 
 def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
     if not _SHORTEST_NORMAL <= math.hypot(*value) < math.inf:
-        raise ValueError(f"{shown(value)} has no direction.")
+        raise ValueError(f"{as_toml(value)} has no direction.")
     return value
 
 
 def _share(value: object) -> object:
     if not isinstance(value, float) or not 0.0 < value < 1.0:
-        raise ValueError(f"{shown(value)} is not a share between 0 and 1, like 0.25.")
+        raise ValueError(f"{as_toml(value)} is not a share between 0 and 1, like 0.25.")
     return value
 
 
@@ -107,7 +107,7 @@ def selection(*words: str) -> Callable[[object], object]:
             raise ValueError(f"has {len(value)} entries; allowed are {MOST_NAMES}.")
         if not names and value not in words:
             raise ValueError(
-                f"{shown(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
+                f"{as_toml(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
             )
         return value
 
@@ -123,7 +123,7 @@ def _not_empty(text: str) -> str:
 def iterations(value: object) -> object:
     """Accept a number of iterations."""
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
-        raise ValueError(f"{shown(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+        raise ValueError(f"{as_toml(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
     return value
 
 
@@ -132,7 +132,7 @@ def term_option(name: str, option: Option) -> Callable[[object], object]:
 
     def checked(value: object) -> object:
         if value == () or not option.holds(value):
-            raise ValueError(f"{shown(value)} is not {option.what}.")
+            raise ValueError(f"{as_toml(value)} is not {option.what}.")
         return at_most(COUNTS.get(f"error_model.{name}", MOST_NAMES))(value)
 
     return checked
@@ -142,7 +142,7 @@ def this_schema(value: object) -> object:
     """Accept the schema that this version reads."""
     # As Python has it, 1 == 1.0 == True.
     if type(value) is not int or value != 1:
-        raise ValueError(f"{shown(value)} is not a schema that this version reads; it must be 1.")
+        raise ValueError(f"{as_toml(value)} is not a schema that this version reads; it must be 1.")
     return value
 
 
@@ -181,7 +181,7 @@ def _or_learned(check: Callable[[object], object]) -> Callable[[object], object]
         if text == "learned":
             return text
         if isinstance(text, str) and text.isalpha():
-            raise ValueError(f'{shown(text)} is neither a number with a unit nor "learned".')
+            raise ValueError(f'{as_toml(text)} is neither a number with a unit nor "learned".')
         return check(text)
 
     return checked
@@ -231,12 +231,12 @@ Share = Annotated[float, BeforeValidator(_share)]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(selection("all", "none"))]
 
 
-def shown(value: object) -> str:
+def as_toml(value: object) -> str:
     """Return a value as TOML has it, short enough for a sentence."""
     if isinstance(value, dict):
         return "a section with keys"
     if isinstance(value, tuple):
-        return f"[{', '.join(map(shown, value[:5]))}{', ...' if len(value) > 5 else ''}]"
+        return f"[{', '.join(map(as_toml, value[:5]))}{', ...' if len(value) > 5 else ''}]"
     if isinstance(value, bool):
         return str(value).lower()
     text = shortened(str(value))

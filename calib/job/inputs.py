@@ -35,7 +35,7 @@ from calib.job.schema import (
     TargetSection,
 )
 from calib.machine.touching import touched
-from calib.measurement.checks import Finding, check
+from calib.measurement.checks import Finding, table_findings
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
@@ -125,7 +125,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_wrong_shapes(job, sets, path)
     known, model = model.targets, model.within(chosen)
     _refuse_no_noise(job, sets, path)
-    findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
+    findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]

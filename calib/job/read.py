@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import shown
 from calib.job.contradictions import contradictions
 from calib.job.schema import Job
-from calib.job.sentences import sentence
+from calib.job.sentences import validation_sentence
 
 _LARGEST_JOB = 1_000_000
 # The parser's time grows with the square of a dotted key's length, and a key stands on one line.
@@ -46,7 +46,7 @@ def parse_job(contents: dict[str, Any], where: str) -> Job:
     except _TooLargeError as e:
         raise JobError(f"{where}: {e}.") from e
     except ValidationError as e:
-        raise JobError(f"{where}: {sentence(e)}") from e
+        raise JobError(f"{where}: {validation_sentence(e)}") from e
     for contradiction in contradictions(job):
         raise JobError(f"{where}: {contradiction}")
     return job

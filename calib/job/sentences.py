@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from calib.foundations.words import near, shortened
-from calib.job.fields import shown
+from calib.job.fields import as_toml
 from calib.job.schema import (
     ErrorModelSection,
     FrameSection,
@@ -38,7 +38,7 @@ _HEADERS: dict[type[BaseModel], str] = {
 }
 
 
-def sentence(error: ValidationError) -> str:
+def validation_sentence(error: ValidationError) -> str:
     """Return the first thing to mend: another schema explains all else, and unknown keys most missing ones."""
 
     def order(e: ErrorDetails) -> int:
@@ -54,7 +54,7 @@ def sentence(error: ValidationError) -> str:
     if kind == "value_error":
         return f"{key}: {first['ctx']['error']}"
     if kind == "literal_error":
-        return f"{key}: {shown(value)} is not allowed; it must be {first['ctx']['expected']}."
+        return f"{key}: {as_toml(value)} is not allowed; it must be {first['ctx']['expected']}."
     if kind == "too_short":
         return f"{key}: is empty."
     if kind == "tuple_type" and isinstance(value, dict):
@@ -70,7 +70,7 @@ def sentence(error: ValidationError) -> str:
         "model_type": "a section with keys",
         "dict_type": "a section with keys",
     }
-    return f"{key}: {shown(value)} is not {expected.get(kind, 'allowed')}."
+    return f"{key}: {as_toml(value)} is not {expected.get(kind, 'allowed')}."
 
 
 def _hint(name: str, section: type[BaseModel]) -> str:

@@ -164,7 +164,7 @@ def gaussian_from_residuals(
         raise MeasurementError(f"{where}: all errors are zero, and leave nothing to be explained.")
     points, errors = in_row_order(readings[:, numbers], errors)
     with one_thread():
-        kernel = likeliest(points, errors)
+        kernel = likeliest_kernel(points, errors)
         dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
         return _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
 
@@ -188,7 +188,7 @@ def in_row_order(points: Array, errors: Array) -> tuple[Array, Array]:
     return points[order], errors[order]
 
 
-def likeliest(points: Array, errors: Array) -> Kernel:
+def likeliest_kernel(points: Array, errors: Array) -> Kernel:
     """Return the kernel of the largest marginal likelihood of errors (N, 3) in m at points (N, k)."""
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 - slow to load, and needed here alone
     from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415

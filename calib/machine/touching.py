@@ -15,7 +15,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
-from calib.measurement.checks import Finding, check
+from calib.measurement.checks import Finding, table_findings
 from calib.measurement.columns import stacked
 from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.conditions import refuse_lacking
@@ -82,7 +82,7 @@ def touched(
         points = arm.points(stacked(table, own), conditions)
     position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
-    doubts = check(
+    doubts = table_findings(
         measurements_from_table(arms, arm.machine.robot.readings, "position"),
         arm.machine.robot.readings,
         arm.machine.robot.reach,

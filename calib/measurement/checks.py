@@ -44,7 +44,7 @@ class Finding:
     sentence: str
 
 
-def check(measurements: Measurements, readings: Sequence[Reading], reach: float) -> tuple[Finding, ...]:
+def table_findings(measurements: Measurements, readings: Sequence[Reading], reach: float) -> tuple[Finding, ...]:
     """Return what looks wrong, the checks of the readings first.
 
     ``readings`` are the robot's, in the order of the columns of ``measurements.readings``; ``reach`` is the longest

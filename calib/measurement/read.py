@@ -9,13 +9,13 @@ from calib.measurement.from_table import Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import Frame, read_table, table_from_arrays, table_from_frame
+from calib.measurement.table import DataFrameLike, read_table, table_from_arrays, table_from_frame
 from calib.robot.robot import Robot
 
 
 @checked
 def read_measurements(
-    source: str | Path | Mapping[str, Any] | Frame,
+    source: str | Path | Mapping[str, Any] | DataFrameLike,
     robot: Robot,
     observes: Kind = "position",
     *,

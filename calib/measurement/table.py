@@ -67,7 +67,7 @@ class Table:
 
 
 @runtime_checkable
-class Frame(Protocol):
+class DataFrameLike(Protocol):
     """What is asked of a pandas DataFrame, so that pandas need not be there."""
 
     @property
@@ -170,7 +170,7 @@ def _joined(parts: Sequence[Array | tuple[str, ...]]) -> Array | tuple[str, ...]
     return read_only_view(np.concatenate(cast(Sequence[Array], parts)))
 
 
-def table_from_frame(frame: Frame, where: str = "DataFrame", columns: Mapping[str, str] = AS_WRITTEN) -> Table:
+def table_from_frame(frame: DataFrameLike, where: str = "DataFrame", columns: Mapping[str, str] = AS_WRITTEN) -> Table:
     """Return the table of a pandas DataFrame whose labels are written as in a file; ``columns`` renames them.
 
     Raises MeasurementError as :func:`read_table` does, with the position of the row, counted from 0, as the line.

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
-from calib.assessment.iso9283 import Figure
+from calib.assessment.iso9283 import IsoFigure
 from calib.foundations.arrays import BoolArray
 from calib.foundations.csv_text import csv_text
 from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
@@ -117,7 +117,7 @@ def comparison_lines(found: Comparison) -> list[Text]:
     return lines
 
 
-def iso_table(figures: Sequence[Figure]) -> Table:
+def iso_table(figures: Sequence[IsoFigure]) -> Table:
     """Return the figures of ISO 9283 in mm and degrees."""
     out = _table("Figures after ISO 9283", "after the method of the standard; no certificate")
     out.add_column("figure")

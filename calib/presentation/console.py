@@ -43,7 +43,7 @@ def write(text: str) -> None:
         raise OutputError(f"standard output: cannot be written ({e.strerror}).") from e
 
 
-def brief(report: Report) -> list[RenderableType]:
+def short_report(report: Report) -> list[RenderableType]:
     """Return what of a report belongs on a terminal: its short tables and sentences, and the verdict at the end."""
     shown: list[RenderableType] = [warning(text) for text in report.verdict.warnings]
     for block in report.brief():
@@ -52,7 +52,7 @@ def brief(report: Report) -> list[RenderableType]:
         elif block.kind == "code":
             shown.append(literal("\n".join(block.sentences)))
         else:
-            shown += map(sentence, block.sentences)
+            shown += map(printable, block.sentences)
     verdict = report.verdict
     good, bad = ("bold green", "green"), ("bold", "bold red")
     headline, reason = good if verdict.trusted else bad
@@ -60,7 +60,7 @@ def brief(report: Report) -> list[RenderableType]:
     return [*shown, *(Text(_printable(text), style=reason) for text in verdict.reasons)]
 
 
-def sentence(text: str) -> Text:
+def printable(text: str) -> Text:
     """Return a sentence to be shown; names in it can neither break the line nor command the terminal."""
     return Text(_printable(text))
 

@@ -126,7 +126,7 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) ->
     return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
 
 
-def joined(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
+def joined_by_colour(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
     """Return the same triangles with all parts of one colour joined, in the order in which colours first appear."""
     colours = dict.fromkeys(part.rgb for part in parts)
     return tuple(_concatenated([part for part in parts if part.rgb == rgb], rgb) for rgb in colours)
@@ -167,7 +167,7 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
         return None
     corners = 3 * sum(len(part.faces) for part in parts)
     usable = 0 < corners <= spare + len(data) and all(np.isfinite(part.vertices).all() for part in parts)
-    return Mesh(joined(parts), max(corners, told.corners)) if usable else None
+    return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:

@@ -26,7 +26,7 @@ from calib.presentation.meshes import (
     Triangles,
     balls,
     creased,
-    joined,
+    joined_by_colour,
     moved,
     primitive,
     sticks,
@@ -255,7 +255,7 @@ def _links(scene: Scene, T: Mapping[str, Array]) -> tuple[_Link, ...]:
     shapes = visuals(scene.urdf, _METAL)
     drawn = _drawn(shapes, scene.mesh_roots)
     # Few and large parts: a link's own of one colour.
-    own = {name: joined([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
+    own = {name: joined_by_colour([part for parts in found for part in parts or ()]) for name, found in drawn.items()}
     carries: dict[str, list[Array]] = {name: [] for name in drawn}
     for joint in scene.urdf.joints:
         carries[joint.parent].append(T[joint.child][:3, 3])
@@ -317,7 +317,7 @@ def _robot(links: Sequence[_Link], extent: float) -> Iterator[_Drawing]:
             ends = _moved(link.carries, inverse(link.T))
             parts.append(sticks(np.zeros_like(ends), ends, 0.012 * extent, _METAL, sides=24 if few else 4))
             parts.append(balls(np.zeros((1, 3)), 0.02 * extent, _JOINT, subdivisions=3 if few else 0))
-        yield _Drawing(("robot", _node(link.name)), joined(parts), link.T, flat=False)
+        yield _Drawing(("robot", _node(link.name)), joined_by_colour(parts), link.T, flat=False)
 
 
 def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], extent: float) -> Iterator[_Drawing]:
@@ -331,7 +331,7 @@ def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], 
             sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12),
             balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3),
         ]
-        yield _Drawing(("frames", "tip", "tools", _node(name)), joined(tool), translation(point))
+        yield _Drawing(("frames", "tip", "tools", _node(name)), joined_by_colour(tool), translation(point))
 
 
 def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array], edges: Array) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
-from calib.presentation.report.outlying import outliers
+from calib.presentation.report.outlying import outlier_section
 from calib.results.calibration import Calibration
 from calib.results.versions import versions
 
@@ -18,10 +18,10 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),
     lambda c: sections.distribution(c.sets),
-    lambda c: sections.poses(c.sets),
+    lambda c: sections.pose_section(c.sets),
     lambda c: sections.joints(c.fit, c.sets),
     lambda c: sections.workspace(c.fit, c.sets),
-    lambda c: outliers(c.outliers),
+    lambda c: outlier_section(c.outliers),
     lambda c: sections.parameters(c.fit),
     lambda c: sections.correlations(c.fit),
     lambda c: sections.seen(c.fit),

@@ -16,7 +16,7 @@ from calib.foundations.errors import JobError, OutputError
 from calib.foundations.rigid import rpy_of
 from calib.foundations.xml_text import quoted
 from calib.robot.urdf import Urdf, UrdfJoint, parse_urdf, read_document
-from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded, numbers
+from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded_like, shortest_decimals
 
 # Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
 _ROUNDING = 1e-12
@@ -66,7 +66,7 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
     mount = f"{links[second.root]}_mount"
     while mount in joints_of_first or mount in joints.values():
         mount = f"{prefix}_{mount}"
-    xyz, rpy = numbers(placement[:3, 3]), numbers(rpy_of(placement[:3, :3]))
+    xyz, rpy = shortest_decimals(placement[:3, 3]), shortest_decimals(rpy_of(placement[:3, :3]))
     fixed = (
         f'\n  <joint name={quoted(mount)} type="fixed">'
         f"\n    <parent link={quoted(parent)}/>"
@@ -76,7 +76,7 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
     )
     added = fixed + _rename(inner, links, joints, materials).rstrip() + "\n"
     end = read_document(first.source, first.where).end
-    document = first.source[:end] + encoded(first.source, _ascii(added)) + first.source[end:]
+    document = first.source[:end] + encoded_like(first.source, _ascii(added)) + first.source[end:]
     _check(document, first, second, mount, placement, links, joints)
     return Cell(document, links, joints)
 

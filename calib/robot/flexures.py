@@ -147,7 +147,7 @@ def mechanism(
     )
 
 
-def length(segment: Segment) -> float:
+def link_length(segment: Segment) -> float:
     """Return the length in m of the link before a joint, nominally; 0 where both frames are at one place."""
     found = float(np.linalg.norm(segment.placement[:3, 3]))
     return found if found > SHORTEST else 0.0
@@ -156,7 +156,7 @@ def length(segment: Segment) -> float:
 def expanding(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
     """Return the motion of a link that expands: of none without a length."""
     along = _along(segments[joint])
-    return (Flexure(joint, "prismatic", along),) if length(segments[joint]) else ()
+    return (Flexure(joint, "prismatic", along),) if link_length(segments[joint]) else ()
 
 
 def bending(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:

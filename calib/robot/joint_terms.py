@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
-from calib.robot.flexures import length
+from calib.robot.flexures import link_length
 from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
@@ -58,7 +58,7 @@ def parts(robot: Robot) -> Parts:
     ends = zip(segments(robot), robot.chain, strict=True)
     return Parts(
         readings={reading.name: reading.dimension for reading in robot.readings},
-        links={joint.name: joint.type != "fixed" for segment, joint in ends if length(segment)},
+        links={joint.name: joint.type != "fixed" for segment, joint in ends if link_length(segment)},
         joints=tuple(joint.name for joint in robot.chain),
         masses=tuple(_units(robot)),
         weighed=weighed,

@@ -14,7 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.flexures import Flexure, length
+from calib.robot.flexures import Flexure, link_length
 from calib.robot.gravity import Holding
 from calib.robot.skeleton import Segment
 from calib.robot.terms import KINDS, JointTerm, kind_of
@@ -41,7 +41,7 @@ def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequen
             if kind.of_link and kind_of(term) is kind:
                 start = len(every)
                 for i, name in enumerate(joints):
-                    if term.reading in (name, "") and length(segments[i]):
+                    if term.reading in (name, "") and link_length(segments[i]):
                         every += kind.motions(segments, i)
                 if len(every) == start:
                     raise RobotError(f"{term.name}: there is no link before {term.reading or 'any'!r}.")
@@ -86,7 +86,7 @@ class Transmission:
         self._terms, self._readings, self._holding = tuple(terms), tuple(readings), holding
         # Of flexures, any reading: what they add does not follow it.
         reading = np.where(self._coordinate < len(readings), self._coordinate, 0)
-        lengths = np.array([0.0] * len(readings) + [length(segments[flexure.joint]) for flexure in moved.every])
+        lengths = np.array([0.0] * len(readings) + [link_length(segments[flexure.joint]) for flexure in moved.every])
         self._bases_of: list[tuple[slice | IntArray, Basis]] = []
         self._slopes_of: list[tuple[slice | IntArray, Slope]] = []
         for kind in KINDS:

@@ -50,8 +50,8 @@ def splice_origins(source: bytes, origins: Mapping[str, Array], where: str = "UR
     for name, origin in origins.items():
         if np.any(np.abs(origin[:3, 3]) > LARGEST_NUMBER):
             raise OutputError(
-                f"{where}: joint {shown(name)} would have an <origin> with xyz='{numbers(origin[:3, 3])}', and no URDF "
-                f"that is read has one beyond {LARGEST_NUMBER:g} m."
+                f"{where}: joint {shown(name)} would have an <origin> with xyz='{shortest_decimals(origin[:3, 3])}', "
+                f"and no URDF that is read has one beyond {LARGEST_NUMBER:g} m."
             )
         edits += _edits(source, joints[urdf.joint(name).name], urdf.joint(name).origin, origin)
     spliced = _applied(source, edits)
@@ -63,9 +63,9 @@ def _edits(source: bytes, joint: Element, old: Array, new: Array) -> Iterator[_E
     """Yield the edits that turn the origin of a joint from ``old`` to ``new``; none where they are equal."""
     values = {}
     if not np.array_equal(old[:3, 3], new[:3, 3]):
-        values["xyz"] = numbers(new[:3, 3])
+        values["xyz"] = shortest_decimals(new[:3, 3])
     if not np.array_equal(old[:3, :3], new[:3, :3]):
-        values["rpy"] = numbers(rpy_of(new[:3, :3]))
+        values["rpy"] = shortest_decimals(rpy_of(new[:3, :3]))
     if not values:
         return
     origin = next((child for child in joint.children if child.tag == "origin"), None)
@@ -83,7 +83,7 @@ def _edits(source: bytes, joint: Element, old: Array, new: Array) -> Iterator[_E
     quote = next((a["quote"] for a in present.values()), '"')
     for name, text in values.items():
         start, end = present[name].span("value") if name in present else (match.end(), match.end())
-        start, end = (origin.start + len(encoded(source, tag[:i])) for i in (start, end))
+        start, end = (origin.start + len(encoded_like(source, tag[:i])) for i in (start, end))
         yield _Edit(start, end, text if name in present else f" {name}={quote}{text}{quote}")
 
 
@@ -91,7 +91,7 @@ def _applied(source: bytes, edits: list[_Edit]) -> bytes:
     """Return ``source`` with all edits made; they do not overlap, and those at one place keep their order."""
     pieces, done = [], 0
     for edit in sorted(edits, key=lambda edit: edit.start):
-        pieces += [source[done : edit.start], encoded(source, edit.text)]
+        pieces += [source[done : edit.start], encoded_like(source, edit.text)]
         done = edit.end
     return b"".join([*pieces, source[done:]])
 
@@ -103,7 +103,7 @@ def _indentation(text: str) -> str:
     return line_break + text[len(line) :]
 
 
-def numbers(values: Array) -> str:
+def shortest_decimals(values: Array) -> str:
     """Return as text the shortest decimals that read back as ``values``, without the minus of a negative zero."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
@@ -126,7 +126,7 @@ def _decoded(source: bytes, start: int, end: int) -> str:
     return source[start:end].decode(codec_of(source), "surrogatepass")
 
 
-def encoded(source: bytes, text: str) -> bytes:
+def encoded_like(source: bytes, text: str) -> bytes:
     """Return text as bytes of the document ``source``: by the codec of :func:`codec_of`."""
     return text.encode(codec_of(source), "surrogatepass")
 

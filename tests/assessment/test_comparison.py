@@ -21,7 +21,7 @@ from calib.assessment.comparison import (
     nested_models,
     paired,
 )
-from calib.assessment.validation import HeldOut, Rows, cross_validate, held_out
+from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, held_out
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
@@ -262,7 +262,7 @@ def test_a_table_may_be_held_out_as_a_whole() -> None:
     parts = [data.subset(range(39)), data.subset([39])]
     found = cross_validate(model, parts, count=4, losses=["linear", "linear"], model_sigmas=[2e-4, 2e-4])
     np.testing.assert_allclose(np.concatenate(found.residuals), whole.residuals[0], rtol=0, atol=1e-9)
-    kept = Rows.of(parts, [np.ones(39, dtype=np.bool_), np.zeros(1, dtype=np.bool_)])
+    kept = ChosenRows.of(parts, [np.ones(39, dtype=np.bool_), np.zeros(1, dtype=np.bool_)])
     assert kept.which == (0,)
     assert kept.losses(["huber", "linear"]) == ["huber"]
     assert kept.sigmas([1e-4, None]) == [1e-4]

@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.assessment.candidates import Setup, rows, working_rows
-from calib.assessment.design import Rows, Space, choose, parts_of, random_values, sequence, space, value_of
+from calib.assessment.design import DesignRows, Space, choose, parts_of, random_values, sequence, space, value_of
 from calib.foundations import rigid
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
@@ -18,13 +18,13 @@ CRITERIA: tuple[Criterion, ...] = ("D", "A", "I")
 Array = np.ndarray
 
 
-def small(seed: int = 0, n: int = 9, misfit: int = 2) -> tuple[Rows, Rows]:
+def small(seed: int = 0, n: int = 9, misfit: int = 2) -> tuple[DesignRows, DesignRows]:
     rng = np.random.default_rng(seed)
-    candidates = Rows(100.0 * rng.standard_normal((n, 2, 4)), 10.0 * rng.standard_normal((n, 2, misfit)))
-    return candidates, Rows(rng.standard_normal((6, 3, 4)), rng.standard_normal((6, 3, misfit)))
+    candidates = DesignRows(100.0 * rng.standard_normal((n, 2, 4)), 10.0 * rng.standard_normal((n, 2, misfit)))
+    return candidates, DesignRows(rng.standard_normal((6, 3, 4)), rng.standard_normal((6, 3, misfit)))
 
 
-def by_formula(criterion: Criterion, candidates: Rows, working: Rows, chosen: tuple[int, ...]) -> float:
+def by_formula(criterion: Criterion, candidates: DesignRows, working: DesignRows, chosen: tuple[int, ...]) -> float:
     """The value by its definition: the covariance of least squares, and the fit of every effect by lstsq."""
     A = candidates.of_parameters[list(chosen)].reshape(-1, 4)
     M = A.T @ A
@@ -74,7 +74,7 @@ def test_a_sequence_takes_what_brings_most(criterion: Criterion) -> None:
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_what_is_measured_already_counts(criterion: Criterion) -> None:
     candidates, working = small(2)
-    given = Rows(candidates.of_parameters[:3], candidates.of_misfit[:3])
+    given = DesignRows(candidates.of_parameters[:3], candidates.of_misfit[:3])
     s, alone = space(candidates, criterion, working, given), space(candidates, criterion, working)
     assert value_of(s, (5, 6)) == pytest.approx(value_of(alone, (0, 1, 2, 5, 6)), rel=1e-6)
 
@@ -86,7 +86,7 @@ def test_priors_stand_in_for_poses() -> None:
     A = candidates.of_parameters[0]
     assert value_of(s, (0,)) == pytest.approx(np.trace(np.linalg.inv(A.T @ A + np.diag(prior**-2.0))), rel=1e-4)
     # What priors alone know is judged too, but nothing that poses see.
-    flat = Rows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
+    flat = DesignRows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
     known = space(flat, "A", working, prior=prior)
     assert (known.seen, known.V.shape[1]) == (3, 4)
 
@@ -95,11 +95,11 @@ def test_the_order_of_candidates_and_unseen_parameters_change_nothing() -> None:
     candidates, working = small(4)
     s = space(candidates, "I", working)
     order = np.random.default_rng(0).permutation(9)
-    shuffled = space(Rows(candidates.of_parameters[order], candidates.of_misfit[order]), "I", working)
+    shuffled = space(DesignRows(candidates.of_parameters[order], candidates.of_misfit[order]), "I", working)
     assert {int(order[c]) for c in choose(shuffled, 4, starts=5).chosen} == set(choose(s, 4, starts=5).chosen)
     # A parameter that is the sum of two others adds nothing that can be seen.
     wider = (
-        Rows(np.concatenate([r.of_parameters, r.of_parameters[:, :, :1]], axis=2), r.of_misfit)
+        DesignRows(np.concatenate([r.of_parameters, r.of_parameters[:, :, :1]], axis=2), r.of_misfit)
         for r in (candidates, working)
     )
     doubled = space(next(wider), "I", next(wider))
@@ -114,7 +114,7 @@ def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
     with pytest.raises(JobError, match="criterion: 'E' is not one of D, A, I"):
         space(candidates, "E", working)  # type: ignore[arg-type]
     with pytest.raises(JobError, match="determine no parameter"):
-        space(Rows.without_misfit(np.zeros((3, 2, 4))), "D")
+        space(DesignRows.without_misfit(np.zeros((3, 2, 4))), "D")
 
 
 # ---- a UR10

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.assessment import iso9283
-from calib.assessment.iso9283 import Figure, cycles, figures, read_cycles
+from calib.assessment.iso9283 import IsoFigure, cycles, figures, read_cycles
 from calib.foundations.errors import MeasurementError
 from calib.measurement.table import table_from_arrays
 from scripts.simulate import irb2400 as simulation
@@ -36,7 +36,7 @@ def columns(**arrays: object) -> dict[str, object]:
     return found | arrays
 
 
-def by_name(found: tuple[Figure, ...], place: str) -> dict[str, float]:
+def by_name(found: tuple[IsoFigure, ...], place: str) -> dict[str, float]:
     return {f.name: f.value for f in found if f.place == place}
 
 

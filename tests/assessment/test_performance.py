@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.performance import (
-    Figure,
+    PerformanceFigure,
     Touches,
     articulated_location,
     before_and_after,
@@ -82,7 +82,7 @@ def test_articulated_location_by_hand() -> None:
     sizes = 15e-3 + 1e-6 * np.arange(5)
     found = articulated_location([c + r * AXES[:5] for c, r in zip(centres, sizes, strict=True)])
     assert found.diameter == pytest.approx(80e-6, abs=1e-12)
-    assert found.figures == (Figure("articulated location", "sphere", 5, "LDia.5x5", found.diameter),)
+    assert found.figures == (PerformanceFigure("articulated location", "sphere", 5, "LDia.5x5", found.diameter),)
 
 
 def test_where_the_arm_stands_and_in_which_order_it_touched_do_not_matter() -> None:

@@ -9,7 +9,7 @@ import yaml
 
 import calib
 from calib.compensation.controllers import LeftOut, export_dh, export_offsets, export_ros, export_ur
-from calib.compensation.controllers.export import poses
+from calib.compensation.controllers.export import judged_readings
 from calib.compensation.controllers.offsets import read_offsets
 from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
 from calib.foundations.errors import OutputError, RobotError
@@ -158,7 +158,7 @@ def test_offsets_are_added_to_readings(name: str) -> None:
     assert [part.part for part in found.left_out] == [*followers, "placements"]
     assert all(part.cost > 1e-4 for part in found.left_out)
     # The controller's machine: the nominal one at readings moved by the table.
-    readings = poses(machine)
+    readings = judged_readings(machine)
     arm = machines.arm(text, "tip")
     order = [read.index(joint) for joint in arm.ranges]
     controlled = arm.tips((readings + np.array([table[joint] for joint in read]))[:, order])[:, :3, 3]
@@ -213,7 +213,7 @@ def test_yaml_for_ros_has_what_the_calibrated_urdf_lacks() -> None:
     ]
     assert [t["unit"] for t in read["terms"]] == ["1", "rad", "rad"]
     # Readings moved by the terms, given to the machine of the calibrated URDF, are the whole machine.
-    readings = poses(machine)
+    readings = judged_readings(machine)
     moved = readings.copy()
     u = readings[:, 1]
     moved[:, 1] += read["terms"][0]["coefficient"] * u + read["terms"][1]["coefficient"] * np.cos(3.0 * u)

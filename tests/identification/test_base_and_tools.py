@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from tests.support.machines import Array, anywhere, pose
 
-NOTHING = Known(None, None, None)
+NOTHING = KnownFrames(None, None, None)
 
 
 class Scene:
@@ -24,16 +24,16 @@ class Scene:
         self.seen[:, :3, 3] += rng.normal(scale=noise, size=(n, 3))
         self.guess = np.tile(np.eye(4), (tools, 1, 1))
 
-    def rows(self, turned: bool | Array) -> Rows:
+    def rows(self, turned: bool | Array) -> TipObservations:
         orientation = np.where(np.reshape(turned, (-1, 1, 1)), self.seen[:, :3, :3], np.nan)
-        return Rows(self.tips, self.seen[:, :3, 3], orientation, self.tool)
+        return TipObservations(self.tips, self.seen[:, :3, 3], orientation, self.tool)
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("knows", ["nothing", "base", "points", "base and points"])
 def test_positions_place_base_and_points(seed: int, knows: str) -> None:
     scene = Scene(seed)
-    known = Known(
+    known = KnownFrames(
         scene.base if "base" in knows else None,
         scene.tools[:, :3, 3] if "points" in knows else None,
         scene.guess[:, :3, :3],
@@ -48,7 +48,7 @@ def test_positions_place_base_and_points(seed: int, knows: str) -> None:
 @pytest.mark.parametrize("knows", ["nothing", "base", "points", "rotations", "base and rotations"])
 def test_poses_place_base_and_tools(seed: int, knows: str) -> None:
     scene = Scene(seed)
-    known = Known(
+    known = KnownFrames(
         scene.base if "base" in knows else None,
         scene.tools[:, :3, 3] if "points" in knows else None,
         scene.tools[:, :3, :3] if "rotations" in knows else None,

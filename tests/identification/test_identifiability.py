@@ -6,7 +6,13 @@ from scipy.linalg import null_space
 
 import calib
 from calib.foundations.errors import IdentificationError
-from calib.identification.identifiability import directions, inner_constraints, minimal_set, null_directions, preference
+from calib.identification.identifiability import (
+    inner_constraints,
+    minimal_set,
+    null_directions,
+    preference,
+    singular_directions,
+)
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, jacobian
 from tests.support import machines
@@ -169,7 +175,7 @@ def test_refuse_accepts_what_is_all_determined(robot: calib.Robot) -> None:
 
 
 def test_directions_of_a_small_matrix() -> None:
-    found = directions(np.array([[3.0, 0.0, 0.0], [0.0, 0.05, 0.0]]))
+    found = singular_directions(np.array([[3.0, 0.0, 0.0], [0.0, 0.05, 0.0]]))
     assert (found.rank, found.numerical_rank) == (2, 1)
     np.testing.assert_allclose(found.singular_values, [3.0, 0.05, 0.0])
     np.testing.assert_allclose(np.abs(found.null_basis(2)), [[0], [0], [1]], atol=1e-15)

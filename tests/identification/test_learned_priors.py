@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 import calib
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
-from calib.identification.widths import Rows, likeliest, likelihood
+from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
 from tests.support import machines
 from tests.support.gears import UR10, geared, wavy
 
@@ -35,12 +35,12 @@ def drawn(rng: np.random.Generator, n: int, sizes: tuple[int, ...], widths: Arra
     return J, -J @ x + sigma * rng.standard_normal(n), group, x
 
 
-def rows_of(J: Array, r: Array, group: Array, parts: int = 1) -> Rows:
+def rows_of(J: Array, r: Array, group: Array, parts: int = 1) -> NormalEquations:
     whole = np.column_stack([J, r])
     grams = np.stack([part.T @ part for part in np.array_split(whole, parts)])
     counts = np.array([float(len(part)) for part in np.array_split(whole, parts)])
     none = np.zeros(parts)
-    return Rows(grams, counts, np.zeros_like(grams[0]), none, none.astype(bool), group)
+    return NormalEquations(grams, counts, np.zeros_like(grams[0]), none, none.astype(bool), group)
 
 
 def test_the_likelihood_is_the_density_of_what_was_measured() -> None:
@@ -75,7 +75,7 @@ def test_widths_and_noise_of_a_large_population_come_back() -> None:
     widths, sigma = np.array([3.0, 0.2, 1.0]), 0.5
     for seed in range(3):
         rows = rows_of(*drawn(np.random.default_rng([seed, 3]), 900, (80, 120, 100), widths, sigma)[:3])
-        found, factors, gamma, shown = likeliest(rows, np.ones(3))
+        found, factors, gamma, shown = likeliest_widths(rows, np.ones(3))
         assert shown.all()
         # The logarithm of a width that gamma parameters teach scatters by 1 / sqrt(2 gamma).
         assert np.all(np.abs(np.log(found / widths)) < 3.5 / np.sqrt(2.0 * gamma))
@@ -84,7 +84,7 @@ def test_widths_and_noise_of_a_large_population_come_back() -> None:
 
 def test_at_the_top_the_width_is_that_of_what_was_determined() -> None:
     J, r, group, _ = drawn(np.random.default_rng(4), 60, (20,), np.array([0.7]))
-    found = likeliest(rows_of(J, r, group), np.ones(1))
+    found = likeliest_widths(rows_of(J, r, group), np.ones(1))
     C = np.linalg.inv(J.T @ J / found.factors[0] ** 2 + np.eye(20) / found.widths[0] ** 2)
     x = -C @ J.T @ r / found.factors[0] ** 2
     assert found.gamma[0] == pytest.approx(20 - np.trace(C) / found.widths[0] ** 2, rel=1e-6)
@@ -93,9 +93,9 @@ def test_at_the_top_the_width_is_that_of_what_was_determined() -> None:
 
 def test_what_the_data_do_not_see_teaches_nothing() -> None:
     J, r, group, _ = drawn(np.random.default_rng(5), 60, (20,), np.array([0.7]))
-    alone = likeliest(rows_of(J, r, group), np.ones(1))
+    alone = likeliest_widths(rows_of(J, r, group), np.ones(1))
     unseen = np.hstack([J, np.zeros((60, 200))])
-    more = likeliest(rows_of(unseen, r, np.zeros(220, dtype=int)), np.ones(1))
+    more = likeliest_widths(rows_of(unseen, r, np.zeros(220, dtype=int)), np.ones(1))
     np.testing.assert_allclose(np.concatenate(more[:3]), np.concatenate(alone[:3]), rtol=1e-3)
 
 
@@ -105,7 +105,7 @@ def test_intervals_with_learned_widths_hold_the_truth(small: float) -> None:
     inside = []
     for seed in range(60):
         J, r, group, x = drawn(np.random.default_rng([seed, 6]), 100, (15, 25), np.array([0.3, small]), 0.7)
-        widths, factors, *_ = likeliest(rows_of(J, r, group), np.ones(2))
+        widths, factors, *_ = likeliest_widths(rows_of(J, r, group), np.ones(2))
         C = np.linalg.inv(J.T @ J / factors[0] ** 2 + np.diag(widths[group] ** -2.0))
         inside.append(np.abs(-C @ J.T @ r / factors[0] ** 2 - x) < 1.96 * np.sqrt(np.diag(C)))
     assert np.mean(np.array(inside)[:, :15]) > 0.92

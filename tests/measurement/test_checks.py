@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.arrays import Array
-from calib.measurement.checks import Finding, check
+from calib.measurement.checks import Finding, table_findings
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import table_from_arrays
@@ -48,24 +48,24 @@ DEGREES = np.where(ANGLES, 180.0 / np.pi, 1.0)
 
 
 def found(m: Measurements) -> list[tuple[str, str, str]]:
-    return [(finding.severity, finding.code, finding.sentence) for finding in check(m, READINGS, REACH)]
+    return [(finding.severity, finding.code, finding.sentence) for finding in table_findings(m, READINGS, REACH)]
 
 
 def test_a_sound_table_gives_nothing() -> None:
-    assert check(measurements(), READINGS, REACH) == ()
+    assert table_findings(measurements(), READINGS, REACH) == ()
 
 
 def test_few_rows_and_no_rows_give_nothing() -> None:
-    assert check(measurements().subset([3]), READINGS, REACH) == ()
-    assert check(measurements().subset([]), READINGS, REACH) == ()
+    assert table_findings(measurements().subset([3]), READINGS, REACH) == ()
+    assert table_findings(measurements().subset([]), READINGS, REACH) == ()
 
 
 def test_repeated_readings_with_other_positions_are_fine() -> None:
-    assert check(measurements(np.repeat(sound_readings()[::4], 4, axis=0)), READINGS, REACH) == ()
+    assert table_findings(measurements(np.repeat(sound_readings()[::4], 4, axis=0)), READINGS, REACH) == ()
 
 
 def test_readings_at_their_limits_are_fine() -> None:
-    assert check(measurements(with_value(1, 0, 2.9 + 2e-3)), READINGS, REACH) == ()
+    assert table_findings(measurements(with_value(1, 0, 2.9 + 2e-3)), READINGS, REACH) == ()
 
 
 def test_degrees_under_rad() -> None:

@@ -11,8 +11,8 @@ import pytest
 
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.console import brief
-from calib.presentation.report.charts import Axis, Bars, Line, Points, chart, linear, logarithmic, map_of, matrix
+from calib.presentation.console import short_report
+from calib.presentation.report.charts import Axis, Bars, Curve, Points, chart, linear, logarithmic, map_of, matrix
 from calib.presentation.report.document import Picture, Prose, Report, Row, Section, Sheet, Verdict
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
@@ -89,7 +89,7 @@ def test_a_map_has_one_scale_for_both_axes_and_shows_the_worst_last() -> None:
 
 def test_bars_stand_on_zero_and_lines_pass_their_points() -> None:
     edges, heights = np.array([0.0, 0.5, 1.0]), np.array([0.0, 1.0])
-    svg = chart(UNIT, UNIT, [Bars("before", edges, heights), Line("after", edges, edges)])
+    svg = chart(UNIT, UNIT, [Bars("before", edges, heights), Curve("after", edges, edges)])
     (bar,) = re.findall(r'class="bar before" d="([^"]*)"', svg)
     assert bar.count("M") == 1  # nothing is drawn for an empty bin
     (line,) = re.findall(r'class="line after" d="M([^"]*)"', svg)
@@ -183,7 +183,7 @@ def test_page_markdown_and_terminal_say_the_same(report: Report) -> None:
         assert f"\n## {section.title}\n" in plainly
     from rich.console import Group
 
-    terminal = plain(Group(*brief(report)))
+    terminal = plain(Group(*short_report(report)))
     assert max(map(len, terminal.splitlines())) <= 80
     for sheet in (block for block in report.brief() if isinstance(block, Sheet)):
         for row in sheet.rows:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, exported, plain_tips, poses
+from calib.compensation.controllers.export import Export, judged_export, judged_readings, plain_tips
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
@@ -36,4 +36,6 @@ def export_dh(model: CalibratedMachine, table: DhTable | None = None) -> Export:
         arm = load_robot(parse_urdf(dh.dh_to_urdf(again), "the DH table"), "tip")
         return arm.tips(readings[:, [names.index(reading.name) for reading in arm.readings]])
 
-    return exported(model, text, read_back, np.asarray(plain_tips(model, poses(model))), frozenset({"placements"}))
+    return judged_export(
+        model, text, read_back, np.asarray(plain_tips(model, judged_readings(model))), frozenset({"placements"})
+    )

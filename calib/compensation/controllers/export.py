@@ -60,7 +60,7 @@ class Export:
         return {"before": self.before, "lost": self.lost, "left_out": left}
 
 
-def poses(model: CalibratedMachine) -> Array:
+def judged_readings(model: CalibratedMachine) -> Array:
     """Return random readings (500, nr) of the identified range, always the same, at which exports are judged."""
     limits = None if model.uncertainty is None else model.uncertainty.identified
     plain = replace(model.deviations, terms=np.zeros_like(model.deviations.terms))
@@ -85,7 +85,7 @@ def rms(a: Array, b: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
 
 
-def exported(
+def judged_export(
     model: CalibratedMachine,
     text: str,
     read_back: Callable[[Array], Array],
@@ -95,11 +95,11 @@ def exported(
 ) -> Export:
     """Return the export of a text that reads back as a machine with tips ``read_back(readings)`` (N, 4, 4).
 
-    ``expected`` (N, 4, 4): what these are to be at :func:`poses`; ``holds``: parts that the format has a place for,
-    ``more``: what is left out beside whole parts.
+    ``expected`` (N, 4, 4): what these are to be at :func:`judged_readings`; ``holds``: parts that the format has a
+    place for, ``more``: what is left out beside whole parts.
     Raises OutputError when the machine read back is another one.
     """
-    readings = poses(model)
+    readings = judged_readings(model)
     tips = read_back(readings)
     difference = float(np.max(np.abs(tips - expected)))
     if not difference < _ROUNDING:

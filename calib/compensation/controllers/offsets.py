@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, LeftOut, exported, poses, rms, whole_positions
+from calib.compensation.controllers.export import Export, LeftOut, judged_export, judged_readings, rms, whole_positions
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
@@ -38,7 +38,7 @@ def export_offsets(model: CalibratedMachine) -> Export:
         rows.append((reading.name, *((value, "") if turns else ("", value))))
     read = {reading.name for reading in robot.readings}
     kept = np.array([value if name in read else 0.0 for name, value in own.items()])
-    readings = poses(model)
+    readings = judged_readings(model)
     expected = robot.tips(readings, _offsets_alone(model, kept))
     before = rms(robot.tips(readings, robot.no_deviations())[:, :3, 3], whole_positions(model, readings))
     after = rms(expected[:, :3, 3], whole_positions(model, readings))
@@ -55,7 +55,7 @@ def export_offsets(model: CalibratedMachine) -> Export:
 
     followers = rms(robot.tips(readings, _offsets_alone(model, d.offsets))[:, :3, 3], expected[:, :3, 3])
     more = [LeftOut("offsets of joints that follow others", followers)] if np.any(kept != d.offsets) else []
-    return exported(model, table, read_back, expected, frozenset({"closed loops and couplings"}), more)
+    return judged_export(model, table, read_back, expected, frozenset({"closed loops and couplings"}), more)
 
 
 def read_offsets(table: str) -> Mapping[str, float]:

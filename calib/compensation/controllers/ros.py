@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, exported, poses
+from calib.compensation.controllers.export import Export, judged_export, judged_readings
 from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -71,9 +71,9 @@ def export_ros(model: CalibratedMachine) -> Export:
         )
         return again.tips(readings, Deviations(own.placements, offsets, coefficients), ordinary(readings))
 
-    readings = poses(model)
+    readings = judged_readings(model)
     expected = robot.tips(readings, own, ordinary(readings))
-    return exported(model, text, read_back, expected, frozenset({"joint terms"}))
+    return judged_export(model, text, read_back, expected, frozenset({"joint terms"}))
 
 
 def _frame(T: Array) -> dict[str, Node]:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, LeftOut, exported, plain_tips, poses, rms
+from calib.compensation.controllers.export import Export, LeftOut, judged_export, judged_readings, plain_tips, rms
 from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -74,7 +74,7 @@ def export_ur(model: CalibratedMachine) -> Export:
     placed = np.stack([_BASE, *(_at_zero(calibrated) @ slides)])
     origins = rigid.inverse(placed[:-1]) @ placed[1:]
     text = _text(origins)
-    readings = poses(model)
+    readings = judged_readings(model)
     order = [[reading.name for reading in robot.readings].index(f"{prefix}{joint}") for joint in _JOINTS]
 
     def read_back(readings: Array) -> Array:
@@ -83,7 +83,7 @@ def export_ur(model: CalibratedMachine) -> Export:
     expected = before @ calibrated.tips(readings[:, order]) @ to_driver @ after
     cost = rms(expected[:, :3, 3], plain_tips(model, readings)[:, :3, 3])
     more = [LeftOut("placements of fixed joints", cost)] if cost > _SAME_TOOL else []
-    return exported(model, text, read_back, expected, frozenset({"placements"}), more)
+    return judged_export(model, text, read_back, expected, frozenset({"placements"}), more)
 
 
 def read_ur(text: str) -> Array:

@@ -26,7 +26,7 @@ _HARDLY = 0.1
 _LEVER = 0.3
 
 
-class Rows(NamedTuple):
+class TipObservations(NamedTuple):
     """N rows that may carry an orientation.
 
     ``tips`` (N, 4, 4): tip link in the base link. ``position`` (N, 3) in the instrument's frame. ``orientation``
@@ -39,7 +39,7 @@ class Rows(NamedTuple):
     tool: IntArray
 
 
-class Known(NamedTuple):
+class KnownFrames(NamedTuple):
     """What is known of base (4, 4), tool points (k, 3) and tool rotations (k, 3, 3); None for what is sought."""
 
     base: Array | None
@@ -55,7 +55,7 @@ class BaseAndTools(NamedTuple):
     shown: BoolArray
 
 
-def base_and_tools(rows: Rows, known: Known, guess: Array) -> BaseAndTools:
+def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> BaseAndTools:
     """Return the base pose and the tool poses that explain the rows best.
 
     ``guess`` (k, 4, 4): tool poses from which what the rows do not show takes its value. A direction of a tool point is
@@ -93,7 +93,7 @@ def base_and_tools(rows: Rows, known: Known, guess: Array) -> BaseAndTools:
 
 
 def _base_and_change(
-    rows: Rows, known: Known, turned: BoolArray, n_tools: int, predicted: Array, L: Array
+    rows: TipObservations, known: KnownFrames, turned: BoolArray, n_tools: int, predicted: Array, L: Array
 ) -> tuple[Array, Array]:
     """Return the base (4, 4) and the coefficients (c,) of changes L (N, 3, c) to the ``predicted`` positions (N, 3)."""
     if known.base is not None:
@@ -108,7 +108,13 @@ def _base_and_change(
 
 
 def _rotation(
-    rows: Rows, turned: BoolArray, rotations: Array | None, n_tools: int, y: Array, L: Array, predicted: Array
+    rows: TipObservations,
+    turned: BoolArray,
+    rotations: Array | None,
+    n_tools: int,
+    y: Array,
+    L: Array,
+    predicted: Array,
 ) -> Array:
     """Return A = R_base^T from centred positions y (N, 3) and from orientations."""
     # A y = (y^T kron I) vec(A), column by column; the same for every column of a measured rotation.

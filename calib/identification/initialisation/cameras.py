@@ -15,13 +15,13 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
-from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.resection import (
     camera_pose,
     camera_pose_and_point,
     crossing,
     misses,
-    ordinary,
+    not_gross,
     rays,
 )
 from calib.identification.observations.pixels import marks_seen
@@ -30,7 +30,7 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.projection import LEAST_DEPTH, undistort
 
 
-class Sight(NamedTuple):
+class TargetRows(NamedTuple):
     """Rows of one set that concern one target: ``rows`` (n,) of ``data``, ``tips`` (n, 4, 4) in the base link."""
 
     data: Measurements
@@ -54,10 +54,10 @@ class Sight(NamedTuple):
         return rays(undistort(self.camera, self.data.value[self.rows, :2])[0])
 
 
-def sights(sets: Sequence[Measurements], tips: Sequence[Array], target: int) -> list[Sight]:
+def sights(sets: Sequence[Measurements], tips: Sequence[Array], target: int) -> list[TargetRows]:
     """Return what cameras have to say of one target, set by set."""
     return [
-        Sight(data, data.camera, rows, T[rows])
+        TargetRows(data, data.camera, rows, T[rows])
         for data, T in zip(sets, tips, strict=True)
         if data.camera is not None and len(rows := np.flatnonzero(data.target == target))
     ]
@@ -96,7 +96,7 @@ def place_tools(
     return base, tools, seen
 
 
-def target_pose(name: str, own: Sequence[Sight], base: Array, tools: Array) -> Array:
+def target_pose(name: str, own: Sequence[TargetRows], base: Array, tools: Array) -> Array:
     """Return the pose (4, 4) of a target for known base and tools (k, 4, 4).
 
     Raises MeasurementError when there are too few marks.
@@ -121,7 +121,7 @@ def target_pose(name: str, own: Sequence[Sight], base: Array, tools: Array) -> A
     return rigid.placement(nearest, np.median(poses[:, :3, 3], axis=0))
 
 
-def refuse_behind(own: Sequence[Sight], base: Array, tools: Array, target: Array) -> None:
+def refuse_behind(own: Sequence[TargetRows], base: Array, tools: Array, target: Array) -> None:
     """Raise MeasurementError for a mark that a camera saw, and that would be behind it."""
     for sight in own:
         placed, stays = base @ sight.tips @ tools[sight.tool], np.broadcast_to(target, (len(sight.rows), 4, 4))
@@ -136,7 +136,7 @@ def refuse_behind(own: Sequence[Sight], base: Array, tools: Array, target: Array
             )
 
 
-def _images(own: Sequence[Sight]) -> list[tuple[Sight, int, Array]]:
+def _images(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
     """Return the images of a board: the first row of each, and the camera's pose in the board.
 
     Images that fit no pose by far as well as most of them are left out.
@@ -153,35 +153,35 @@ def _images(own: Sequence[Sight]) -> list[tuple[Sight, int, Array]]:
             if pose is not None:
                 found.append((sight, int(rows[0]), pose))
                 missed.append(float(np.median(misses(pose, places[rows], b[rows]))))
-    kept = ordinary(np.array(missed)) if found else ()
+    kept = not_gross(np.array(missed)) if found else ()
     return [image for image, good in zip(found, kept, strict=True) if good]
 
 
-def _aligned(model: ErrorModel, images: Sequence[tuple[Sight, int, Array]], tools: Array) -> tuple[Array, Array]:
+def _aligned(model: ErrorModel, images: Sequence[tuple[TargetRows, int, Array]], tools: Array) -> tuple[Array, Array]:
     """Return the base in the target's frame, and the tools, from poses of the tool seen there."""
     poses = np.stack([pose if sight.camera.camera_on == "tip" else rigid.inverse(pose) for sight, _, pose in images])
-    rows = Rows(
+    rows = TipObservations(
         np.stack([sight.tips[row] for sight, row, _ in images]),
         poses[:, :3, 3],
         poses[:, :3, :3],
         np.array([sight.tool[row] for sight, row, _ in images], dtype=np.intp),
     )
     fixed = model.tool == "fixed"
-    known = Known(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
+    known = KnownFrames(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
     base, found, _ = base_and_tools(rows, known, tools)
     # An image that is read wrongly is by far off the others.
     T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
-    kept = ordinary(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & ordinary(
+    kept = not_gross(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & not_gross(
         np.linalg.norm(T[:, :3, 3], axis=1)
     )
     if kept.all():
         return base, found
-    some = Rows(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
+    some = TipObservations(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
     again = base_and_tools(some, known, tools)
     return again.base, again.tools
 
 
-def _carried(own: Sequence[Sight], name: str, tools: Array, sought: set[int]) -> Array:
+def _carried(own: Sequence[TargetRows], name: str, tools: Array, sought: set[int]) -> Array:
     """Place the tools that are ``sought`` by single marks, and return the base in the target's frame."""
     base_in_target = np.eye(4)
     for k in sorted({int(k) for sight in own for k in sight.tool}):
@@ -202,7 +202,7 @@ def _carried(own: Sequence[Sight], name: str, tools: Array, sought: set[int]) ->
     return base_in_target
 
 
-def _too_few(own: Sequence[Sight], name: str) -> MeasurementError:
+def _too_few(own: Sequence[TargetRows], name: str) -> MeasurementError:
     needed = (
         "one image with four marks that are not on a line, or six that are not in a plane"
         if any(sight.data.of_boards for sight in own)

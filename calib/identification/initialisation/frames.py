@@ -15,7 +15,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
-from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
 from calib.identification.machine import Frames
 from calib.measurement.measurements import Measurements
@@ -43,13 +43,13 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements]) -> Initialisatio
     unshown = np.zeros_like(placed)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
     if seen:
-        rows = Rows(
+        rows = TipObservations(
             np.concatenate([T for _, T, _ in seen]),
             np.concatenate([position for _, _, position in seen]),
             np.concatenate([_orientation(data) for data, _, _ in seen]),
             np.concatenate([data.tool for data, _, _ in seen]),
         )
-        known = Known(
+        known = KnownFrames(
             given.base if model.base == "fixed" else None,
             given.tools[:, :3, 3] if model.tool == "fixed" else None,
             None if model.tool == "pose" else given.tools[:, :3, :3],

@@ -66,7 +66,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
+class Curve:
     """A line of one class through x (n,), y (n,)."""
 
     name: str
@@ -91,7 +91,7 @@ class Level:
     text: str
 
 
-Mark = Points | Line | Bars | Level
+Mark = Points | Curve | Bars | Level
 
 
 def linear(label: str, values: Array, *, from_zero: bool = False) -> Axis:
@@ -228,7 +228,7 @@ def _mark(mark: Mark, x: Axis, y: Axis, box: tuple[int, int, int, int]) -> list[
             return []
         d = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(across(mark.x), up(mark.y), strict=True))
         return [f'<path class="dot {mark.name}" stroke-width="{mark.size:g}" d="{d}"/>']
-    if isinstance(mark, Line):
+    if isinstance(mark, Curve):
         if not mark.x.size:
             return []
         d = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(across(mark.x), up(mark.y), strict=True))

@@ -9,7 +9,7 @@ _MOST_GROUPS = 3
 _COLUMNS = ("row", "leverage", "distance", "chance", "moves most", "by sigmas")
 
 
-def outliers(found: Outliers) -> Section:
+def outlier_section(found: Outliers) -> Section:
     """Return the rows that are no accident, or the worst ones; targets that moved; groups that disagree."""
     told = found.outlying
     title = "Rows that do not go with the others" if told else "Rows that go least with the others"

@@ -20,8 +20,8 @@ from calib.presentation.correlation import correlation
 from calib.presentation.report.charts import (
     Axis,
     Bars,
+    Curve,
     Level,
-    Line,
     Mark,
     Points,
     chart,
@@ -146,7 +146,7 @@ def levels(found: Sequence[LevelFigures]) -> Section:
         rms = np.array([figures[quantity].rms for *_, figures in found]) * factor
         x = Axis("level", -0.5, len(found) - 0.5, names=tuple(name[:14] for name, *_ in found))
         steps = np.arange(len(found), dtype=np.float64)
-        marks: list[Mark] = [Line("after", steps, rms), Points("after", steps, rms, 9.0)]
+        marks: list[Mark] = [Curve("after", steps, rms), Points("after", steps, rms, 9.0)]
         said = ", ".join(f"{name} {value:.4f}" for (name, *_), value in zip(found, rms, strict=True))
         drawn = chart(x, logarithmic(f"{quantity} error, rms [{unit}]", rms), marks)
         blocks.append(Picture(f"{quantity.capitalize()} error after each level", drawn, f"In {unit}: {said}."))
@@ -170,7 +170,7 @@ def distribution(sets: Sequence[Judged]) -> Section:
     return Section("distribution", "How errors are distributed", tuple(pictures))
 
 
-def poses(sets: Sequence[Judged]) -> Section:
+def pose_section(sets: Sequence[Judged]) -> Section:
     """Return the error of every pose, and of every axis."""
     blocks: list[Block] = []
     for quantity, having, before, after, shown in _errors(sets):
@@ -184,7 +184,7 @@ def poses(sets: Sequence[Judged]) -> Section:
         ]
         held_out = ""
         if 0 < edge < len(after):
-            marks.append(Line("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
+            marks.append(Curve("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
             held_out = f" Rows from {edge + 1} on, right of the line, were held out."
         worst = int(np.argmax(after))
         at = [f"{judged.file}, line {line}" for judged in having for line in judged.data.lines][worst]
@@ -204,7 +204,7 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
         factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
         at, rows = values * factor, _drawn(error.after)
         centres, means = _running_mean(at, error.after)
-        marks: list[Mark] = [Points("after", at[rows], error.after[rows], _size(rows)), Line("soft", centres, means)]
+        marks: list[Mark] = [Points("after", at[rows], error.after[rows], _size(rows)), Curve("soft", centres, means)]
         y = linear(f"error [{error.shown}]", error.after, from_zero=True)
         said = (
             f"The mean over eighths of the rows is between {means.min():.4f} and {means.max():.4f} {error.shown}."
@@ -377,7 +377,7 @@ def _cumulative(found: _Errors, use: Use) -> Picture:
         ranked = np.sort(values)[_drawn(np.sort(values))]
         share = 100.0 * np.linspace(1.0 / len(values), 1.0, len(ranked))
         # A staircase: each error adds its row where it lies.
-        lines.append(Line(name, np.repeat(ranked, 2), np.column_stack([np.append(0.0, share[:-1]), share]).ravel()))
+        lines.append(Curve(name, np.repeat(ranked, 2), np.column_stack([np.append(0.0, share[:-1]), share]).ravel()))
     level = Level(95.0, "95 %")
     said = (
         f"95 % of the {use} rows are within {np.percentile(found.before, 95.0):.4f} {found.shown} before calibration "
