@@ -128,7 +128,7 @@ def verify(
     ``refit``: the base decides where it is found anew, as after moving the instrument. Where the table does not state
     the instrument's noise, that of the calibration stands in.
 
-    Raises MeasurementError when the machine does not say how sure it is, when a tool was not identified, when a joint
+    Raises MeasurementError when the machine's uncertainty is not known, when a tool was not identified, when a joint
     term needs a condition that the rows do not have, when orientations are judged by a calibration that saw none, or
     when the base is to be found anew from fewer than three positions or from such as do not
     show it; RobotError when a loop does not close.

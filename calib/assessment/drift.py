@@ -98,7 +98,7 @@ class Comparison:
 def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) -> Comparison:
     """Compare two calibrations of one machine.
 
-    Raises MeasurementError when they are of different ones, or one does not say how sure it is.
+    Raises MeasurementError when they are of different ones, or the uncertainty of one is not known.
     """
     robot = old.robot
     if [reading.name for reading in robot.readings] != [reading.name for reading in new.robot.readings]:

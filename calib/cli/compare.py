@@ -23,12 +23,12 @@ def compare(
     """
     with loading():
         from calib.assessment.drift import compare as compared
-        from calib.cli.judged import sure_machine
+        from calib.machine.model_file import load_machine
         from calib.presentation.acceptance_tables import change_table, comparison_lines
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading both models")
-        before, after = (sure_machine(folder) for folder in (old, new))
+        before, after = (load_machine(folder) for folder in (old, new))
         say("comparing")
         found = compared(before, after)
     telling.tell(found.contents, lambda: [*([change_table(found)] if found.changes else []), *comparison_lines(found)])

@@ -31,8 +31,8 @@ def uncertainty(
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """
     with loading():
-        from calib.cli.judged import sure_machine
         from calib.foundations.files import refuse_taken, write_new
+        from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.presentation.acceptance_tables import map_csv, map_table
         from calib.presentation.console import printable
@@ -40,7 +40,7 @@ def uncertainty(
         refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
-        machine = sure_machine(results)
+        machine = load_machine(results)
         found = uncertainty_map(
             machine,
             samples,

@@ -35,8 +35,8 @@ def verify(
     """
     with loading():
         from calib.assessment.acceptance import verify as judged
-        from calib.cli.judged import sure_machine
         from calib.foundations.ranges import RANGES, parse_within
+        from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
         from calib.presentation.acceptance_tables import verification_lines, verification_table
@@ -44,7 +44,7 @@ def verify(
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
-        machine = sure_machine(results)
+        machine = load_machine(results)
         data = read_measurements(
             measurements,
             machine.robot,

@@ -1,17 +1,15 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
 import fnmatch
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
-from typing import Literal, TypeVar, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -31,7 +29,6 @@ from calib.robot.joint_terms import foreign, ordered, parts, with_joint_terms
 from calib.robot.robot import Deviations, Robot
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
-T = TypeVar("T")
 BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
@@ -65,6 +62,9 @@ class Known:
     tools: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
     targets: Mapping[str, Target] = field(default_factory=dict)
     relations: Sequence[Relation] = ()
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
 
 NOTHING_KNOWN = Known()
@@ -211,9 +211,10 @@ def error_model(
     _refuse_other_words("base", base, get_args(BaseFreedom))
     _refuse_other_words("tool", tool, get_args(ToolFreedom))
     _refuse_other_words("dh_convention", dh.convention, get_args(Convention))
-    if not 0.0 <= _number(dh.parallel) <= 0.5:
+    if not 0.0 <= dh.parallel <= 0.5:
         raise JobError(f"dh_parallel: {dh.parallel!r} is not an angle between 0 and 0.5 rad.")
-    _refuse_wrong_knowledge(known)
+    for name, target in known.targets.items():
+        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
     seeks_dh = not (isinstance(dh.numbers, str) and dh.numbers == "none")
     frames = dh_frames(robot, dh.convention, dh.parallel) if seeks_dh else None
     if frames is not None:
@@ -272,44 +273,28 @@ def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm
                 raise JobError(f"{key}: {value!r} is not {options[key].what}.")
         of = parts(robot)
         return ordered(robot, (t for kind in KINDS for t in kind.chosen(terms.get(kind.key, "none"), of, terms)))
-    given = _all_of(JointTerm, terms)
-    if given is None:
-        raise JobError(f"terms: {terms!r} is neither keys of a job with their values nor a list of joint terms.")
+    given = tuple(terms)
     if alien := foreign(robot, given):
         raise JobError(f"terms: {alien.name!r} is of nothing that the robot has.")
     if twice := next((term for term in given if given.count(term) > 1), None):
         raise JobError(f"terms: {twice.name!r} comes twice.")
-    return tuple(given)
+    return given
 
 
-def _refuse_other_words(what: str, value: object, allowed: Sequence[str]) -> None:
-    if not isinstance(value, str) or value not in allowed:
+def _refuse_other_words(what: str, value: str, allowed: Sequence[str]) -> None:
+    if value not in allowed:
         raise JobError(f"{what}: {value!r} is not one of {', '.join(allowed)}.")
-
-
-def _all_of(kind: type[T], values: object) -> list[T] | None:
-    """Return values as a list, or None where they are no list of this kind."""
-    listed = list(values) if isinstance(values, Iterable) else [values]
-    found = [value for value in listed if isinstance(value, kind)]
-    return found if len(found) == len(listed) else None
-
-
-def _number(value: object) -> float:
-    """Return a number, and NaN for what is none."""
-    return float(value) if isinstance(value, Real) else math.nan
 
 
 def _refuse_priors(priors: Priors, robot: Robot) -> None:
     """Raise JobError for a prior that is none, or of a joint that the arm does not have."""
-    if not isinstance(priors, Priors):
-        raise JobError(f"priors: {priors!r} is no calib.Priors.")
     for name, key in _PRIORS.items():
         value, what = getattr(priors, name), f"prior {name.replace('_', ' ')}"
         if value is None or (isinstance(value, str) and value == "learned"):
             continue
         if isinstance(value, str):
             raise JobError(f'{what}: {value!r} is neither a positive number nor "learned".')
-        if not _number(value) > 0.0:
+        if not value > 0.0:
             raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
         refuse_beyond(value, key, what)
     dimensions = {reading.dimension for reading in robot.readings}
@@ -320,21 +305,6 @@ def _refuse_priors(priors: Priors, robot: Robot) -> None:
                     f"prior.{kind.key}: {kind.coefficients[dimension].unit} is of a joint that "
                     f"{'turns' if dimension == 'angle' else 'slides'}, and the arm has none that is read."
                 )
-
-
-def _refuse_wrong_knowledge(known: Known) -> None:
-    """Raise JobError for what is not of its kind, and for a target that is far away."""
-    if not isinstance(known, Known):
-        raise JobError(f"known: {known!r} is no calib.Known.")
-    for name, by_name in (("tools", known.tools), ("targets", known.targets)):
-        if not isinstance(by_name, Mapping):
-            raise JobError(f"known.{name}: {by_name!r} is no mapping from names.")
-    for name, target in known.targets.items():
-        if not isinstance(target, Target):
-            raise JobError(f"known.targets: {name!r}: {target!r} is no target.")
-        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
-    if _all_of(Relation, known.relations) is None:
-        raise JobError(f"known.relations: {known.relations!r} is no list of relations.")
 
 
 def with_terms(model: ErrorModel, terms: Sequence[JointTerm]) -> ErrorModel:

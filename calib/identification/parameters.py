@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
@@ -45,6 +46,9 @@ class Priors:
     harmonics: Prior | None = None
     elastic: Prior | None = None
     elastic_sliding: Prior | None = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""

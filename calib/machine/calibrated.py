@@ -117,7 +117,10 @@ class CalibratedMachine:
     def known_uncertainty(self) -> Uncertainty:
         """The uncertainty. Raises MeasurementError where it is not known."""
         if self.uncertainty is None:
-            raise MeasurementError("the machine does not say how sure it is: calibrate it, or load all its results.")
+            raise MeasurementError(
+                f"{self.robot.urdf.where}: the machine's uncertainty is not known; calibrate it again, or load the "
+                "whole folder of its results."
+            )
         return self.uncertainty
 
     def tool_named(self, tool: str) -> str:

@@ -319,7 +319,10 @@ def test_a_folder_without_doubts_cannot_be_verified(case: Path, tmp_path: Path) 
         (tmp_path / name).write_bytes((case / "out" / name).read_bytes())
     said = run("verify", tmp_path, case / "validation.csv")
     assert (said.code, said.out) == (1, "")
-    assert said.err == f"Error: {tmp_path}: holds no uncertainty.json; calibrate again with this version.\n"
+    assert said.err == (
+        f"Error: {tmp_path / 'nominal.urdf'}: the machine's uncertainty is not known; calibrate it again, or load the "
+        "whole folder of its results.\n"
+    )
 
 
 def test_uncertainty_over_the_workspace(case: Path, tmp_path: Path) -> None:

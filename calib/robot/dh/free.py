@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.choices import Convention
 from calib.foundations.selection import Selection
 from calib.robot.dh.frames import PARALLEL
@@ -22,3 +23,6 @@ class Free:
     convention: Convention = "standard"
     parallel: float = PARALLEL
     placements: Selection = "none"
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
