@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.foundations.arrays import read_only
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
-from calib.foundations.units import MM, parse_quantity
+from calib.foundations.units import MM
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, residual_file
@@ -52,7 +52,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
         robot = load_robot(urdf, section.tip)
         model = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {})
         files[section.urdf] = urdf
-    sigma = parse_quantity(section.sigma, "length", "sigma")
+    sigma = section.sigma.si
     arm = TouchingArm(model, read_only(np.zeros(3)), sigma)
     if section.tool is not None:
         if section.tool not in model.tools:
@@ -60,7 +60,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
             raise JobError(f"instruments.{name}.tool: {section.tool!r} is no tool of the arm; it has {known}.")
         return ReadArm(replace(arm, point=read_only(model.tools[section.tool][:3, 3])), files)
     if section.point is not None:
-        point = read_only([parse_quantity(text, "length", "point") for text in section.point])
+        point = read_only([length.si for length in section.point])
         return ReadArm(replace(arm, point=point), files)
     return ReadArm(arm, files) if section.pivot is None else _pivoted(arm, files, section.pivot, folder)
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import get_args
 
+from calib.foundations.errors import JobError
 from calib.identification.relations import RelationKind
-from calib.job.fields import in_pixels, quantity
 from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
 from calib.robot.terms import KINDS
@@ -87,9 +87,9 @@ def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str
         yield f"{at}: says {' and '.join(given) or 'nothing'}; give one of distance, angle, offset."
     else:
         try:
-            quantity("relations.sigma of an angle" if given == ["angle"] else "relations.sigma")(relation.sigma)
-        except ValueError as e:
-            yield f"{at}.sigma: {e}"
+            relation.sigma.of("angle" if given == ["angle"] else "length", f"{at}.sigma")
+        except JobError as e:
+            yield str(e)
 
 
 def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]:
@@ -103,7 +103,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
             yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
     if section.observes == "pixels" and section.sigma is not None:
         yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
-    if section.model_sigma is not None and in_pixels(section.model_sigma) != (section.observes == "pixels"):
+    if section.model_sigma is not None and (section.model_sigma.dimension == "pixel") != (section.observes == "pixels"):
         unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
         yield f"{at}.model_sigma: {section.model_sigma!r} does not fit what is observed; allowed are {unit}."
 
@@ -120,7 +120,7 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
     for key in [key for kind, keys in _KEYS_OF.items() if kind != section.kind for key in keys]:
         if key in section.model_fields_set:
             yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
-    if in_pixels(section.sigma) != (section.kind == "camera"):
+    if (section.sigma.dimension == "pixel") != (section.kind == "camera"):
         unit = "pixels, like '0.2 px'" if section.kind == "camera" else "a length, like '7.5 um'"
         yield f"{at}.sigma: {section.sigma!r} is not of a {_words(section.kind)}; allowed are {unit}."
     if section.kind == "camera":

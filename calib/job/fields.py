@@ -5,11 +5,11 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
-from calib.foundations.units import parse_quantity
+from calib.foundations.units import Dimension, parse_quantity
 from calib.foundations.words import shortened
 from calib.robot.terms.kind import Option
 
@@ -19,12 +19,34 @@ _MOST_ITERATIONS = 1000
 _SHORTEST_NORMAL = 1e-6
 
 
-def quantity(name: str) -> Callable[[object], object]:
+class Quantity(str):
+    """A quantity as it stands in a job, ``"0.02 mm"``, with its value ``si`` in SI units and its dimension."""
+
+    si: float
+    dimension: Dimension
+
+    @classmethod
+    def made(cls, text: str, si: float, dimension: Dimension) -> "Quantity":
+        """Return the text with what it says."""
+        found = cls(text)
+        found.si, found.dimension = si, dimension
+        return found
+
+    def of(self, dimension: Dimension, where: str) -> float:
+        """Return the value in SI units. Raises JobError where it is of another dimension."""
+        return self.si if self.dimension == dimension else parse_quantity(self, dimension, where)
+
+
+# The width of a prior, or what the data are to teach.
+Prior = Quantity | Literal["learned"]
+
+
+def quantity(name: str) -> Callable[[object], Quantity]:
     """Return a validator of text like ``"0.02 mm"``; its dimension, sign and size are those of ``RANGES``."""
     allowed = RANGES[name]
     dimension = allowed.dimension
 
-    def checked(text: object) -> object:
+    def checked(text: object) -> Quantity:
         if not isinstance(text, str):
             example = {
                 "length": "0.02 mm",
@@ -41,7 +63,7 @@ def quantity(name: str) -> Callable[[object], object]:
             raise ValueError(f"{text!r} is not above 0; leave the key out where it is not known.")
         if not allowed.holds(value):
             raise ValueError(f"{text!r} is out of range; allowed is {allowed}.")
-        return text
+        return Quantity.made(text, value, dimension)
 
     return checked
 
@@ -146,40 +168,25 @@ def this_schema(value: object) -> object:
     return value
 
 
-def length_or_pixels(length: str, pixels: str) -> Callable[[object], object]:
-    """Return a validator of what the kind of the measurements or of the instrument decides."""
+def either(usual: str, other: str) -> Callable[[object], Quantity]:
+    """Return a validator of a quantity of one of two dimensions; another key decides which one it must be."""
 
-    def checked(text: object) -> object:
-        return quantity(pixels if isinstance(text, str) and in_pixels(text) else length)(text)
+    def checked(text: object) -> Quantity:
+        try:
+            parse_quantity(str(text), RANGES[other].dimension, "")
+        except JobError:
+            return quantity(usual)(text)
+        return quantity(other)(text)
 
     return checked
 
 
-def _angle_or_length(text: object) -> object:
-    """Accept what the joint decides: an angle, or a length where it slides."""
-    return quantity("coupling.offset of what slides" if _is_length(text) else "coupling.offset")(text)
-
-
-def _is_length(text: object) -> bool:
-    try:
-        parse_quantity(str(text), "length", "")
-    except JobError:
-        return False
-    return True
-
-
-def _compliance(text: object) -> object:
-    """Accept what the unit decides: a compliance of what slides, or of what turns."""
-    slides = isinstance(text, str) and text.rstrip().endswith("/N")
-    return quantity("prior.elastic of readings that slide" if slides else "prior.elastic")(text)
-
-
-def _or_learned(check: Callable[[object], object]) -> Callable[[object], object]:
+def _or_learned(check: Callable[[object], Quantity]) -> Callable[[object], Prior]:
     """Return a validator of the width of a prior: what ``check`` accepts, or the word for what the data teach."""
 
-    def checked(text: object) -> object:
+    def checked(text: object) -> Prior:
         if text == "learned":
-            return text
+            return "learned"
         if isinstance(text, str) and text.isalpha():
             raise ValueError(f'{as_toml(text)} is neither a number with a unit nor "learned".')
         return check(text)
@@ -187,34 +194,30 @@ def _or_learned(check: Callable[[object], object]) -> Callable[[object], object]
     return checked
 
 
-def in_pixels(text: str) -> bool:
-    """Return whether a quantity is in pixels."""
-    return text.rstrip().endswith("px")
-
-
 Name = Annotated[str, AfterValidator(_not_empty)]
 Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
-Place = Annotated[str, BeforeValidator(quantity("position, station, point"))]
+Place = Annotated[Quantity, PlainValidator(quantity("position, station, point"))]
 Position = Annotated[tuple[Place, Place, Place], BeforeValidator(list_of(3, "three lengths x, y, z"))]
-Acceleration = Annotated[str, BeforeValidator(quantity("gravity"))]
+Acceleration = Annotated[Quantity, PlainValidator(quantity("gravity"))]
 Gravity = Annotated[
     tuple[Acceleration, Acceleration, Acceleration],
     BeforeValidator(list_of(3, 'three accelerations, like ["0 m/s2", "0 m/s2", "-9.81 m/s2"]')),
 ]
-LengthPrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.length")))]
-AnglePrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.angle")))]
-HarmonicsPrior = Annotated[str, BeforeValidator(_or_learned(quantity("prior.harmonics")))]
-CompliancePrior = Annotated[str, BeforeValidator(_or_learned(_compliance))]
-Sigma = Annotated[str, BeforeValidator(quantity("sigma"))]
-SigmaAngle = Annotated[str, BeforeValidator(quantity("sigma_angle"))]
-InstrumentSigma = Annotated[
-    str, BeforeValidator(length_or_pixels("instruments.sigma", "instruments.sigma of a camera"))
+LengthPrior = Annotated[Prior, PlainValidator(_or_learned(quantity("prior.length")))]
+AnglePrior = Annotated[Prior, PlainValidator(_or_learned(quantity("prior.angle")))]
+HarmonicsPrior = Annotated[Prior, PlainValidator(_or_learned(quantity("prior.harmonics")))]
+CompliancePrior = Annotated[
+    Prior, PlainValidator(_or_learned(either("prior.elastic", "prior.elastic of readings that slide")))
 ]
-ModelSigma = Annotated[str, BeforeValidator(length_or_pixels("model_sigma", "model_sigma of pixels"))]
-FocalLength = Annotated[str, BeforeValidator(quantity("fx, fy"))]
-PrincipalPoint = Annotated[str, BeforeValidator(quantity("cx, cy"))]
+Sigma = Annotated[Quantity, PlainValidator(quantity("sigma"))]
+SigmaAngle = Annotated[Quantity, PlainValidator(quantity("sigma_angle"))]
+InstrumentSigma = Annotated[Quantity, PlainValidator(either("instruments.sigma", "instruments.sigma of a camera"))]
+ModelSigma = Annotated[Quantity, PlainValidator(either("model_sigma", "model_sigma of pixels"))]
+FocalLength = Annotated[Quantity, PlainValidator(quantity("fx, fy"))]
+PrincipalPoint = Annotated[Quantity, PlainValidator(quantity("cx, cy"))]
 Distortion = Annotated[float, AfterValidator(number("k1, k2, p1, p2, k3"))]
-CouplingOffset = Annotated[str, BeforeValidator(_angle_or_length)]
+CouplingOffset = Annotated[Quantity, PlainValidator(either("coupling.offset", "coupling.offset of what slides"))]
+RelationSigma = Annotated[Quantity, PlainValidator(either("relations.sigma", "relations.sigma of an angle"))]
 Multiple = Annotated[float, AfterValidator(number("coupling.drivers"))]
 Quaternion = Annotated[
     tuple[float, float, float, float],

@@ -13,7 +13,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.files import read_bytes, sha256, stamp
-from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.units import Dimension
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
@@ -22,6 +22,7 @@ from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
+from calib.job.fields import Quantity
 from calib.job.read import read_job
 from calib.job.schema import (
     CouplingSection,
@@ -201,7 +202,7 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
         section.base,
         couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
-        gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
+        gravity=[component.si for component in section.gravity],
         payload=None if section.payload is None else _payload(section.payload),
     )
 
@@ -209,15 +210,13 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
 def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
     slides = {joint.name for joint in document.joints if joint.type == "prismatic"}
     dimension: Dimension = "length" if section.joint in slides else "angle"
-    offset = 0.0
-    if section.offset is not None:
-        offset = parse_quantity(section.offset, dimension, f"{path}: robot.coupling[{i}].offset")
+    offset = 0.0 if section.offset is None else section.offset.of(dimension, f"{path}: robot.coupling[{i}].offset")
     return Coupling(section.joint, section.drivers, offset)
 
 
 def _payload(section: PayloadSection) -> Payload:
-    x, y, z = (parse_quantity(text, "length", "robot.payload") for text in section.position)
-    return Payload(parse_quantity(section.mass, "mass", "robot.payload"), (x, y, z))
+    x, y, z = (length.si for length in section.position)
+    return Payload(section.mass.si, (x, y, z))
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -349,12 +348,7 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
         model = error_model(
             robot,
             offsets=section.offsets,
-            placements=Free(
-                section.dh,
-                section.dh_convention,
-                parse_quantity(section.dh_parallel, "angle", "error_model.dh_parallel"),
-                section.placements,
-            ),
+            placements=Free(section.dh, section.dh_convention, section.dh_parallel.si, section.placements),
             terms=section.chosen_terms,
             base=section.base,
             tool=section.tool,
@@ -375,25 +369,23 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
 
 
 def _placement(frame: FrameSection) -> Array:
-    position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
+    position = np.array([length.si for length in frame.position])
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
 
 
 def _target(section: TargetSection) -> Target:
     if section.position is not None:
-        point = np.array([parse_quantity(text, "length", "position") for text in section.position])
+        point = np.array([length.si for length in section.position])
         turn = np.eye(3) if section.quaternion is None else rigid.rotation_of_quaternion(np.array(section.quaternion))
         return Target(rigid.placement(turn, point))
     normal = np.array(section.normal)
     T = axis_frame(normal / math.hypot(*normal))
-    height = _si(section.height, "length")
+    height = _si(section.height)
     return Target(T @ rigid.translation(np.array([0.0, 0.0, height or 0.0])), height is not None)
 
 
 def _relation(section: RelationSection) -> Relation:
-    dimension: Dimension = "angle" if section.kind == "angle" else "length"
-    value = parse_quantity(getattr(section, section.kind), dimension, section.kind)
-    return Relation(section.kind, section.targets, value, parse_quantity(section.sigma, dimension, "sigma"))
+    return Relation(section.kind, section.targets, getattr(section, section.kind).si, section.sigma.si)
 
 
 def _arms(job: Job, path: Path) -> dict[str, ReadArm]:
@@ -422,7 +414,7 @@ def _measurements(
         folder / section.file,
         robot,
         section.observes,
-        sigma=(_si(section.sigma, "length"), _si(section.sigma_angle, "angle")),
+        sigma=(_si(section.sigma), _si(section.sigma_angle)),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
         offset=section.length_offset,
         in_order=section.in_order,
@@ -441,46 +433,29 @@ def _measurements(
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
     if section.kind == "camera":
         assert section.camera_on is not None, "the schema asks where a camera is"
-        fx, fy, cx, cy, sigma = (
-            parse_quantity(text or "", "pixel", "camera")
-            for text in (section.fx, section.fy, section.cx, section.cy, section.sigma)
-        )
+        fx, fy, cx, cy = (pixels.si for pixels in (section.fx, section.fy, section.cx, section.cy) if pixels)
         bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
-        return Camera(section.camera_on, fx, fy, cx, cy, *bent, sigma)
-    x, y, z = (parse_quantity(text, "length", "station") for text in section.station)
-    return LaserTracker(
-        parse_quantity(section.sigma, "length", "sigma"),
-        parse_quantity(section.sigma_per_metre, "length", "sigma_per_metre"),
-        (x, y, z),
-    )
+        return Camera(section.camera_on, fx, fy, cx, cy, *bent, section.sigma.si)
+    x, y, z = (length.si for length in section.station)
+    return LaserTracker(section.sigma.si, section.sigma_per_metre.si, (x, y, z))
 
 
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:
     """Return the standard deviations of the model part that the job fixes: of positions and, for poses, of angles."""
-    position = _si(section.model_sigma, "pixel" if section.observes == "pixels" else "length")
-    return (position, _si(section.model_sigma_angle, "angle")) if section.observes == "pose" else (position,)
+    position = _si(section.model_sigma)
+    return (position, _si(section.model_sigma_angle)) if section.observes == "pose" else (position,)
 
 
 def _priors(section: PriorSection) -> Priors:
-    elastic, sliding = section.elastic, None
-    if elastic == "learned":
-        sliding = elastic
-    elif elastic is not None and elastic.rstrip().endswith("/N"):
-        elastic, sliding = None, elastic
-    return Priors(
-        _prior(section.length, "length"),
-        _prior(section.angle, "angle"),
-        _prior(section.harmonics, "angle"),
-        _prior(elastic, "turning compliance"),
-        _prior(sliding, "sliding compliance"),
-    )
+    elastic = section.elastic
+    slides = isinstance(elastic, Quantity) and elastic.dimension == "sliding compliance"
+    turning, sliding = (None, elastic) if slides else (elastic, elastic if elastic == "learned" else None)
+    return Priors(*map(_width, (section.length, section.angle, section.harmonics, turning, sliding)))
 
 
-def _prior(text: str | None, dimension: Dimension) -> Prior | None:
-    """Return the SI value of a prior that the schema has accepted, or "learned"."""
-    return "learned" if text == "learned" else _si(text, dimension)
+def _width(width: Quantity | Literal["learned"] | None) -> Prior | None:
+    return width.si if isinstance(width, Quantity) else width
 
 
-def _si(text: str | None, dimension: Dimension) -> float | None:
-    """Return the SI value of a quantity that the schema has accepted."""
-    return None if text is None else parse_quantity(text, dimension, "job")
+def _si(of: Quantity | None) -> float | None:
+    return None if of is None else of.si

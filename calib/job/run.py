@@ -8,7 +8,6 @@ from glob import escape
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.foundations.units import parse_quantity
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.initialisation.problem import initial_problem
@@ -80,8 +79,8 @@ def _follow(inputs: Inputs) -> Trace:
         return total_differential(
             inputs.model,
             inputs.identify,
-            stop=parse_quantity(solver.stop, "length", "solver.stop"),
-            rounding=None if solver.rounding is None else parse_quantity(solver.rounding, "angle", "solver.rounding"),
+            stop=solver.stop.si,
+            rounding=None if solver.rounding is None else solver.rounding.si,
             most=solver.most,
         )
     except (IdentificationError, JobError) as e:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, create_model
 
 from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
@@ -24,7 +24,9 @@ from calib.job.fields import (
     Names,
     Position,
     PrincipalPoint,
+    Quantity,
     Quaternion,
+    RelationSigma,
     Selection,
     Share,
     Sigma,
@@ -42,6 +44,9 @@ from calib.robot.terms import KINDS
 
 # Asked before anything of the entries is.
 AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()}
+_NOTHING, _DOWN = (quantity("gravity")(text) for text in ("0 m/s2", "-9.80665 m/s2"))
+_GRAVITY = (_NOTHING, _NOTHING, _DOWN)
+_ORIGIN = (quantity("position, station, point")("0 m"),) * 3
 
 
 class _Section(BaseModel):
@@ -71,8 +76,8 @@ class LoopSection(_Section):
 class PayloadSection(_Section):
     """``payload`` of ``[robot]``: what the tip link carries."""
 
-    mass: Annotated[str, BeforeValidator(quantity("mass"))]
-    position: Position = ("0 m", "0 m", "0 m")
+    mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
+    position: Position = _ORIGIN
 
 
 class RobotSection(_Section):
@@ -85,7 +90,7 @@ class RobotSection(_Section):
     tip: str | None = None
     base: str | None = None
     mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
-    gravity: Gravity = ("0 m/s2", "0 m/s2", "-9.80665 m/s2")
+    gravity: Gravity = _GRAVITY
     payload: PayloadSection | None = None
     coupling: Annotated[tuple[CouplingSection, ...], AT_MOST["robot.coupling"]] = ()
     loop: Annotated[tuple[LoopSection, ...], AT_MOST["robot.loop"]] = ()
@@ -126,7 +131,9 @@ class ErrorModelSection(_Terms):
     placements: Selection = "none"
     dh: Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
-    dh_parallel: Annotated[str, BeforeValidator(quantity("error_model.dh_parallel"))] = "0.01 rad"
+    dh_parallel: Annotated[Quantity, PlainValidator(quantity("error_model.dh_parallel"))] = quantity(
+        "error_model.dh_parallel"
+    )("0.01 rad")
     terms: Literal["given", "auto"] = "given"
     base: Literal["pose", "fixed"] = "pose"
     tool: Literal["pose", "position", "fixed"] = "position"
@@ -155,17 +162,17 @@ class TargetSection(_Section):
     position: Position | None = None
     quaternion: Quaternion | None = None
     normal: Direction | None = None
-    height: Annotated[str, BeforeValidator(quantity("height"))] | None = None
+    height: Annotated[Quantity, PlainValidator(quantity("height"))] | None = None
 
 
 class RelationSection(_Section):
     """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
 
     targets: Annotated[tuple[Name, Name], BeforeValidator(list_of(2, "two names"))]
-    distance: Annotated[str, BeforeValidator(quantity("relations.distance"))] | None = None
-    angle: Annotated[str, BeforeValidator(quantity("relations.angle"))] | None = None
-    offset: Annotated[str, BeforeValidator(quantity("relations.offset"))] | None = None
-    sigma: str
+    distance: Annotated[Quantity, PlainValidator(quantity("relations.distance"))] | None = None
+    angle: Annotated[Quantity, PlainValidator(quantity("relations.angle"))] | None = None
+    offset: Annotated[Quantity, PlainValidator(quantity("relations.offset"))] | None = None
+    sigma: RelationSigma
 
     @property
     def kind(self) -> RelationKind:
@@ -183,8 +190,10 @@ class InstrumentSection(_Section):
 
     kind: Literal["laser_tracker", "arm", "camera"]
     sigma: InstrumentSigma
-    sigma_per_metre: Annotated[str, BeforeValidator(quantity("sigma_per_metre"))] = "0 um"
-    station: Position = ("0 m", "0 m", "0 m")
+    sigma_per_metre: Annotated[Quantity, PlainValidator(quantity("sigma_per_metre"))] = quantity("sigma_per_metre")(
+        "0 um"
+    )
+    station: Position = _ORIGIN
     model: Name | None = None
     urdf: Name | None = None
     tip: Name | None = None
@@ -207,8 +216,8 @@ class SolverSection(_Section):
     """``[solver]``: how the parameters are found; the other keys belong to the total differential."""
 
     kind: Literal["least_squares", "total_differential"] = "least_squares"
-    stop: Annotated[str, BeforeValidator(quantity("solver.stop"))] = "0.3 mm"
-    rounding: Annotated[str, BeforeValidator(quantity("solver.rounding"))] | None = None
+    stop: Annotated[Quantity, PlainValidator(quantity("solver.stop"))] = quantity("solver.stop")("0.3 mm")
+    rounding: Annotated[Quantity, PlainValidator(quantity("solver.rounding"))] | None = None
     most: Annotated[int, BeforeValidator(iterations)] = 20
 
 
@@ -249,7 +258,7 @@ class MeasurementsSection(_Section):
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
-    model_sigma_angle: Annotated[str, BeforeValidator(quantity("model_sigma_angle"))] | None = None
+    model_sigma_angle: Annotated[Quantity, PlainValidator(quantity("model_sigma_angle"))] | None = None
     loss: Loss = "linear"
     hold_out: Share | None = None
     in_order: bool = False
