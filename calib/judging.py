@@ -4,8 +4,7 @@ from calib.assessment.bootstrap import Bootstrap, bootstrap
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.comparison import JudgedModel, ModelComparison, compare_models, nested_models
 from calib.assessment.iso9283 import figures as iso9283_figures
-from calib.assessment.iso9283 import read_cycles
-from calib.assessment.performance import Performance, Touches, before_and_after, read_touches
+from calib.assessment.performance import Performance, before_and_after
 from calib.assessment.sensitivity import (
     GroupStudy,
     Sensitivity,
@@ -13,12 +12,14 @@ from calib.assessment.sensitivity import (
     exact_error,
     group_study,
     predicted_error,
-    read_errors,
     sensitivity,
 )
 from calib.assessment.validation import CrossValidation, HeldOut, cross_validate
 from calib.identification.observability import Observability, observability
 from calib.identification.total_differential import Trace, total_differential
+from calib.job.assumed_errors import read_errors
+from calib.measurement.cycles import read_cycles
+from calib.measurement.touches import Touches, read_touches
 
 __all__ = [
     "Bootstrap",

@@ -11,23 +11,15 @@ frame from the commanded orientation (from the mean one, where no command is giv
 import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
+from calib.foundations.arrays import Array, IntArray, rows_by_word
 from calib.foundations.errors import MeasurementError
-from calib.foundations.units import Dimension
-from calib.measurement.columns import orientations, stacked
-from calib.measurement.table import QUATERNION_COLUMNS, Table, nearest, read_table
-
-_POSITION = ("x", "y", "z")
-_COMMAND = ("command_x", "command_y", "command_z")
-_COMMAND_TURN = ("command_qw", "command_qx", "command_qy", "command_qz")
-_WORDS = ("target", "direction")
+from calib.measurement.cycles import Cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,71 +36,6 @@ class IsoFigure:
 def records(figures: Sequence[IsoFigure]) -> list[dict[str, Any]]:
     """Return one plain record for every figure."""
     return [asdict(figure) for figure in figures]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cycles:
-    """N attained poses. Made by :func:`cycles` and :func:`read_cycles`.
-
-    ``position`` (N, 3) in m, ``turn`` (N, 3, 3) or None; ``commanded`` (N, 3) and ``commanded_turn`` (N, 3, 3), None
-    where no command is given. ``target``: the name of the pose, ``direction``: of its approach, None where there is one
-    only. ``time`` (N,) in s or None.
-    """
-
-    position: Array
-    turn: Array | None
-    commanded: Array | None
-    commanded_turn: Array | None
-    target: tuple[str, ...]
-    direction: tuple[str, ...] | None
-    time: Array | None
-    where: str
-
-
-@checked
-def read_cycles(path: str | Path) -> Cycles:
-    """Read cycles from a CSV file. Raises MeasurementError as :func:`cycles` does."""
-    return cycles(read_table(path))
-
-
-def cycles(table: Table) -> Cycles:
-    """Return the cycles of a table: target, x, y, z; optionally qw to qz, command_x to command_z (and command_qw ...).
-
-    With ``direction`` (words): from where each pose was approached; with ``time``: drift. Raises MeasurementError when
-    a column is missing, not known or in a unit of another dimension, or when a target has several commands.
-    """
-    columns, where = table.columns, table.where
-    known = {*_POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
-    for name in columns:
-        if name not in known:
-            near = nearest(name, sorted(known - columns.keys()))
-            raise MeasurementError(f"{where}: column {name!r} is not one of cycles{near}.")
-    groups: list[Sequence[str]] = [("target", *_POSITION)]
-    groups += [some for some in (QUATERNION_COLUMNS, _COMMAND, _COMMAND_TURN) if any(name in columns for name in some)]
-    for name in itertools.chain(*groups):
-        if name not in columns:
-            raise MeasurementError(f"{where}: there is no column {name!r} of the cycles.")
-    turn = orientations(table) if "qw" in columns else None
-    commanded = stacked(table, dict.fromkeys(_COMMAND, "length")) if "command_x" in columns else None
-    commanded_turn = None
-    if "command_qw" in columns:
-        dimensions: dict[str, Dimension] = dict.fromkeys(_COMMAND_TURN, "number")
-        commanded_turn = read_only(rigid.rotation_of_quaternion(stacked(table, dimensions)))
-    target = cast(tuple[str, ...], columns["target"].values)
-    for place, rows in rows_by_word(target).items():
-        for given in (commanded, commanded_turn):
-            if given is not None and np.abs(given[rows] - given[rows[0]]).max() > 1e-9:
-                raise MeasurementError(f"{where}: target {place!r} has several commands; give each its own name.")
-    return Cycles(
-        stacked(table, dict.fromkeys(_POSITION, "length")),
-        turn,
-        commanded,
-        commanded_turn,
-        target,
-        cast(tuple[str, ...], columns["direction"].values) if "direction" in columns else None,
-        stacked(table, {"time": "time"})[:, 0] if "time" in columns else None,
-        where,
-    )
 
 
 # ---- the formulas

@@ -10,10 +10,8 @@ Everywhere ``readings`` (N, k) are encoder readings in rad or m, one column for 
 point is the model's only tool, at its given place.
 """
 
-import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +21,6 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.files import read_bytes
-from calib.foundations.ranges import OF_DIMENSION, parse_within
-from calib.foundations.units import Dimension
-from calib.foundations.words import shown
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
@@ -36,9 +30,6 @@ from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.table import nearest
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 from calib.robot.robot import Robot
-
-_DIMENSIONS: Mapping[str, Dimension] = {"m": "length", "rad": "angle"}
-_LARGEST_TABLE = 1_000_000
 
 
 class Coefficients(NamedTuple):
@@ -195,43 +186,6 @@ def group_study(
         read_only(length(1.0, None)),
         read_only(scaled.reshape(len(groups), len(factors), len(nominal))),
     )
-
-
-@checked
-def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
-    """Read assumed errors of parameters from a CSV file, in SI units: ``parameter,error``, as ``joint_1.a,0.1 mm``.
-
-        calib.judging.group_study(model, readings, calib.judging.read_errors("errors.csv", model))
-
-    Raises JobError for a parameter that is not free or comes twice, and for a quantity of another dimension.
-    """
-    units = {parameter.name: parameter.unit for parameter in model.parameters()}
-    rows = [row for row in csv.reader(_lines(path)) if row and not row[0].lstrip().startswith("#")]
-    if not rows or [cell.strip() for cell in rows[0]] != ["parameter", "error"]:
-        raise JobError(f"{path}: begins with the columns 'parameter,error', and has a row for every assumed error.")
-    found: dict[str, float] = {}
-    for n, row in enumerate(rows[1:], 1):
-        if len(row) != 2:
-            raise JobError(f"{path}: row {n} has {len(row)} cells, and two are needed: parameter, error.")
-        name, error = (cell.strip() for cell in row)
-        if name not in units:
-            raise JobError(
-                f"{path}: row {n}: {shown(name)} is not a free parameter of the model{nearest(name, units)}."
-            )
-        if name in found:
-            raise JobError(f"{path}: row {n}: {name!r} appears twice.")
-        dimension = _DIMENSIONS.get(units[name])
-        if dimension is None:
-            raise JobError(f"{path}: row {n}: {name!r} has the unit {units[name]}; errors are lengths and angles.")
-        found[name] = parse_within(error, OF_DIMENSION[dimension], f"{path}: row {n}: {name}")
-    return found
-
-
-def _lines(path: str | Path) -> list[str]:
-    try:
-        return read_bytes(Path(path), JobError, _LARGEST_TABLE).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as e:
-        raise JobError(f"{path}: is not text in UTF-8.") from e
 
 
 def _unique(words: Iterable[str]) -> tuple[str, ...]:

@@ -22,7 +22,8 @@ def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quie
     say (target, x, y, z; command_x, ...; qw, ...; direction; time).
     """
     with loading():
-        from calib.assessment.iso9283 import figures, read_cycles, records
+        from calib.assessment.iso9283 import figures, records
+        from calib.measurement.cycles import read_cycles
         from calib.presentation.acceptance_tables import iso_table
     found = figures(read_cycles(cycles))
     Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_table(found)])

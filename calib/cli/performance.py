@@ -30,8 +30,9 @@ def performance(
     ASME B89.4.22 and ISO 10360-12. Which test a file is, its columns say.
     """
     with loading():
-        from calib.assessment.performance import before_and_after, read_touches
+        from calib.assessment.performance import before_and_after
         from calib.machine.model_file import load_machine
+        from calib.measurement.touches import read_touches
         from calib.presentation.performance_tables import performance_table
     telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:

@@ -39,11 +39,12 @@ def sensitivity(
     with loading():
         import numpy as np
 
-        from calib.assessment.sensitivity import group_study, read_errors
+        from calib.assessment.sensitivity import group_study
         from calib.assessment.sensitivity import sensitivity as sensitivity_of
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
         from calib.identification.error_model import with_terms
+        from calib.job.assumed_errors import read_errors
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
         from calib.machine.model_file import load_machine

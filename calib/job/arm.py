@@ -16,6 +16,7 @@ from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, res
 from calib.machine.touching import TouchingArm
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking
+from calib.measurement.touches import read_touches
 from calib.positioner.pivot import pivot
 from calib.robot.load import load_robot
 from calib.robot.sources import EXAMPLE, resolve
@@ -66,8 +67,6 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
 
 
 def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Path) -> ReadArm:
-    from calib.assessment.performance import read_touches  # noqa: PLC0415 - of arms that were touched alone
-
     touches = read_touches(folder / file, arm.machine.robot)
     if touches.kind != "cone":
         raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")

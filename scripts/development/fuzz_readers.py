@@ -20,8 +20,7 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from calib.assessment.iso9283 import cycles, figures
-from calib.assessment.performance import touches
+from calib.assessment.iso9283 import figures
 from calib.compensation.targets import targets
 from calib.foundations.errors import CalibError
 from calib.foundations.json_text import document
@@ -38,10 +37,12 @@ from calib.machine.grid import grid_bytes, grid_from_residuals, load_grid
 from calib.machine.model_file import load_machine, model_json
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty_file import uncertainty_json
+from calib.measurement.cycles import cycles
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.table import read_table
+from calib.measurement.touches import touches
 from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
 from calib.presentation.meshes import parse_mesh, primitive

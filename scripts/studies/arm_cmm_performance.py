@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.assessment.performance import Performance, before_and_after, read_touches
+from calib.assessment.performance import Performance, before_and_after
 from calib.foundations.arrays import Array
 from calib.identification.identify import identify
 from calib.job.inputs import load
 from calib.machine.calibrated import machine_of
+from calib.measurement.touches import read_touches
 from calib.presentation.performance_tables import performance_markdown, performance_table
 from calib.presentation.tables import plain
 

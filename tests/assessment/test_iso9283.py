@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.assessment import iso9283
-from calib.assessment.iso9283 import IsoFigure, cycles, figures, read_cycles
+from calib.assessment.iso9283 import IsoFigure, figures
 from calib.foundations.errors import MeasurementError
+from calib.measurement.cycles import cycles, read_cycles
 from calib.measurement.table import table_from_arrays
 from scripts.simulate import irb2400 as simulation
 from tests.support.cases import run

@@ -14,21 +14,19 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.performance import (
     PerformanceFigure,
-    Touches,
     articulated_location,
     before_and_after,
     performance,
     probe_point,
     probing,
-    read_touches,
     single_point_articulation,
-    touches,
     volumetric_lengths,
 )
 from calib.foundations.errors import MeasurementError
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
+from calib.measurement.touches import Touches, read_touches, touches
 from calib.presentation.performance_tables import performance_table
 from calib.presentation.tables import plain
 from calib.results.folder import write_results

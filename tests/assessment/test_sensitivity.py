@@ -13,10 +13,10 @@ from calib.assessment.sensitivity import (
     group_of,
     group_study,
     predicted_error,
-    read_errors,
     sensitivity,
 )
 from calib.foundations.errors import JobError, MeasurementError
+from calib.job.assumed_errors import read_errors
 from calib.presentation.plots import sensitivity_figure
 from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
 from calib.presentation.tables import plain

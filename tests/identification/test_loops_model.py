@@ -8,10 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
-from calib.assessment.performance import Touches, performance
+from calib.assessment.performance import performance
 from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.measurement.touches import Touches
 from scripts.simulate import irb2400 as simulation
 from tests.support import machines
 

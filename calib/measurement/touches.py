@@ -1,0 +1,105 @@
+"""Tables of touches, as acceptance tests of articulated arms take them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from calib.foundations.arguments import checked
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import Dimension
+from calib.measurement.columns import numbers
+from calib.measurement.conditions import conditions
+from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.robot import Reading, Robot
+
+TestKind = Literal["cone", "length", "sphere", "articulations"]
+
+# What a table needs beside the joints, words first, and what it may have; its kind follows from what is there.
+_WORDS: Mapping[TestKind, tuple[str, ...]] = {
+    "cone": ("target",),
+    "length": ("target", "pair"),
+    "sphere": ("target",),
+    "articulations": ("target", "group"),
+}
+_SIZES: Mapping[TestKind, tuple[str, ...]] = {
+    "cone": (),
+    "length": ("length",),
+    "sphere": ("diameter", "ball"),
+    "articulations": ("diameter", "ball"),
+}
+_PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touches:
+    """N touches of one test. Made by :func:`touches` and :func:`read_touches`.
+
+    ``readings`` (N, nr) in rad and m; ``words``: the columns target, pair, group, each N words, as far as ``kind`` has
+    them; ``sizes``: the columns length, diameter, ball, each (N,) in m. ``lines`` (N): where a row stands in ``where``.
+    ``conditions``: what joint terms need to be told.
+    """
+
+    __repr__ = brief
+
+    kind: TestKind
+    readings: Array
+    words: Mapping[str, tuple[str, ...]]
+    sizes: Mapping[str, Array]
+    where: str
+    lines: IntArray
+    conditions: Conditions = NO_CONDITIONS
+
+
+@checked
+def read_touches(path: str | Path, robot: Robot) -> Touches:
+    """Read the touches of one test from a CSV file. Raises MeasurementError as :func:`touches` does."""
+    return touches(read_table(path), robot.readings)
+
+
+def touches(table: Table, readings: Sequence[Reading]) -> Touches:
+    """Return what a table says of one test; which test it is, its columns say.
+
+    With ``length``: the two ends (``target``) of a known length in many places (``pair``). With ``diameter``: a sphere
+    in one or several places (``target``), touched with a probe whose ball has the diameter ``ball``; with ``group``,
+    in several articulations. With neither: cones (``target``), each touched in many articulations.
+
+    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension.
+    """
+    columns = table.columns
+    kind: TestKind = "cone"
+    if "length" in columns:
+        kind = "length"
+    elif "diameter" in columns:
+        kind = "articulations" if "group" in columns else "sphere"
+    words, sizes = _WORDS[kind], _SIZES[kind]
+    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
+    dimensions |= dict.fromkeys(sizes, "length")
+    if missing := [name for name in (*dimensions, *words) if name not in columns]:
+        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
+    known = {*dimensions, *words, "group", "direction"} | _PASSED_OVER
+    known |= {f"{what}{reading.name}" for what in (APPROACH, TORQUE) for reading in readings}
+    for name in columns:
+        if name not in known:
+            near = nearest(name, sorted(known - columns.keys()))
+            raise MeasurementError(f"{table.where}: column {name!r} is not one of a {kind} test{near}.")
+    found = {name: numbers(table, name, dimension) for name, dimension in dimensions.items()}
+    for name in sizes:
+        if (found[name] <= 0.0).any():
+            row = int(np.argmin(found[name]))
+            raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
+    return Touches(
+        kind,
+        read_only(np.stack([found[reading.name] for reading in readings], axis=-1)),
+        {name: cast(tuple[str, ...], columns[name].values) for name in words},
+        {name: found[name] for name in sizes},
+        table.where,
+        table.lines,
+        conditions(table, readings),
+    )
