@@ -9,8 +9,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
-from calib.presentation.correlation import correlation
-from calib.presentation.sheets import SHOWN
+from calib.presentation.sheets import SHOWN, correlation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

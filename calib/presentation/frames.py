@@ -7,7 +7,7 @@ import numpy as np
 from calib.foundations.arguments import checked
 from calib.foundations.errors import OutputError
 from calib.identification.fit import Fit
-from calib.presentation.correlation import correlation
+from calib.presentation.sheets import correlation
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, Display
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
@@ -178,6 +179,14 @@ def lost_sentences(lost: float) -> tuple[str, ...]:
 def count(n: int, one: str, several: str) -> str:
     """Return a number and what is counted, in the right form."""
     return f"{n} {one if n == 1 else several}"
+
+
+def correlation(fit: Fit) -> tuple[IntArray, Array]:
+    """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties."""
+    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
+    C = fit.covariance[np.ix_(seen, seen)]
+    sigma = np.sqrt(np.diag(C))
+    return seen, np.asarray(C / np.outer(sigma, sigma))
 
 
 def _priors(parameters: Sequence[Parameter]) -> bool:

@@ -16,7 +16,6 @@ from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.total_differential import Trace
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
-from calib.presentation.correlation import correlation
 from calib.presentation.report.charts import (
     Axis,
     Bars,
@@ -34,6 +33,7 @@ from calib.presentation.report.document import Block, Picture, Prose, Row, Secti
 from calib.presentation.sheets import (
     SHOWN,
     choice_sheet,
+    correlation,
     count,
     error_sheet,
     figure,
