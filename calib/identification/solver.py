@@ -48,6 +48,9 @@ _REMEMBERED, _QUICK, _ALIKE = 5, 0.1, 0.01
 # By how much stronger priors hold in a correction, and where their widths are more than can be searched.
 _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
+# By this share of the cost the data must ask for a frame that narrower priors hold elsewhere.
+# Such a search has few steps, since what there is already is a solution.
+_CLEARLY_HELD, _MOST_STEPS_OF_FREED = 0.05, 10
 
 
 class Solution(NamedTuple):
@@ -57,7 +60,7 @@ class Solution(NamedTuple):
     out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough. ``start`` (q, p): the
     data's triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every
     component. ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is
-    usual.
+    usual, for the robot at least.
     """
 
     x: Array
@@ -94,6 +97,8 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
         if converged:
             break
         z, begin = end.z, end.weighted_by
+    if converged and narrowed > 1.0:
+        search, end = search.with_free_frames(prior.weighed_for_robot(narrowed), end)
     # What is seen at the start may be less than at the solution.
     _refuse_too_few(problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
@@ -109,6 +114,7 @@ class _Prior(NamedTuple):
     hold: Array
     centre: Array
     stated: BoolArray
+    of_robot: BoolArray
 
     @classmethod
     def of(cls, problem: LeastSquares, z0: Array) -> "_Prior":
@@ -116,7 +122,7 @@ class _Prior(NamedTuple):
         robot = [parameter.of_robot for parameter in problem.parameters]
         stated = [parameter.prior is not None for parameter in problem.parameters]
         hold = np.array([parameter.hold for parameter in problem.parameters])
-        return cls(hold, np.where(robot, 0.0, z0), np.array(stated, dtype=bool))
+        return cls(hold, np.where(robot, 0.0, z0), np.array(stated, dtype=bool), np.array(robot, dtype=bool))
 
     @property
     def has_weak(self) -> bool:
@@ -126,6 +132,10 @@ class _Prior(NamedTuple):
     def weighed(self, factor: float) -> "_Prior":
         """Return the priors with the weights of weak ones times a factor."""
         return self._replace(hold=np.where(self.stated, 1.0, factor) * self.hold)
+
+    def weighed_for_robot(self, factor: float) -> "_Prior":
+        """Return the priors with the weights of weak ones of the robot times a factor; frames keep theirs."""
+        return self._replace(hold=np.where(self.stated | ~self.of_robot, 1.0, factor) * self.hold)
 
     def rows(self, z: Array) -> Array:
         """Return ``[J r]`` (k, p + 1) of all priors at z (p,)."""
@@ -304,7 +314,21 @@ class _Search(NamedTuple):
         redundancies = weights.redundancies_of(self.problem, weighted.triangles, spread)
         return noise._replace(prior=prior, spread=spread, redundancies=redundancies)
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
+    def with_free_frames(self, prior: _Prior, end: _Point) -> tuple["_Search", _Point]:
+        """Return the search and where it ends, frames held as usual where narrower priors cost a clearly worse fit.
+
+        ``end``: where the search with all priors narrower ended; ``prior``: narrower on the robot alone.
+        A tool that is far from the flange is pulled towards it by a narrower prior, and the residuals grow by that.
+        """
+        freed = self._replace(prior=prior)
+        noise = freed.noise(end.z, end.evaluation, end.weighted_by)
+        begin = _Point.of(end.z, end.evaluation, end.weighted_by, noise)
+        if begin.gain < _CLEARLY_HELD * begin.cost(noise):
+            return self, end
+        found, converged = freed.gauss_newton(end.z, noise, _MOST_STEPS_OF_FREED)
+        return (freed, found) if converged else (self, end)
+
+    def gauss_newton(self, z: Array, weighted_by: _Noise, most_steps: int | None = None) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
@@ -319,7 +343,7 @@ class _Search(NamedTuple):
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0
-        for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
+        for steps in range(most_steps or (_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS)):
             if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
                 break
             noise = good.noise

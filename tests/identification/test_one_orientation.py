@@ -6,6 +6,7 @@ import pytest
 import calib
 from calib.foundations import rigid
 from calib.identification.observability import undetermined
+from scripts.development.judge_one_orientation import SCENARIOS, judge
 from tests.support import machines
 from tests.support.machines import Array
 
@@ -62,3 +63,11 @@ def test_a_tip_that_turns_is_not_remarked() -> None:
     true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
     data = true.measure(robot, arm.draw(rng, 30), rng=rng, sigma=5e-5)
     assert undetermined(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()
+
+
+def test_narrower_priors_do_not_pull_the_tool_to_where_the_fit_is_clearly_worse() -> None:
+    of = SCENARIOS["lines"](3000023)
+    result = judge(of)
+    assert result.outcome == "right"
+    assert calib.identify(calib.error_model(of.robot, **of.free), of.data).narrowed == 10.0
+    assert result.ratio < 1.1  # 1.27 where the narrower prior holds the tool, too
