@@ -172,7 +172,10 @@ def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
         (("position", uncertainty.position), ("orientation", uncertainty.orientation))[: data.sigma.shape[1] // 3]
     ):
         if level is None:
-            raise MeasurementError(f"{data.where}: the calibration saw no {quantity}; verify what it was made from.")
+            raise MeasurementError(
+                f"{data.where}: the calibration was made without any {quantity}; verify by the kind of data it was "
+                "made from."
+            )
         parts.append(_with_model(data.sigma[:, 3 * k : 3 * k + 3], level))
     return np.hstack(parts)
 

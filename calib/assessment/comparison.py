@@ -179,7 +179,7 @@ def compare_models(
     if not models:
         raise JobError("models: there is none to judge.")
     if unknown := sorted(set(choose) - set(models)):
-        raise JobError(f"choose: {unknown[0]!r} is none of the models, {', '.join(models)}.")
+        raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
     group = groups(sets, places=True)
     if not group.any():
         group = groups(sets)

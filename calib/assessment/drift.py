@@ -102,7 +102,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     """
     robot = old.robot
     if [reading.name for reading in robot.readings] != [reading.name for reading in new.robot.readings]:
-        raise MeasurementError("the two calibrations are not of one machine: other joints of theirs are read.")
+        raise MeasurementError("the two calibrations are not of one machine: they have readings of other joints.")
     if _joints(robot) != _joints(new.robot) or not np.allclose(
         [joint.placement for joint in robot.chain], [joint.placement for joint in new.robot.chain], atol=1e-9
     ):

@@ -137,7 +137,7 @@ def single_point_articulation(points: Array, place: str = "cone") -> Articulatio
     Raises MeasurementError for a single point.
     """
     if len(points) < 2:
-        raise MeasurementError(f"cone {place!r}: it takes two touches or more to see how they differ.")
+        raise MeasurementError(f"cone {place!r}: has one touch; the test takes two or more.")
     squares = np.sum((points - points.mean(axis=0)) ** 2, axis=1)
     two_s = 2.0 * np.sqrt(squares.sum() / (len(points) - 1))
     return Articulation(place, len(points), float(np.sqrt(squares.max())), float(two_s))

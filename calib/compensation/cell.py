@@ -61,7 +61,10 @@ def calibrated_cell(
     placement, root = model.base, np.eye(4)
     if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
         if placed_in == "instrument":
-            raise JobError(f"{arm}: a URDF does not say where it stands before the instrument; give its results.")
+            raise JobError(
+                f"{arm}: a URDF does not say where the arm stood in the instrument's frame; give the folder "
+                "of its results."
+            )
         first = read_urdf(arm)
         base = first.root
     else:

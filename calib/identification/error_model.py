@@ -275,7 +275,7 @@ def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm
         return ordered(robot, (t for kind in KINDS for t in kind.chosen(terms.get(kind.key, "none"), of, terms)))
     given = tuple(terms)
     if alien := foreign(robot, given):
-        raise JobError(f"terms: {alien.name!r} is of nothing that the robot has.")
+        raise JobError(f"terms: {alien.name!r} belongs to no joint or link of the robot.")
     if twice := next((term for term in given if given.count(term) > 1), None):
         raise JobError(f"terms: {twice.name!r} comes twice.")
     return given
@@ -314,7 +314,7 @@ def with_terms(model: ErrorModel, terms: Sequence[JointTerm]) -> ErrorModel:
     """
     if model.dh is not None and (of_link := next((term for term in terms if kind_of(term).of_link), None)):
         raise JobError(
-            f"{of_link.kind}: links bend and expand between joints of the URDF; free placements in the place of dh."
+            f"{of_link.kind}: links bend and expand between joints of the URDF; free placements instead of dh."
         )
     source = with_joint_terms(model.urdf_robot, terms)
     robot = replace(model.robot, terms=source.terms, weights=source.weights)

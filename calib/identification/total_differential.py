@@ -144,16 +144,16 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
     for data in sets:
         if data.kind != "position":
             raise MeasurementError(
-                f"{data.where}: observes {data.kind}, and the total differential is of positions; use identify."
+                f"{data.where}: observes {data.kind}, and the total differential takes positions only; use identify."
             )
     problem = initial_problem(model, sets)
     parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     if any(parameter.prior is not None or parameter.group is not None for parameter in parameters):
-        raise JobError("the total differential knows no priors; leave them out or use identify.")
+        raise JobError("the total differential takes no priors; leave them out or use identify.")
     if model.terms:
-        raise JobError("the total differential knows no joint terms; leave them out or use identify.")
+        raise JobError("the total differential takes no joint terms; leave them out or use identify.")
     points = sum(len(data) for data in sets)
     if 3 * points <= len(parameters):
         raise IdentificationError(

@@ -58,7 +58,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
     if section.tool is not None:
         if section.tool not in model.tools:
             known = ", ".join(map(repr, model.tools)) or "none"
-            raise JobError(f"instruments.{name}.tool: {section.tool!r} is no tool of the arm; it has {known}.")
+            raise JobError(f"instruments.{name}.tool: {section.tool!r} is not a tool of the arm; it has {known}.")
         return ReadArm(replace(arm, point=read_only(model.tools[section.tool][:3, 3])), files)
     if section.point is not None:
         point = read_only([length.si for length in section.point])
@@ -69,7 +69,9 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
 def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Path) -> ReadArm:
     touches = read_touches(folder / file, arm.machine.robot)
     if touches.kind != "cone":
-        raise MeasurementError(f"{touches.where}: is a {touches.kind} test; a pivot is a point touched many times.")
+        raise MeasurementError(
+            f"{touches.where}: is a {touches.kind} test; a pivot is one point, touched in many orientations."
+        )
     refuse_lacking(arm.machine.robot, touches.conditions, touches.where)
     with naming_rows(touches.where, touches.lines):
         placements = arm.machine.tips(touches.readings, touches.conditions)

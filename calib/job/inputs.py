@@ -175,7 +175,8 @@ def _refuse_levels(job: Job, path: Path) -> None:
         residual = level.residual_model is not None
         if residual == bool(level.free) or (residual and i + 1 < len(job.levels)) or (residual and i == 0):
             raise JobError(
-                f"{path}: levels[{i}]: has either free parameters or, as the last of several, a residual_model."
+                f"{path}: levels[{i}]: needs either free parameters or, if it is the last of several levels, a "
+                "residual_model."
             )
         for file in level.measurements or ():
             if file not in (nodes if residual else files):
@@ -189,9 +190,9 @@ def _refuse_levels(job: Job, path: Path) -> None:
     if nodes and not any(level.residual_model for level in job.levels):
         raise JobError(f'{path}: measurements: {nodes[0]!r} has use = "nodes", and no level has a residual_model.')
     if job.levels and len(set(files)) < len(files):
-        raise JobError(f"{path}: measurements: a file comes twice, and levels could not tell which is meant.")
+        raise JobError(f"{path}: measurements: a file appears twice, so that levels cannot name one of the two.")
     if job.levels and job.solver.kind != "least_squares":
-        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} knows no levels; leave one of them out.")
+        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} does not work in levels; leave one of them out.")
 
 
 def _robot(job: Job, urdf: Path, path: Path) -> Robot:
@@ -220,7 +221,7 @@ def _payload(section: PayloadSection) -> Payload:
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
-    for data in sets:
+    for data in sets if robot.loops else ():
         for end in data.ends:
             with naming_rows(data.where, data.lines):
                 robot.joint_positions(end.readings)
@@ -258,7 +259,7 @@ def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> 
     listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
         if name not in found:
-            raise JobError(f"{path}: targets: {name!r} is in no measurement; they have {listed}.")
+            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements; they have {listed}.")
         said = "point" if target.normal is None else "plane"
         # Boards and cameras have a position as points have.
         if found[name] not in (said, "frame" if said == "point" else said):

@@ -35,7 +35,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         return ResidualLevel(None)
     sets = inputs.nodes or tuple(data for data in inputs.identify if data.position is not None)
     if not sets:
-        raise JobError("levels: the residual_model has no positions to be made of.")
+        raise JobError("levels: the residual_model needs measurements of positions, and there are none.")
     errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
     base = fit.machine.frames.base
     tips = [data.tips(fit.robot, fit.deviations) for data in sets]

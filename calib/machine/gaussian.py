@@ -161,7 +161,7 @@ def gaussian_from_residuals(
             f"{where}: a Gaussian process is made of {_FEWEST_ROWS} to {_MOST_ROWS} rows, and there are {len(errors)}."
         )
     if not errors.any():
-        raise MeasurementError(f"{where}: all errors are zero, and leave nothing to be explained.")
+        raise MeasurementError(f"{where}: all errors are zero; there is nothing to explain.")
     points, errors = in_row_order(readings[:, numbers], errors)
     with one_thread():
         kernel = likeliest_kernel(points, errors)

@@ -72,7 +72,10 @@ def touched(
             f"{table.where}: there is no column {listed} of the arm that touches; the columns are {there}."
         )
     if given := [name for name in _POSITION if name in table.columns]:
-        raise MeasurementError(f"{table.where}: column {given[0]!r} is there, and the arm says it as well; keep one.")
+        raise MeasurementError(
+            f"{table.where}: column {given[0]!r} is there, and the instrument, an arm, gives it as well; keep one "
+            "of them."
+        )
     # What is said of all joints, such as one side of approach, is said of the robot.
     told = {f"{what}{name}" for what in (APPROACH, TORQUE) for name in own}
     arms = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})

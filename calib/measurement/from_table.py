@@ -136,11 +136,11 @@ def _refuse_useless(
     if kind == "pixels" and sigma is not None:
         raise JobError(f"{table.where}: sigma is given, and the noise of pixels is the camera's; give it there.")
     if kind != "pixels" and isinstance(instrument, Camera):
-        raise JobError(f"{table.where}: a camera is given, and it measures no {kind} but pixels.")
+        raise JobError(f"{table.where}: a camera is given, which measures pixels and not a {kind}.")
     if sigma_angle is not None and kind != "pose":
         raise JobError(f"{table.where}: sigma_angle is given, and only poses have angles.")
     if isinstance(instrument, LaserTracker) and kind not in ("position", "pose"):
-        raise JobError(f"{table.where}: a laser tracker is given, and it measures no {kind}; give sigma.")
+        raise JobError(f"{table.where}: a laser tracker is given, which does not measure a {kind}; give sigma.")
     if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
         raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
     if offset is not None and kind == "sphere" and "diameter" in table.columns:
@@ -183,7 +183,7 @@ def _pixels(table: Table, camera: Camera) -> Array:
         row = int(np.argmin(seen))
         u, v = pixels[row]
         raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: no direction belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
+            f"{table.where}:{table.lines[row]}: no line of sight belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
             "camera's distortion folds the image before it; is it outside the image, or are k1, k2, p1, p2, k3 wrong?"
         )
     board: dict[str, Dimension] = {name: "length" for name in BOARD if name in table.columns}

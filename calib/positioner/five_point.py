@@ -282,7 +282,7 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
         place = _PLACES.get((float(np.sign(tilt)), float(np.sign(rotary))))
         at = f"{table.where}:{table.lines[n]}: tilt {tilt / DEG:g} deg, rotary {rotary / DEG:g} deg"
         if place is None:
-            raise MeasurementError(f"{at}: both axes are turned; of the five points, one axis at most.")
+            raise MeasurementError(f"{at}: both axes are turned; at each of the five points one axis at most may be.")
         if place in rows:
             raise MeasurementError(f"{at}: appears twice, as {place}; needed is one row of each sense of each axis.")
         rows[place] = n

@@ -237,7 +237,7 @@ def _shape(element: _Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
         case "mesh":
             geometry = _mesh(a, roots, meshes, at)
         case other:
-            raise RobotError(f"{at} is a {other[:40]!r}, which is not known, and is not judged.")
+            raise RobotError(f"{at} is a {other[:40]!r}, which is not a known shape; its collisions are not judged.")
     geometry.computeLocalAABB()
     centre = np.asarray(geometry.aabb_center, dtype=np.float64)
     return _Shape(

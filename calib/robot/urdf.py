@@ -369,8 +369,8 @@ def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
             multiple, offset = mimic.multiplier * multiple, mimic.multiplier * offset + mimic.offset
             if not max(abs(multiple), abs(offset)) <= LARGEST_NUMBER:
                 raise RobotError(
-                    f"{where}:{joint.line}: joint {shown(joint.name)} follows others that follow others, more than "
-                    f"{LARGEST_NUMBER:g} times, or from as far away."
+                    f"{where}:{joint.line}: joint {shown(joint.name)} mimics through other joints, and the multiplier "
+                    f"or the offset of them all is above {LARGEST_NUMBER:g}."
                 )
             known[joint.name] = multiple, offset
 

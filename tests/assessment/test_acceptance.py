@@ -142,7 +142,7 @@ def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
 def test_what_cannot_be_verified_is_said() -> None:
     _, true, _ = machine()
     u = machine_of(calibrated(true, 1))
-    with pytest.raises(MeasurementError, match="the calibration saw no orientation"):
+    with pytest.raises(MeasurementError, match="the calibration was made without any orientation"):
         verify(u, seen(true, 5, 3, "pose"))
     with pytest.raises(MeasurementError, match="2 rows are too few to find the base anew; it takes three"):
         verify(u, seen(true, 2, 3), refit=True)

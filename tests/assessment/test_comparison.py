@@ -307,7 +307,7 @@ def test_a_model_that_the_rows_cannot_tell_is_refused_and_the_others_are_judged(
     [
         ({"scheme": 1}, "folds: 1 is not a number from 2"),
         ({"scheme": "leave-one-out"}, "scheme: 'leave-one-out' is neither a number of folds nor"),
-        ({"choose": ["nobody"]}, "choose: 'nobody' is none of the models, offsets"),
+        ({"choose": ["nobody"]}, "choose: 'nobody' is not one of the models, offsets"),
     ],
 )
 def test_wrong_options_are_said(options: dict[str, object], said: str) -> None:

@@ -303,10 +303,10 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("solver: total differential",),
         tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "auto")),
-        "the total differential knows no joint terms",
+        "the total differential takes no joint terms",
     ),
     Refusal(
-        ("solver: total differential",), ("prior: stated", "prior: learned"), "the total differential knows no priors"
+        ("solver: total differential",), ("prior: stated", "prior: learned"), "the total differential takes no priors"
     ),
     Refusal(
         ("solver: total differential",),
@@ -316,7 +316,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("solver: total differential",),
         ("levels: two", "levels: grid", "levels: gaussian"),
-        "'total_differential' knows no levels",
+        "'total_differential' does not work in levels",
     ),
     Refusal(
         ("solver: total differential",),

@@ -36,13 +36,16 @@ SENTENCES: Mapping[str, tuple[tuple[str, Callable[[Case], bool]], ...]] = {
     "export ur": ((r"the kinematics file of Universal Robots is for their arms alone", lambda case: True),),
     "export dh": (
         (
-            r"joint '\w+' moves and is not read; a DH table knows no joints that follow others",
+            r"joint '\w+' has no reading; a DH table has no joints that follow others",
             lambda case: case.follows,
         ),
         (r"DH table", lambda case: case.follows),
     ),
     "verify": (
-        (r"the calibration saw no position; verify what it was made from", lambda case: case.draft.kind == "pixels"),
+        (
+            r"the calibration was made without any position; verify by the kind",
+            lambda case: case.draft.kind == "pixels",
+        ),
     ),
 }
 

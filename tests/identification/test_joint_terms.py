@@ -152,7 +152,7 @@ def test_a_dh_model_carries_the_terms_too() -> None:
 
 def test_the_total_differential_knows_no_terms() -> None:
     lab = Lab(4)
-    with pytest.raises(JobError, match="knows no joint terms"):
+    with pytest.raises(JobError, match="takes no joint terms"):
         total_differential(lab.model(), lab.measure(), stop=1e-3)
 
 

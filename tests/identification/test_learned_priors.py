@@ -252,5 +252,5 @@ def test_a_width_is_a_number_or_to_be_learned() -> None:
     lab = Lab(5, 0.0)
     with pytest.raises(JobError, match=r"prior length: 'wide' is neither a positive number nor \"learned\"\."):
         lab.model(prior_length="wide")
-    with pytest.raises(JobError, match="knows no priors"):
+    with pytest.raises(JobError, match="takes no priors"):
         calib.judging.total_differential(lab.model(prior_length="learned"), lab.data(60), stop=1e-4)

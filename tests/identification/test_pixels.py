@@ -270,7 +270,7 @@ def test_a_pixel_beyond_the_lens_is_refused() -> None:
     true, columns = seen_table()
     lens = replace(true.camera, k1=-2.0, k2=0.0, k3=0.0)
     middle = columns | {"u [px]": np.full(160, lens.cx), "v [px]": np.full(160, lens.cy)}
-    with pytest.raises(MeasurementError, match=r"^arrays:7: no direction belongs to the pixel u = 9000, v = 508: "):
+    with pytest.raises(MeasurementError, match=r"^arrays:7: no line of sight belongs to the pixel u = 9000, v = 508: "):
         calib.read_measurements(bent_columns(middle, "u [px]", 7, 9000.0), ROBOT, "pixels", instrument=lens)
 
 
@@ -310,7 +310,7 @@ def test_options_that_do_not_fit_are_refused() -> None:
         calib.read_measurements(columns, ROBOT, "pixels")
     with pytest.raises(JobError, match="the noise of pixels is the camera's"):
         calib.read_measurements(columns, ROBOT, "pixels", instrument=true.camera, sigma=0.1)
-    with pytest.raises(JobError, match="a camera is given, and it measures no socket"):
+    with pytest.raises(JobError, match="a camera is given, which measures pixels and not a socket"):
         calib.read_measurements(columns, ROBOT, "socket", instrument=true.camera)
     with pytest.raises(MeasurementError, match="there is no column 'v' of the pixel"):
         calib.read_measurements(

@@ -88,7 +88,7 @@ def test_folder_of_results_as_the_arm(folder: Path) -> None:
     edit(JOB, ('tool = "tool"', 'tool = "spike"'))(folder)
     said = run("check", JOB)
     assert said.err == (
-        "Error: calibration.toml: instruments.welder.tool: 'spike' is no tool of the arm; it has 'tool'.\n"
+        "Error: calibration.toml: instruments.welder.tool: 'spike' is not a tool of the arm; it has 'tool'.\n"
     )
 
 
@@ -164,14 +164,15 @@ SENTENCES: dict[str, tuple[Edit, str]] = {
                       "the arm that touches; the columns are 'joint_1', 'joint_2', 'joint_3', 'joint_7', 'joint_5', "
                       "'joint_6', 'tilt', 'rotary', 'point'."),
     "position twice": (edit(TABLE, ("point\n", "x [mm]\n"), (", A", ", 0"), (", B", ", 0"), everywhere=True),
-                       "touched.csv: column 'x' is there, and the arm says it as well; keep one."),
+                       "touched.csv: column 'x' is there, and the instrument, an arm, gives it as well; keep one of "
+                       "them."),
     "common joint": (edit("positioner.urdf", ("tilt", "joint_1"), everywhere=True),
                      "touched.csv: 'joint_1' is a joint of the arm that touches and of the robot; rename one in its "
                      "URDF."),
     "degrees as radians": (edit(TABLE, *((f"joint_{k} [deg]", f"joint_{k} [rad]") for k in range(1, 7))),
                            "divided by 57.3 all its rows fit: the numbers seem to be degrees, not [rad]"),
     "pivot of lengths": (write("pivot.csv", (ARM_CASE / "lengths.csv").read_bytes()),
-                         "pivot.csv: is a length test; a pivot is a point touched many times."),
+                         "pivot.csv: is a length test; a pivot is one point, touched in many orientations."),
 }  # fmt: skip
 
 

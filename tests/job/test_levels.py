@@ -63,7 +63,11 @@ def test_the_result_tells_the_levels(outcome: Calibration, out: Path) -> None:
             "levels[1].measurements: 'level9.csv' has not",
         ),
         ('use = "nodes"', 'use = "validate"', "levels[3].measurements: 'nodes.csv' has not"),
-        ('free = ["*"]', "", "levels[2]: has either free parameters or, as the last of several, a residual_model."),
+        (
+            'free = ["*"]',
+            "",
+            "levels[2]: needs either free parameters or, if it is the last of several levels, a residual_model.",
+        ),
         ('free = ["*"]', 'free = ["joint_7.tx"]', "free: 'joint_7.tx' matches none of the error model's parameters."),
         ('joints = ["joint_1", ', 'joints = ["joint_9", ', "joint_9"),
     ],

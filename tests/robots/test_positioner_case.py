@@ -153,8 +153,8 @@ def test_cells_that_cannot_be_are_one_sentence(results: Path, tmp_path: Path) ->
     out = tmp_path / "cell.urdf"
     welder = CASE / "welder.urdf"
     for arguments, sentence in (
-        ((welder, results, "--placed-in", "instrument"), f"{welder}: a URDF does not say where it stands before the "
-         "instrument; give its results."),
+        ((welder, results, "--placed-in", "instrument"), f"{welder}: a URDF does not say where the arm stood in "
+         "the instrument's frame; give the folder of its results."),
         ((welder, tmp_path), f"{tmp_path / 'model.json'}: there is no such file."),
         ((tmp_path / "no.urdf", results), f"{tmp_path / 'no.urdf'}: there is no such file."),
         ((CASE / "truth.toml", results), f"{CASE / 'truth.toml' / 'model.json'}: there is no such file."),

@@ -28,7 +28,7 @@ def export_dh(model: CalibratedMachine, table: DhTable | None = None) -> Export:
         table = dh.dh_of(load_robot(document, robot.tip, robot.base))
     unread = [row.joint for row in table.rows if row.type != "fixed" and row.joint not in names]
     if unread:
-        raise OutputError(f"joint {unread[0]!r} moves and is not read; a DH table knows no joints that follow others.")
+        raise OutputError(f"joint {unread[0]!r} has no reading; a DH table has no joints that follow others.")
     text = dh.write_dh(table)
 
     def read_back(readings: Array) -> Array:

@@ -170,7 +170,8 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
     found = targets.shapes(sets)
     for name in model.targets:
         if name not in found:
-            raise JobError(f"targets: {name!r} is in no measurement; they have {', '.join(found) or 'no targets'}.")
+            there = ", ".join(found) or "no targets"
+            raise JobError(f"targets: {name!r} does not appear in the measurements; they have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:

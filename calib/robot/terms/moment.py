@@ -61,7 +61,7 @@ class Moment(Kind):
         """Return those of the chosen readings. Raises JobError where none of them would ever hold a mass."""
         names, found = self.select(selection, parts), super().chosen(selection, parts, options)
         if names and not found:
-            raise JobError(f"moments: {names[0]!r} is loaded by gravity in no pose; leave it out.")
+            raise JobError(f"moments: {names[0]!r} is never loaded by gravity; leave it out.")
         return found
 
     def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
