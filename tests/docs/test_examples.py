@@ -122,7 +122,7 @@ def fitted(_: Path) -> dict[str, object]:
     robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
     data = calib.read_measurements(CASE / TABLE, robot, sigma=0.02e-3)
     fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
-    return {"calib": calib, "fit": fit, "uncertainty": calib.machine_of(fit), "readings": data.readings}
+    return {"calib": calib, "fit": fit, "machine": calib.machine_of(fit), "readings": data.readings}
 
 
 def measured(folder: Path) -> dict[str, object]:
