@@ -311,7 +311,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("solver: total differential",),
         tuple(f"observes: {kind}" for kind in get_args(measured.Kind) if kind != "position"),
-        "the total differential is of positions",
+        "the total differential takes positions only",
     ),
     Refusal(
         ("solver: total differential",),
