@@ -158,7 +158,7 @@ def test_tables_that_are_no_test(robot: calib.Robot, columns: dict[str, Any], se
     [
         (LENGTH | {"pair": [1, 1, 1, 1]}, "column 'length' is 300 mm in line 0 and 600 mm in line 2"),
         (LENGTH | {"target": ["a"] * 4}, "pair '1' has the ends 'a'; a length has two"),
-        (CONE | {"target": list("aaab")}, "cone 'b': it takes two touches"),
+        (CONE | {"target": list("aaab")}, "cone 'b': has one touch"),
         (SPHERE | {"target": list("aaab")}, "sphere 'a': a sphere needs four points"),
         (SPHERE | {"ball [mm]": [6.0, 6.0, 6.0, 7.0]}, "column 'ball' is 6 mm in line 0 and 7 mm in line 3"),
     ],

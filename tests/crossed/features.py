@@ -347,7 +347,7 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(("geometry: dh",), ("terms: of masses", "terms: told"), "links bend and expand between joints of the URDF"),
     Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops has no DH table"),
-    Refusal(("levels: gaussian",), ("observes: socket", "observes: pixels"), "needs measurements of positions, and there are none"),
+    Refusal(("levels: gaussian",), ("observes: socket", "observes: pixels"), "needs measurements of positions"),
     Refusal(("noise: tracker",), ("observes: socket", "observes: pixels"), "a laser.tracker measures no"),
 )
 

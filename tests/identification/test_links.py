@@ -271,7 +271,7 @@ def test_what_nobody_can_mean_is_refused() -> None:
         ({"bending": ["world_joint"]}, "bending: there is no link before 'world_joint': it is at the same place"),
         ({"bending": "arm"}, 'bending: \'arm\' is not "all", "none" or a list of names'),
         ({"expansion": "some"}, 'expansion: \'some\' is not "arm", "all", "none" or a list of names'),
-        ({"moments": ["shoulder_pan_joint"]}, "moments: 'shoulder_pan_joint' is loaded by gravity in no pose"),
+        ({"moments": ["shoulder_pan_joint"]}, "moments: 'shoulder_pan_joint' is never loaded by gravity"),
         ({"bending": "all", "dh": "all"}, "bending: links bend and expand between joints of the URDF; free placements"),
         (
             {"expansion": "arm", "dh": "all"},
