@@ -1,6 +1,6 @@
 """The calibrated machine: what an identification has found, whole, for all that judges or uses it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,9 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
-from calib.identification.parameters import directions, scales
+from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import residuals
+from calib.machine.budget import doubts_of
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -159,10 +160,33 @@ def machine_of(fit: Fit, residual_model: ResidualModel | None = None) -> Calibra
 
 
 def _uncertainty(fit: Fit) -> Uncertainty:
-    machine = fit.machine
+    readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
+    identified = np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)
+    doubts = doubts_of(fit, identified)
+    state = _to_state(fit, doubts.parameters, doubts.at) * scales(doubts.parameters)
+    parts = (doubts.instrument, doubts.unseen, doubts.scatter, doubts.waves)
+    null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
+    return Uncertainty(
+        read_only(np.hstack([state @ part for part in parts])),
+        (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
+        doubts.left_out,
+        read_only(null_basis),
+        _level(fit, doubts.noise, "m"),
+        _level(fit, doubts.noise, "rad"),
+        read_only(identified),
+    )
+
+
+def measured_factor(fit: Fit) -> Array:
+    """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
+    return np.asarray(_to_state(fit, fit.parameters, fit.machine) @ _factor(fit.covariance, scales(fit.parameters)))
+
+
+def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:
+    """Return how the state (n, p) of the machine in the frames of its URDF follows parameters, in SI units."""
     own = Layout(fit.model.robot)
     # Targets and lengths are no part of the machine, which the results are about.
-    to_state = directions(fit.parameters, Layout.of(fit.model.robot, machine.frames).size)
+    to_state = directions(parameters, Layout.of(fit.model.robot, machine.frames).size)
     parts = [to_state[: own.offsets], to_state[own.offsets : own.base]]
     if fit.model.dh is not None:
         parts[0] = fit.model.dh.source_rates(machine.deviations) @ parts[0]
@@ -173,15 +197,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         parts.append(np.concatenate([T[:3, :3] @ local[:3], local[3:]]))
     state = np.concatenate(parts)
     assert len(state) == Layout(fit.robot, len(machine.frames.tools)).size, "one state of the machine, two ways"
-    s = scales(fit.parameters)
-    readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
-    return Uncertainty(
-        read_only(state @ _factor(fit.covariance, s)),
-        read_only(state @ (fit.null_basis * s[:, None])),
-        _level(fit, "m"),
-        _level(fit, "rad"),
-        read_only(np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)),
-    )
+    return state
 
 
 def _factor(covariance: Array, s: Array) -> Array:
@@ -191,14 +207,17 @@ def _factor(covariance: Array, s: Array) -> Array:
     return np.asarray(s[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
-def _level(fit: Fit, unit: str) -> NoiseLevel | None:
-    parts = [noise for noise in fit.noise if UNIT_OF[noise.quantity] == unit]
-    freedom = np.array([noise.degrees_of_freedom for noise in parts])
+def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
+    parts = [(noise, share) for noise, share in zip(fit.noise, shares, strict=True) if UNIT_OF[noise.quantity] == unit]
+    freedom = np.array([noise.degrees_of_freedom for noise, _ in parts])
     if not parts or freedom.sum() <= 0.0:
         return None
-    model, total = (
-        float(np.sqrt(np.average([level**2 for level in levels], weights=freedom)))
-        for levels in ([noise.model for noise in parts], [noise.total for noise in parts])
-    )
+
+    def mean(squares: Sequence[float]) -> float:
+        return float(np.sqrt(np.average(squares, weights=freedom)))
+
+    total = mean([(share * noise.total) ** 2 for noise, share in parts])
+    model = mean([max((share * noise.total) ** 2 - noise.instrument**2, 0.0) for noise, share in parts])
+    estimated = any(noise.model > 0.0 for noise, _ in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
-    return NoiseLevel(model, total, float(freedom.sum()) if model > 0.0 else float("inf"))
+    return NoiseLevel(model, total, float(freedom.sum()) if estimated else float("inf"))

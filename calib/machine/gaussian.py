@@ -24,7 +24,7 @@ from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.foundations.linear import one_thread
 from calib.foundations.units import MM
-from calib.machine.grid import FRAMES, SCHEMA, Frame, axes_of, head_of, refuse_other_robot
+from calib.machine.grid import FRAMES, SCHEMA, Frame, Leaning, axes_of, head_of, refuse_other_robot
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
 
@@ -114,6 +114,12 @@ class GaussianResiduals:
             else ""
             for sigma in self.sigma(readings)
         )
+
+    def leaning(self, readings: Array) -> Leaning:
+        """Return how much of the errors the process leaves; it says for itself how sure it is of the rest."""
+        sigma = self.sigma(readings)
+        none = np.zeros((len(readings), 0))
+        return Leaning(np.zeros((*none.shape, len(self.readings))), none, sigma / self.kernel.amplitude, sigma)
 
     @property
     def when_clamped(self) -> str:

@@ -34,6 +34,19 @@ SCHEMA = 1
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 
 
+class Leaning(NamedTuple):
+    """What a residual model takes its values from, at N readings.
+
+    Errors measured at ``points`` (N, c, nr), with ``weights`` (N, c). ``unknown`` (N,): which share of errors that are
+    common to neighbours it leaves; ``sigma`` (N,): of a component of its own prediction, in m, beside these.
+    """
+
+    points: Array
+    weights: Array
+    unknown: Array
+    sigma: Array
+
+
 class _Cells(NamedTuple):
     """Cells (N, k) of N points by their lower corners, and the places (N, k) in them, from 0 to 1."""
 
@@ -78,6 +91,19 @@ class SectorGrid:
         """
         axes = axes_of(self.frame, base, tips)
         return np.asarray((axes @ np.nan_to_num(self.at(readings))[:, :, None])[:, :, 0])
+
+    def leaning(self, readings: Array) -> Leaning:
+        """Return the corners of each cell and their weights; none in rows where the grid has no values."""
+        N, corners = len(readings), np.array(list(itertools.product((0, 1), repeat=len(self.axes))))
+        lower, place = self._cells(self._clipped(readings))
+        weights = np.prod(np.where(corners, place[:, None], 1.0 - place[:, None]), axis=2)
+        weights = np.where(self._covered(readings)[:, None] & (weights > _ROUNDING), weights, 0.0)
+        at = np.broadcast_to(self.reference, (N, len(corners), len(self.reference))).copy()
+        for k, (j, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
+            at[:, :, j] = axis[lower[:, k, None] + corners[:, k]]
+        # A corner without weight may be a place that the robot cannot reach.
+        points = np.where(weights[:, :, None] > 0.0, at, np.asarray(readings)[:, None])
+        return Leaning(points, weights, np.ones(N), np.zeros(N))
 
     @property
     def when_clamped(self) -> str:

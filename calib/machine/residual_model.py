@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.machine.grid import Frame
+from calib.machine.grid import Frame, Leaning
 
 
 @runtime_checkable
@@ -24,6 +24,9 @@ class ResidualModel(Protocol):
 
     def outside(self, readings: Array) -> tuple[str, ...]:
         """Return for every row why the model does not know it, or an empty text."""
+
+    def leaning(self, readings: Array) -> Leaning:
+        """Return what it takes its values from at readings (N, nr)."""
 
     @property
     def when_clamped(self) -> str:

@@ -1,14 +1,17 @@
-"""How sure is a calibrated machine of where its tool is, at any configuration.
+"""How sure is a calibrated machine of where its tool is, at any configuration: a budget.
 
-The covariance of the parameters goes to the tool by the exact derivative of its pose: ``J C J^T``. What the data cannot
-see has no covariance; how far it would move the tool is told beside it.
+Errors of the machine go to the tool by the exact derivative of its pose. What the model leaves out moves the tool itself
+as well, and only the difference is an error: small where the machine was fitted to it, full where it was not. What the
+data do not show has the width of not knowing.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
@@ -16,10 +19,13 @@ from calib.foundations.linear import one_thread
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.machine import Layout
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.uncertainty import ToolUncertainty, UncertaintyMap
+from calib.machine.grid import axes_of
+from calib.machine.residual_model import ResidualModel
+from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap, Waves
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions, ordinary
+from calib.robot.robot import TipModel
 from calib.robot.sampling import random_readings
 
 # Rows whose derivatives are in memory at a time.
@@ -46,29 +52,139 @@ def tool_uncertainty(
     found, known = _readings(machine, readings), machine.known_uncertainty
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
-    columns = np.hstack([known.factor, known.null_basis])
-    J = tool_motions(machine, columns, found, tool, base=base, tool_pose=tool_pose, conditions=conditions)
-    determined, other = np.split(J, [known.factor.shape[1]], axis=2)
-    sizes = np.sqrt(np.stack([np.sum(other[:, :3] ** 2, axis=(1, 2)), np.sum(other[:, 3:] ** 2, axis=(1, 2))], axis=1))
-    return ToolUncertainty(
-        read_only(determined @ np.swapaxes(determined, 1, 2)), read_only(sizes), known.degrees_of_freedom
-    )
+    told = conditions or ordinary(found)
+    view = _View(machine, tool, base, tool_pose)
+    parts = []
+    with one_thread():
+        for start in range(0, len(found), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            parts.append(_of_block(view, known, found[rows], told.subset(rows)))
+    covariance, sizes, squares = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
+    budget = {cause: read_only(np.sqrt(squares[:, k])) for k, cause in enumerate(CAUSES)}
+    return ToolUncertainty(covariance, sizes, budget, known.degrees_of_freedom)
+
+
+@checked
+def tool_errors(
+    machine: CalibratedMachine, readings: npt.ArrayLike, tool: str = "tool", *, conditions: Conditions | None = None
+) -> Array:
+    """Return a factor (N, 6, r) of the covariance that the poses of a tool have together, at readings (N, nr).
+
+    Errors of the machine are common to all configurations, and so is what the model leaves out along the readings:
+    column j is what one standard deviation of such an error does to every pose, in the axes of :class:`ToolUncertainty`.
+    Scatter from pose to pose comes on top. Arguments and errors as of :func:`tool_uncertainty`.
+    """
+    found, known = _readings(machine, readings), machine.known_uncertainty
+    told = conditions or ordinary(found)
+    view = _View(machine, tool, base=True, tool_pose=True)
+    with one_thread():
+        blocks = [slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)]
+        return np.concatenate([_errors(view, known, found[rows], told.subset(rows)) for rows in blocks])
 
 
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
-    """Return a factor (N, 3 or 6, r) of the covariance that the predictions of all rows of ``data`` have together.
-
-    Errors of the parameters are common to all rows: column j is what one standard deviation of them does to every row.
-    Raises MeasurementError for a tool that was not identified.
-    """
-    size, factor = data.sigma.shape[1], machine.known_uncertainty.factor
-    found = np.zeros((len(data), size, factor.shape[1]))
+    """Return :func:`tool_errors` (N, 3 or 6, r) at the rows of ``data``, of whose tools each was measured with."""
+    size, known = data.sigma.shape[1], machine.known_uncertainty
+    found = np.zeros((len(data), size, known.factor.shape[1]))
     for k, tool in enumerate(data.tools):
         rows = np.flatnonzero(data.tool == k)
         if len(rows):
             own = data.conditions.subset(rows)
-            found[rows] = tool_motions(machine, factor, data.readings[rows], tool, conditions=own)[:, :size]
+            found[rows] = tool_errors(machine, data.readings[rows], tool, conditions=own)[:, :size]
     return found
+
+
+class _View(NamedTuple):
+    """Whose errors are told, and which of them: as :func:`tool_uncertainty` has it."""
+
+    machine: CalibratedMachine
+    tool: str
+    base: bool
+    tool_pose: bool
+
+    def motions(self, columns: Array, readings: Array, conditions: Conditions) -> Array:
+        """Return the motions (N, 6, k) of the tool for changes (n, k) of the state."""
+        return tool_motions(
+            self.machine,
+            columns,
+            readings,
+            self.tool,
+            base=self.base,
+            tool_pose=self.tool_pose,
+            conditions=conditions,
+        )
+
+    def waved(self, waves: Waves, readings: Array, conditions: Conditions) -> Array:
+        """Return what one standard deviation of every wave does to the tool itself (N, 6, count)."""
+        machine, T_tool = self.machine, self.machine.tools[self.tool]
+        tips, by_reading = TipModel(machine.robot, machine.deviations).driven(readings, conditions)
+        by_reading = rigid.adjoint(rigid.inverse(T_tool)) @ by_reading
+        axes = (tips @ T_tool)[:, :3, :3]
+        by_reading[:, :3] = (machine.base[:3, :3] @ axes if self.base else axes) @ by_reading[:, :3]
+        return waves.at(readings, by_reading)
+
+
+def _of_block(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> tuple[Array, Array, Array]:
+    """Return covariances (N, 6, 6), what the null space adds (N, 2), and the variances (N, 4, 2) of all causes."""
+    errors = _errors(view, known, readings, conditions)
+    squares = np.zeros((len(readings), len(CAUSES), 2))
+    ends = np.cumsum([0, *known.causes])
+    for k, (start, end) in enumerate(zip(ends, ends[1:], strict=False)):
+        squares[:, k] = _by_quantity(errors[:, :, start:end])
+    scatter = np.zeros((len(readings), 6))
+    for k, level in enumerate((known.position, known.orientation)):
+        if level is not None:
+            scatter[:, 3 * k : 3 * k + 3] = level.model**2
+    squares[:, CAUSES.index("model")] += scatter.reshape(-1, 2, 3).sum(axis=2)
+    model = view.machine.residual_model
+    if model is not None and known.position is not None:
+        lean = model.leaning(readings)
+        own = lean.sigma**2 + np.sum(lean.weights**2, axis=1) * known.position.total**2
+        squares[:, CAUSES.index("residual_model"), 0] = 3.0 * own
+        scatter[:, :3] += own[:, None]
+    covariance = errors @ np.swapaxes(errors, 1, 2)
+    covariance[:, range(6), range(6)] += scatter
+    unseen = _by_quantity(view.motions(known.null_basis, readings, conditions))
+    return covariance, np.sqrt(unseen), squares
+
+
+def _errors(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> Array:
+    """Return a factor (N, 6, r) of the covariance of the tool's pose, but for scatter, at readings (N, nr)."""
+    found = _of_kinematics(view, known, readings, conditions)
+    model = view.machine.residual_model
+    if model is None:
+        return found
+    # What a residual model adds are errors that were measured elsewhere: what these have in common is gone.
+    lean = model.leaning(readings)
+    axes = _axes(view, model, readings, conditions)
+    for c in range(lean.weights.shape[1]):
+        rows = np.flatnonzero(lean.weights[:, c])
+        at = lean.points[rows, c]
+        there = _of_kinematics(view, known, at, ordinary(at))[:, :3]
+        turned = axes[rows] @ np.swapaxes(_axes(view, model, at, ordinary(at)), 1, 2)
+        found[rows, :3] -= lean.weights[rows, c, None, None] * (turned @ there)
+    found[:, :3] *= lean.unknown[:, None, None]
+    return found
+
+
+def _axes(view: _View, model: ResidualModel, readings: Array, conditions: Conditions) -> Array:
+    """Return the axes (N, 3, 3) in which a residual model has its errors, seen as the tool's position is."""
+    machine = view.machine
+    tips = machine.robot.tips(readings, machine.deviations, conditions)
+    return axes_of(model.frame, machine.base if view.base else np.eye(4), tips)
+
+
+def _of_kinematics(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> Array:
+    found = view.motions(known.factor, readings, conditions)
+    if known.waves is not None and len(readings):
+        # The machine has followed them as far as it could, which is less than the tool does.
+        found[:, :, -known.waves.count :] -= view.waved(known.waves, readings, conditions)
+    return found
+
+
+def _by_quantity(motions: Array) -> Array:
+    """Return the sums of squares (N, 2) of motions (N, 6, k), of positions and of turns."""
+    return np.asarray(np.sum(motions**2, axis=2).reshape(-1, 2, 3).sum(axis=2))
 
 
 @checked
@@ -97,6 +213,7 @@ def uncertainty_map(
         read_only((machine.tips(readings, ordinary(readings)) @ T_tool)[:, :3, 3]),
         read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
         read_only(np.concatenate([f.null_space_rms for f in found])),
+        {cause: read_only(np.concatenate([f.budget[cause] for f in found])) for cause in CAUSES},
     )
 
 

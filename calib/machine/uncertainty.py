@@ -1,6 +1,8 @@
 """What is known of the uncertainty of a calibrated machine, and of its tool: plain data."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,11 +11,41 @@ from calib.foundations.chance import bound
 from calib.foundations.units import MM
 
 
+# The causes of doubt, as a budget lists them. The instrument: its noise and drift, as they reach the machine; unless it
+# is stated, its noise cannot be told from the robot's, and counts as the model's. Parameters: what the data do not show
+# of them, known by stated and by weak priors alone. The model: what it leaves out. The residual model: what that gets
+# wrong.
+CAUSES = ("instrument", "parameters", "model", "residual_model")
+
+
+class Waves(NamedTuple):
+    """Errors of the readings u that no parameter stands for: ``cos(2 pi k u / period)``, and sines, of orders 1 to K.
+
+    ``period`` (nr,) in rad or m; ``width`` (nr, K): the standard deviations of their coefficients, in rad or m.
+    """
+
+    period: Array
+    width: Array
+
+    @property
+    def count(self) -> int:
+        """How many waves there are: of every reading and order two."""
+        return 2 * self.width.size
+
+    def at(self, readings: Array, by_reading: Array) -> Array:
+        """Return what one standard deviation of every wave does (N, d, count), from derivatives (N, d, nr)."""
+        orders = np.arange(1, self.width.shape[1] + 1)
+        phase = 2.0 * np.pi * (readings / self.period)[:, :, None] * orders
+        waves = np.stack([np.cos(phase), np.sin(phase)], axis=3) * self.width[:, :, None]
+        return (by_reading[:, :, :, None, None] * waves[:, None]).reshape(*by_reading.shape[:2], -1)
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseLevel:
     """Noise of one coordinate of a quantity, in m or rad: the model's part, and both parts together.
 
-    ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains all.
+    The model's part is what it leaves out and looks random, beside :class:`Waves`; all of it where the instrument's is
+    not stated. ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains all.
     """
 
     model: float
@@ -27,12 +59,17 @@ class Uncertainty:
 
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
-    covariance of the state is ``factor @ factor.T``. ``null_basis`` (n, k): changes of the state in the null space,
-    each one parameter scale long. ``position`` and ``orientation``: the noise of lengths and of angles, None where
-    none was measured. ``identified`` (nr, 2): least and greatest of every reading in the data.
+    covariance of the state is ``factor @ factor.T``; ``causes``: how many columns the first three of ``CAUSES`` have in
+    it, in order. ``waves``: what the model leaves out along the readings, whose columns are the last ones, as what they
+    do to the state has to be set against what they do to the tool; None where that is not known. ``null_basis`` (n, k):
+    changes of the state in the null space, each one parameter scale long. ``position`` and ``orientation``: the noise
+    of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least and greatest of every reading
+    in the data.
     """
 
     factor: Array
+    causes: tuple[int, int, int]
+    waves: Waves | None
     null_basis: Array
     position: NoiseLevel | None
     orientation: NoiseLevel | None
@@ -46,7 +83,7 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         return (
-            f"<Uncertainty: {self.factor.shape[1]} directions of the machine known, {self.null_basis.shape[1]} not, "
+            f"<Uncertainty of {len(self.factor)} numbers, {self.null_basis.shape[1]} directions not determined, "
             f"{self.degrees_of_freedom:.4g} degrees of freedom>"
         )
 
@@ -57,12 +94,14 @@ class ToolUncertainty:
 
     ``covariance`` (N, 6, 6): of the position, in the axes of the instrument (of the base, where the base is left out),
     and of small turns about the tool's axes, in m and rad. ``null_space_rms`` (N, 2): rms of what one parameter scale
-    along every direction of the null space would add to the position, in m, and to the orientation, in rad.
+    along every direction of the null space would add to the position, in m, and to the orientation, in rad. ``budget``:
+    of every one of ``CAUSES`` the standard deviations (N, 2) of position and orientation, whose squares add up.
     ``degrees_of_freedom``: as in :class:`Uncertainty`.
     """
 
     covariance: Array
     null_space_rms: Array
+    budget: Mapping[str, Array]
     degrees_of_freedom: float
 
     @property
@@ -77,8 +116,9 @@ class ToolUncertainty:
 
     @property
     def known(self) -> BoolArray:
-        """Whether (N, 2) position and orientation are known: the null space adds less than sigma."""
-        return np.asarray(self.null_space_rms <= np.stack([self.position, self.orientation], axis=1))
+        """Whether (N, 2) position and orientation are known: the null space adds less than what was measured leaves."""
+        measured = sum(sigmas**2 for cause, sigmas in self.budget.items() if cause != "parameters")
+        return np.asarray(self.null_space_rms <= np.sqrt(measured))
 
     def shares(self) -> dict[str, float]:
         """Return at which share of the poses the position is known, and the orientation."""
@@ -104,13 +144,18 @@ class UncertaintyMap:
     """Standard deviations over the workspace, at N random configurations.
 
     ``readings`` (N, nr); ``positions`` (N, 3) of the tool in the base, in m; ``sigmas`` (N, 2) of position and
-    orientation in m and rad; ``null_space_rms`` (N, 2) as in :class:`ToolUncertainty`.
+    orientation in m and rad; ``null_space_rms`` (N, 2) and ``budget`` as in :class:`ToolUncertainty`.
     """
 
     readings: Array
     positions: Array
     sigmas: Array
     null_space_rms: Array
+    budget: Mapping[str, Array]
+
+    def shares(self) -> dict[str, list[float]]:
+        """Return the rms over the workspace of what every cause adds to position and orientation, in m and rad."""
+        return {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in self.budget.items()}
 
     def percentiles(self) -> dict[str, list[float]]:
         """Return percentiles of the standard deviations of position and orientation, in m and rad."""

@@ -1,6 +1,7 @@
 """``uncertainty.json``: what a calibrated machine knows of its own doubts, beside ``model.json``."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,7 +12,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.identification.machine import Layout
-from calib.machine.uncertainty import NoiseLevel, Uncertainty
+from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
 from calib.robot.robot import Robot
 
 UNCERTAINTY_FILE = "uncertainty.json"
@@ -55,17 +56,26 @@ class NoiseEntry(_Strict):
         return NoiseLevel(self.model, self.total, freedom)
 
 
-class UncertaintyFile(_Strict):
-    """Schema 1 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
+class WavesEntry(_Strict):
+    """Errors that follow the readings, as :class:`calib.machine.uncertainty.Waves` has them."""
 
-    Rows of ``factor`` and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move,
+    period: dict[str, Annotated[_Number, Field(gt=0.0)]]
+    width: dict[str, Annotated[tuple[Annotated[_Number, Field(ge=0.0)], ...], Field(min_length=1, max_length=100)]]
+
+
+class UncertaintyFile(_Strict):
+    """Schema 2 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
+
+    Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor`` and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move,
     then x, y, z, rx, ry, rz of the base and of every tool.
     """
 
-    schema_: Literal[1] = Field(alias="schema")
+    schema_: Literal[1, 2] = Field(alias="schema")
     identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
+    causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
+    waves: WavesEntry | None = None
     factor: tuple[tuple[_Number, ...], ...]
     null_basis: tuple[tuple[_Number, ...], ...]
 
@@ -75,10 +85,12 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
     names = [reading.name for reading in robot.readings]
     ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
     entries = {
-        "schema": 1,
+        "schema": 2,
         "identified": dict(zip(names, ranges, strict=True)),
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
+        "causes": dict(zip(CAUSES, uncertainty.causes, strict=False)),
+        "waves": _plain_waves(uncertainty.waves, names),
     }
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
     for key, matrix in (("factor", uncertainty.factor), ("null_basis", uncertainty.null_basis)):
@@ -90,6 +102,17 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
 def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
     entry = NoiseEntry.of(level)
     return None if entry is None else entry.model_dump()
+
+
+def _plain_waves(waves: Waves | None, names: Sequence[str]) -> dict[str, object] | None:
+    if waves is None:
+        return None
+    period, width = (dict(zip(names, values.tolist(), strict=True)) for values in (waves.period, waves.width))
+    return {"period": period, "width": width}
+
+
+def _are_of(waves: WavesEntry, names: Sequence[str]) -> bool:
+    return list(waves.period) == list(waves.width) == list(names)
 
 
 def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
@@ -105,15 +128,26 @@ def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
     size = Layout(robot, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
+    waves = None
+    if found.waves is not None:
+        width = _matrix(tuple(found.waves.width.values()))
+        waves = None if width is None else Waves(read_only(list(found.waves.period.values())), width)
     if (
         list(found.identified) != names
+        or (found.waves is not None and (waves is None or not _are_of(found.waves, names)))
         or factor is None
         or null_basis is None
         or not len(factor) == len(null_basis) == size
     ):
         raise OutputError(f"{path}: is not of the machine in model.json.")
+    columns = factor.shape[1]
+    causes = (columns, 0, 0) if found.causes is None else tuple(found.causes.get(cause, 0) for cause in CAUSES[:3])
+    if sum(causes) != columns or (waves is not None and waves.count > causes[2]):
+        raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at causes.")
     return Uncertainty(
         factor,
+        (causes[0], causes[1], causes[2]),
+        waves,
         null_basis,
         None if found.position is None else found.position.level,
         None if found.orientation is None else found.orientation.level,

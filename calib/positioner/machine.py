@@ -14,7 +14,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.xml_text import quoted
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
-from calib.machine.calibrated import machine_of
+from calib.machine.calibrated import machine_of, measured_factor
 from calib.positioner.axes import Axis
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
@@ -126,7 +126,7 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     usual = ordinary(rows)
     T = machine.predict(rows, tool=tool, conditions=usual)
     # Local twists of the table (N, 6, r), one for each direction in which the machine is uncertain.
-    twist = machine.tool_jacobian(rows, tool=tool, conditions=usual) @ machine.known_uncertainty.factor
+    twist = machine.tool_jacobian(rows, tool=tool, conditions=usual) @ measured_factor(fit)
     twist[:, :3] = np.swapaxes(T[:, :3, :3], -1, -2) @ twist[:, :3]
     # x = T(q) s with s = T(0)^-1 x0: dx = R (v + w x s - v0 - w0 x s), twists local.
     back = rigid.inverse(T[-1])

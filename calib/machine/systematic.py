@@ -1,0 +1,113 @@
+"""What residuals show to be systematic: errors of the joints' readings that follow the reading, and a drift over rows.
+
+A model leaves out what it has no parameters for, and what it leaves out repeats. Least squares takes residuals for
+noise, which would average out. So two families of errors that no parameter stands for are laid over the fit:
+
+* every reading is off by a smooth function of itself: waves ``cos(k t)``, ``sin(k t)`` with ``t = 2 pi u / period`` and
+  standard deviations ``w / k``;
+* every measured number drifts over the rows of its set as a random walk does: its first eigenfunctions
+  ``sqrt(2) sin(f t) / f`` with ``f = (j - 1/2) pi``, ``t`` from 0 to 1, of standard deviation ``d`` sigmas.
+
+Their coefficients are not estimated and nothing is corrected by them. Their two sizes, w and d, are the likeliest ones
+for the residuals (:mod:`calib.identification.widths`), together with the size of the noise; and what is not solved for,
+but known in size, is carried to the result by the sensitivity of the solution to it, as "consider parameters" are in
+the determination of orbits (B. D. Tapley, B. E. Schutz, G. H. Born, *Statistical orbit determination*, 2004, chapter
+6).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.identification.machine import Machine
+from calib.identification.system import Problem, blocks
+from calib.machine.uncertainty import Waves
+from calib.measurement.measurements import Measurements
+from calib.robot.conditions import Conditions
+from calib.robot.robot import Robot, TipModel
+
+# Eccentric encoders have orders 1 and 2, and what is left of gravity is as smooth. Higher orders look like noise.
+_ORDERS = 6
+# Of an encoder 20 arc seconds are usual, of a slide a tenth of a millimetre; what slides has no shorter period, in m.
+_USUAL, _SHORTEST = 1e-4, 0.1
+# A random walk has hardly more eigenfunctions than that; each takes so many rows.
+_DRIFTS, _ROWS_FOR_ONE = 5, 10
+
+
+def usual_waves(robot: Robot, identified: Array) -> Waves:
+    """Return waves of a usual width; ``identified`` (nr, 2): least and greatest readings in the data.
+
+    The first order has a turn for its period, or twice the range that was measured of what slides.
+    """
+    turns = np.array([reading.dimension == "angle" for reading in robot.readings])
+    period = np.where(turns, 2.0 * np.pi, np.maximum(2.0 * np.ptp(identified, axis=1), _SHORTEST))
+    return Waves(read_only(period), read_only(_USUAL / np.arange(1, _ORDERS + 1) * np.ones((len(period), 1))))
+
+
+class SystematicRows(NamedTuple):
+    """Whitened rows (n, p + m + 1) of one component: ``[J B r]``, r as measured less predicted."""
+
+    component: int
+    rows: Array
+
+
+class Systematic:
+    """The columns B of a problem for waves of the usual width, then drifts of one sigma."""
+
+    def __init__(self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array) -> None:
+        self._problem, self._at, self._sigmas, self._waves, self._units = problem, at, sigmas, waves, units
+        self._tip = TipModel(problem.model.robot, at.deviations)
+        self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
+
+    @property
+    def count(self) -> int:
+        """How many columns there are: m."""
+        return self._waves.count + sum(self._many)
+
+    def rows(self) -> Iterator[SystematicRows]:
+        """Yield the rows of every component, block by block, in the order of the sets."""
+        problem = self._problem
+        components = list(enumerate(problem.components))
+        for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
+            own = [(c, component.columns) for c, component in components if component.measurements == i]
+            for block in blocks(problem, data, self._at, self._units):
+                B = np.concatenate([self._waved(data, block.rows, block.moved), self._drifted(i, block.rows)], axis=2)
+                B[:, :, : self._waves.count] /= sigma[block.rows, :, None]
+                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
+                whole /= sigma[block.rows, :, None]
+                whole = np.concatenate([whole[:, :, :-1], B, whole[:, :, -1:]], axis=2)
+                for c, columns in own:
+                    yield SystematicRows(c, whole[:, columns].reshape(-1, whole.shape[2]))
+
+    def _waved(self, data: Measurements, rows: slice, moved: Sequence[tuple[Array, Array]]) -> Array:
+        frames = self._at.frames
+        found = 0.0
+        for end, (twist, _) in zip(data.ends, moved, strict=True):
+            readings = end.readings[rows]
+            by_reading = twist @ driven(self._tip, frames.tools[end.tool[rows]], readings, end.conditions.subset(rows))
+            found = found + self._waves.at(readings, by_reading)
+        return np.asarray(found)
+
+    def _drifted(self, i: int, rows: slice) -> Array:
+        N, d = self._problem.measurements[i].sigma.shape
+        t = (np.arange(N)[rows] + 0.5) / N
+        f = (np.arange(_drifts(N)) + 0.5) * np.pi
+        walk = np.sqrt(2.0) * np.sin(t[:, None] * f) / f
+        found = np.zeros((len(t), d, sum(self._many)))
+        start = sum(self._many[:i])
+        for c in range(d):
+            found[:, c, start + c * len(f) : start + (c + 1) * len(f)] = walk
+        return found
+
+
+def driven(tip: TipModel, tools: Array, readings: Array, conditions: Conditions) -> Array:
+    """Return the local twists (N, 6, nr) of tools (4, 4), or (N, 4, 4), per change of the readings (N, nr)."""
+    _, by_reading = tip.driven(readings, conditions)
+    return np.asarray(rigid.adjoint(rigid.inverse(tools)) @ by_reading)
+
+
+def _drifts(rows: int) -> int:
+    return min(_DRIFTS, rows // _ROWS_FOR_ONE)
