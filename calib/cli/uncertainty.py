@@ -26,7 +26,7 @@ def uncertainty(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool.
+    """Show how sure a calibrated machine is of its tool, and what its doubts come from.
 
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """
@@ -36,6 +36,8 @@ def uncertainty(
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.presentation.acceptance_tables import map_csv, map_table
         from calib.presentation.console import printable
+        from calib.presentation.sheets import budget_sheet
+        from calib.presentation.tables import sheet_table
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -52,9 +54,10 @@ def uncertainty(
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "known": near.shares()},
+        lambda: {"sigmas": found.percentiles(), "known": near.shares(), "budget": found.shares()},
         lambda: [
             map_table(found, near.known),
+            sheet_table(budget_sheet(found.shares(), len(found.readings))),
             *([] if out is None else [printable(f"Every pose is in {out}.")]),
         ],
     )

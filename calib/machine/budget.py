@@ -9,12 +9,13 @@ Rows that follow each other closely, as those of a stream, err together beyond a
 left says how many rows count as one.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
 from calib.identification.fit import Fit
@@ -30,8 +31,9 @@ from calib.machine.uncertainty import Waves
 _FEWEST = 3.0
 # Of a robust loss, rows that lie farther off count as ordinary ones.
 _FAR = 2.0
-# By how much sizes of waves differ, as a logarithm; how far they are sought, as noise is.
+# By how much sizes of waves differ, as a logarithm; how far noise is sought.
 _ALIKE, _MOST_NOISE, _MOST_STEPS = 2.0, 1e3, 300
+# The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
 # Autocorrelation counts while it is beyond chance by so many standard errors.
 _BEYOND_CHANCE = 3.0
@@ -70,89 +72,100 @@ def doubts_of(fit: Fit, identified: Array) -> Doubts:
 
 def _doubts_of(fit: Fit, identified: Array) -> Doubts:
     parameters = (*fit.parameters, *fit.held)
-    problem = Problem(
-        fit.model,
-        parameters,
-        fit.machine.frames,
-        fit.measurements,
-        fit.machine.deviations,
-        fit.model.relations,
-        fit.losses,
-    )
-    x = values_at(fit.model.robot, parameters, fit.machine.frames, fit.machine.deviations)
-    at, units = problem.machine(x), scales(parameters)
-    sigmas = _sigmas(fit, problem)
-    evaluation = problem.evaluate(sigmas, x)
-    waves = usual_waves(fit.model.robot, identified)
-    systematic = Systematic(problem, at, sigmas, waves, units)
-    p, m = len(parameters), systematic.count
-
+    frames, held = fit.machine.frames, fit.machine.deviations
+    relations = fit.model.relations
+    problem = Problem(fit.model, parameters, frames, fit.measurements, held, relations, fit.losses)
+    x = values_at(fit.model.robot, parameters, frames, held)
+    at, sigmas, waves = problem.machine(x), _sigmas(fit, problem), usual_waves(fit.model.robot, identified)
+    systematic = Systematic(problem, at, sigmas, waves, scales(parameters))
+    p, m = len(parameters), systematic.columns
     triangles = [np.zeros((0, p + m + 1)) for _ in problem.components]
     for c, rows in systematic.rows():
         triangles[c] = triangle(np.concatenate([triangles[c], rows]))
-    lengths = np.cumsum([0, *map(len, triangles)])
+    ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    known = np.concatenate([evaluation.relations[:, :p], np.diag([parameter.hold for parameter in parameters])])
-    J = np.concatenate([data[:, :p], known])
-    if evaluation.set_up_motions.size:
-        J = without(J, evaluation.set_up_motions)
-        J[len(data) :] = known
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
-    by_rows = (Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T
-    from_data, unseen = by_rows[:, : len(data)], by_rows[:, len(data) :]
-    left = data[:, p:] - J[: len(data)] @ (from_data @ data[:, p:])
+    from_data, unseen, left = _solved(problem, x, sigmas, data)
 
-    # Cosine and sine of one order of one reading have one size; drifts have one.
     pairs = waves.width.size
-    group = np.concatenate([np.repeat(np.arange(pairs), 2), np.full(m - waves.count, pairs)])
-    instrument = np.array(
-        [
-            np.sqrt(np.mean((problem.measurements[c.measurements].sigma[:, c.columns] / sigmas[c.measurements][:, c.columns]) ** 2))
-            for c in problem.components
-        ]
+    taught = _Taught(
+        [left[start:end].T @ left[start:end] for start, end in itertools.pairwise(ends)],
+        np.array([max(noise.degrees_of_freedom, 1.0) for noise in fit.noise]),
+        _instrument(problem, sigmas),
+        # Cosine and sine of one order of one reading have one size; drifts have one.
+        np.concatenate([np.repeat(np.arange(pairs), 2), np.full(m - waves.many, pairs)]).astype(np.intp),
+        m > waves.many,
     )
-    parts = [slice(a, b) for a, b in zip(lengths, lengths[1:], strict=False)]
-    freedom = np.array([max(noise.degrees_of_freedom, 1.0) for noise in fit.noise])
-
-    def taught(rows_as_one: Array) -> tuple[Array, Array, Array]:
-        """Return sizes (g,) and noise (c,), and the likeliest coefficients (m,)."""
-        grams = np.stack([left[part].T @ left[part] for part in parts]) / rows_as_one[:, None, None]
-        rows = Rows(
-            grams,
-            freedom / rows_as_one,
-            np.zeros((m + 1, m + 1)),
-            instrument,
-            np.zeros(len(parts), dtype=bool),
-            group.astype(np.intp),
-        )
-        sizes, noise = _sizes(rows, m > waves.count)
-        hold = np.append(sizes[group] ** -2.0, 0.0)
-        H = np.diag(hold) + np.tensordot(noise**-2.0, grams, 1)
-        return sizes, noise, -np.linalg.solve(H[:m, :m], H[:m, m])
-
-    rows_as_one = np.ones(len(parts))
-    sizes, noise, found = taught(rows_as_one)
-    # What the solution leaves when those errors are taken off: w, then x.
-    coefficients = np.concatenate([-from_data @ (data[:, p:] @ np.append(found, 1.0)), found, [1.0]])
-    counted = _rows_as_one(problem, systematic, coefficients)
+    rows_as_one = np.ones(len(triangles))
+    sizes, noise, found = taught.sizes(rows_as_one)
+    # What the solution leaves when errors of those sizes are taken off as well.
+    taken = np.concatenate([-from_data @ (data[:, p:] @ np.append(found, 1.0)), found, [1.0]])
+    counted = _rows_as_one(problem, systematic, taken)
     if np.any(counted > 1.0):
         rows_as_one = counted
-        sizes, noise, _ = taught(rows_as_one)
+        sizes, noise, _ = taught.sizes(rows_as_one)
 
-    seen = np.minimum(instrument / noise, 1.0)
-    bias = from_data @ data[:, p : p + m] * sizes[group]
-    size = np.repeat(noise * np.sqrt(rows_as_one), np.diff(lengths))
-    of_instrument = np.repeat(seen, np.diff(lengths))
+    of_rows = np.diff(ends)
+    seen = np.repeat(np.minimum(taught.instrument / noise, 1.0), of_rows)
+    through = from_data * np.repeat(noise * np.sqrt(rows_as_one), of_rows)
+    bias = from_data @ data[:, p : p + m] * sizes[taught.group]
     return Doubts(
         parameters,
         at,
-        _short(np.hstack([from_data * size * of_instrument, bias[:, waves.count :]])),
+        _short(np.hstack([through * seen, bias[:, waves.many :]])),
         _short(unseen),
-        _short(from_data * size * np.sqrt(1.0 - of_instrument**2)),
-        bias[:, : waves.count],
-        waves._replace(width=waves.width * sizes[:pairs].reshape(waves.width.shape)),
+        _short(through * np.sqrt(1.0 - seen**2)),
+        bias[:, : waves.many],
+        waves._replace(width=read_only(waves.width * sizes[:pairs].reshape(waves.width.shape))),
         noise,
     )
+
+
+def _solved(problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array) -> tuple[Array, Array, Array]:
+    """Return how the solution (p) follows data (p, q) and priors (p, k), and what it leaves of ``[B r]`` (q, m + 1).
+
+    ``data`` (q, p + m + 1): whitened triangles ``[J B r]`` of all components.
+    """
+    p, evaluation = len(problem.parameters), problem.evaluate(sigmas, x)
+    hold = np.diag([parameter.hold for parameter in problem.parameters])
+    known = np.concatenate([evaluation.relations[:, :p], hold])
+    J = data[:, :p]
+    if evaluation.set_up_motions.size:
+        J = without(np.concatenate([J, evaluation.relations[:, :p]]), evaluation.set_up_motions)[: len(data)]
+    U, s, Vt = np.linalg.svd(np.concatenate([J, known]), full_matrices=False)
+    follows = (Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T
+    from_data, unseen = follows[:, : len(data)], follows[:, len(data) :]
+    return from_data, unseen, data[:, p:] - J @ (from_data @ data[:, p:])
+
+
+def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
+    """Return the rms of the instrument's noise (c,) in every component, as a share of what rows are weighed by."""
+    shares = [data.sigma / sigma for data, sigma in zip(problem.measurements, sigmas, strict=True)]
+    return np.array([np.sqrt(np.mean(shares[c.measurements][:, c.columns] ** 2)) for c in problem.components])
+
+
+class _Taught(NamedTuple):
+    """What teaches sizes: grams (m + 1, m + 1) of ``[B r]`` that the solution leaves, of every component.
+
+    ``freedom`` (c,) and ``instrument`` (c,) of the components; ``group`` (m,) of the columns, ``drifts``: whether the
+    last of them are.
+    """
+
+    grams: list[Array]
+    freedom: Array
+    instrument: Array
+    group: IntArray
+    drifts: bool
+
+    def sizes(self, rows_as_one: Array) -> tuple[Array, Array, Array]:
+        """Return the likeliest sizes (g,) and noise (c,), and coefficients (m,), where so many rows (c,) are one."""
+        grams = np.stack(self.grams) / rows_as_one[:, None, None]
+        m, c = len(self.group), len(grams)
+        known, fixed = np.zeros((m + 1, m + 1)), np.zeros(c, dtype=bool)
+        rows = Rows(grams, self.freedom / rows_as_one, known, self.instrument, fixed, self.group)
+        sizes, noise = _sizes(rows, self.drifts)
+        H = np.tensordot(noise**-2.0, grams, 1)
+        H[range(m), range(m)] += sizes[self.group] ** -2.0
+        return sizes, noise, np.asarray(-np.linalg.solve(H[:m, :m], H[:m, m]), dtype=np.float64)
 
 
 def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
@@ -169,8 +182,8 @@ def _sizes(rows: Rows, drifts: bool) -> tuple[Array, Array]:
 
     ``rows.group``: number of every wave, and one more where an instrument may drift. Waves have sizes of their own, but
     are expected to be alike: their logarithms scatter by ``_ALIKE`` about a common one. As in
-    :mod:`calib.identification.widths` the likelihood is multiplied by the common size, and by that of the drift, so
-    that nothing is said to be zero because it does not show.
+    :mod:`calib.identification.widths` the likelihood is multiplied by a power of the common size, and of that of the
+    drift, so that nothing is said to be zero because it does not show.
     """
     g, c = int(rows.group.max()) + 1, len(rows.counts)
     usual, ones = np.ones(g), np.ones(c)
@@ -188,9 +201,16 @@ def _sizes(rows: Rows, drifts: bool) -> tuple[Array, Array]:
         return found.value + float(held), slopes
 
     low = np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0)
-    bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, np.full(c, _MOST_NOISE)])]))
+    bounds = np.log(
+        np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, np.full(c, _MOST_NOISE)])])
+    )
     result = minimize(
-        cost, np.zeros(g + c), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _MOST_STEPS, "gtol": 1e-4}
+        cost,
+        np.zeros(g + c),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": _MOST_STEPS, "gtol": 1e-4},
     )
     return np.exp(result.x[:g]), np.exp(result.x[g:])
 
@@ -199,9 +219,9 @@ def _rows_as_one(problem: Problem, systematic: Systematic, coefficients: Array) 
     """Return how many rows of every component (c,) count as one, by the autocorrelation of what is left."""
     left: list[list[Array]] = [[] for _ in problem.components]
     for c, rows in systematic.rows():
-        columns = problem.components[c].columns
-        left[c].append((rows @ coefficients).reshape(-1, len(range(*columns.indices(problem.measurements[problem.components[c].measurements].sigma.shape[1])))))
-    return np.array([_correlation_time(np.concatenate(blocks)) for blocks in left])
+        left[c].append(rows @ coefficients)
+    numbers = [len(problem.measurements[c.measurements]) for c in problem.components]
+    return np.array([_correlation_time(np.concatenate(r).reshape(n, -1)) for r, n in zip(left, numbers, strict=True)])
 
 
 def _correlation_time(r: Array) -> float:

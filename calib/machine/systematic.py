@@ -63,9 +63,9 @@ class Systematic:
         self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
 
     @property
-    def count(self) -> int:
-        """How many columns there are: m."""
-        return self._waves.count + sum(self._many)
+    def columns(self) -> int:
+        """How many columns B has: m."""
+        return self._waves.many + int(sum(self._many))
 
     def rows(self) -> Iterator[SystematicRows]:
         """Yield the rows of every component, block by block, in the order of the sets."""
@@ -75,7 +75,7 @@ class Systematic:
             own = [(c, component.columns) for c, component in components if component.measurements == i]
             for block in blocks(problem, data, self._at, self._units):
                 B = np.concatenate([self._waved(data, block.rows, block.moved), self._drifted(i, block.rows)], axis=2)
-                B[:, :, : self._waves.count] /= sigma[block.rows, :, None]
+                B[:, :, : self._waves.many] /= sigma[block.rows, :, None]
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 whole /= sigma[block.rows, :, None]
                 whole = np.concatenate([whole[:, :, :-1], B, whole[:, :, -1:]], axis=2)
@@ -84,12 +84,12 @@ class Systematic:
 
     def _waved(self, data: Measurements, rows: slice, moved: Sequence[tuple[Array, Array]]) -> Array:
         frames = self._at.frames
-        found = 0.0
+        found = np.zeros((len(moved[0][0]), data.sigma.shape[1], self._waves.many))
         for end, (twist, _) in zip(data.ends, moved, strict=True):
             readings = end.readings[rows]
             by_reading = twist @ driven(self._tip, frames.tools[end.tool[rows]], readings, end.conditions.subset(rows))
-            found = found + self._waves.at(readings, by_reading)
-        return np.asarray(found)
+            found += self._waves.at(readings, by_reading)
+        return found
 
     def _drifted(self, i: int, rows: slice) -> Array:
         N, d = self._problem.measurements[i].sigma.shape

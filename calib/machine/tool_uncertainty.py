@@ -1,10 +1,11 @@
 """How sure is a calibrated machine of where its tool is, at any configuration: a budget.
 
-Errors of the machine go to the tool by the exact derivative of its pose. What the model leaves out moves the tool itself
-as well, and only the difference is an error: small where the machine was fitted to it, full where it was not. What the
-data do not show has the width of not knowing.
+Errors of the machine go to the tool by the exact derivative of its pose. What the model leaves out moves the tool
+itself as well, and only the difference is an error: small where the machine was fitted to it, full where it was not.
+What the data do not show has the width of not knowing.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ def tool_errors(
     """Return a factor (N, 6, r) of the covariance that the poses of a tool have together, at readings (N, nr).
 
     Errors of the machine are common to all configurations, and so is what the model leaves out along the readings:
-    column j is what one standard deviation of such an error does to every pose, in the axes of :class:`ToolUncertainty`.
+    column j is what one standard deviation of such an error does to every pose, axes as of :class:`ToolUncertainty`.
     Scatter from pose to pose comes on top. Arguments and errors as of :func:`tool_uncertainty`.
     """
     found, known = _readings(machine, readings), machine.known_uncertainty
@@ -115,7 +116,7 @@ class _View(NamedTuple):
         )
 
     def waved(self, waves: Waves, readings: Array, conditions: Conditions) -> Array:
-        """Return what one standard deviation of every wave does to the tool itself (N, 6, count)."""
+        """Return what one standard deviation of every wave does to the tool itself (N, 6, many)."""
         machine, T_tool = self.machine, self.machine.tools[self.tool]
         tips, by_reading = TipModel(machine.robot, machine.deviations).driven(readings, conditions)
         by_reading = rigid.adjoint(rigid.inverse(T_tool)) @ by_reading
@@ -129,7 +130,7 @@ def _of_block(view: _View, known: Uncertainty, readings: Array, conditions: Cond
     errors = _errors(view, known, readings, conditions)
     squares = np.zeros((len(readings), len(CAUSES), 2))
     ends = np.cumsum([0, *known.causes])
-    for k, (start, end) in enumerate(zip(ends, ends[1:], strict=False)):
+    for k, (start, end) in enumerate(itertools.pairwise(ends)):
         squares[:, k] = _by_quantity(errors[:, :, start:end])
     scatter = np.zeros((len(readings), 6))
     for k, level in enumerate((known.position, known.orientation)):
@@ -178,7 +179,7 @@ def _of_kinematics(view: _View, known: Uncertainty, readings: Array, conditions:
     found = view.motions(known.factor, readings, conditions)
     if known.waves is not None and len(readings):
         # The machine has followed them as far as it could, which is less than the tool does.
-        found[:, :, -known.waves.count :] -= view.waved(known.waves, readings, conditions)
+        found[:, :, -known.waves.many :] -= view.waved(known.waves, readings, conditions)
     return found
 
 

@@ -10,7 +10,6 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.foundations.units import MM
 
-
 # The causes of doubt, as a budget lists them. The instrument: its noise and drift, as they reach the machine; unless it
 # is stated, its noise cannot be told from the robot's, and counts as the model's. Parameters: what the data do not show
 # of them, known by stated and by weak priors alone. The model: what it leaves out. The residual model: what that gets
@@ -28,12 +27,12 @@ class Waves(NamedTuple):
     width: Array
 
     @property
-    def count(self) -> int:
+    def many(self) -> int:
         """How many waves there are: of every reading and order two."""
         return 2 * self.width.size
 
     def at(self, readings: Array, by_reading: Array) -> Array:
-        """Return what one standard deviation of every wave does (N, d, count), from derivatives (N, d, nr)."""
+        """Return what one standard deviation of every wave does (N, d, many), from derivatives (N, d, nr)."""
         orders = np.arange(1, self.width.shape[1] + 1)
         phase = 2.0 * np.pi * (readings / self.period)[:, :, None] * orders
         waves = np.stack([np.cos(phase), np.sin(phase)], axis=3) * self.width[:, :, None]
@@ -45,7 +44,8 @@ class NoiseLevel:
     """Noise of one coordinate of a quantity, in m or rad: the model's part, and both parts together.
 
     The model's part is what it leaves out and looks random, beside :class:`Waves`; all of it where the instrument's is
-    not stated. ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains all.
+    not stated. ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains
+    all.
     """
 
     model: float

@@ -1,9 +1,9 @@
 """``uncertainty.json``: what a calibrated machine knows of its own doubts, beside ``model.json``."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -66,8 +66,9 @@ class WavesEntry(_Strict):
 class UncertaintyFile(_Strict):
     """Schema 2 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
-    Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor`` and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move,
-    then x, y, z, rx, ry, rz of the base and of every tool.
+    Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor``
+    and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move, then x, y, z, rx,
+    ry, rz of the base and of every tool.
     """
 
     schema_: Literal[1, 2] = Field(alias="schema")
@@ -111,6 +112,11 @@ def _plain_waves(waves: Waves | None, names: Sequence[str]) -> dict[str, object]
     return {"period": period, "width": width}
 
 
+def _counts(causes: Mapping[Any, int]) -> tuple[int, int, int]:
+    instrument, parameters, model = (causes.get(cause, 0) for cause in CAUSES[:3])
+    return instrument, parameters, model
+
+
 def _are_of(waves: WavesEntry, names: Sequence[str]) -> bool:
     return list(waves.period) == list(waves.width) == list(names)
 
@@ -141,12 +147,12 @@ def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
     ):
         raise OutputError(f"{path}: is not of the machine in model.json.")
     columns = factor.shape[1]
-    causes = (columns, 0, 0) if found.causes is None else tuple(found.causes.get(cause, 0) for cause in CAUSES[:3])
-    if sum(causes) != columns or (waves is not None and waves.count > causes[2]):
+    causes = (columns, 0, 0) if found.causes is None else _counts(found.causes)
+    if sum(causes) != columns or (waves is not None and waves.many > causes[2]):
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at causes.")
     return Uncertainty(
         factor,
-        (causes[0], causes[1], causes[2]),
+        causes,
         waves,
         null_basis,
         None if found.position is None else found.position.level,

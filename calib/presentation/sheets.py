@@ -1,5 +1,6 @@
 """A fit and its figures as tables and sentences for people: millimetres and degrees, each number rounded once."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -109,6 +110,32 @@ def parameter_sheet(fit: Fit) -> Sheet:
         ("parameter", "value", "sigma", "unit", "identifiable"),
         frozenset(("value", "sigma")),
         tuple(rows),
+        "sigmas are conditional on the model: of noise alone, as if it left nothing out",
+    )
+
+
+_CAUSES = {
+    "instrument": "instrument: noise and drift",
+    "parameters": "parameters that the data do not show",
+    "model": "what the model leaves out",
+    "residual_model": "residual model",
+}
+
+
+def budget_sheet(shares: Mapping[str, Sequence[float]], poses: int) -> Sheet:
+    """Return what every cause adds to the tool's standard deviations, rms in m and rad over so many configurations."""
+    (length, mm), (turn, degrees) = SHOWN["m"], SHOWN["rad"]
+    total = [math.hypot(*(float(share[k]) for share in shares.values())) for k in range(2)]
+    rows = [(_CAUSES[cause], share) for cause, share in shares.items()]
+    return Sheet(
+        "Budget of the tool, in the instrument's frame",
+        ("cause", f"position [{mm}]", f"orientation [{degrees}]"),
+        frozenset((f"position [{mm}]", f"orientation [{degrees}]")),
+        (
+            *(Row((name, f"{share[0] * length:.4f}", f"{share[1] * turn:.4f}")) for name, share in rows),
+            Row(("all", f"{total[0] * length:.4f}", f"{total[1] * turn:.4f}"), strong=True),
+        ),
+        f"one standard deviation, all coordinates together, rms over {poses} configurations; squares add up",
     )
 
 

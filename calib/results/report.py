@@ -22,6 +22,7 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.joints(c.fit, c.sets),
     lambda c: sections.workspace(c.fit, c.sets),
     lambda c: outlier_section(c.outliers),
+    lambda c: sections.budget(c.machine, c.sets),
     lambda c: sections.parameters(c.fit),
     lambda c: sections.correlations(c.fit),
     lambda c: sections.seen(c.fit),

@@ -100,7 +100,9 @@ def harmonics(rng: np.random.Generator, readings: Array, amplitude: float) -> Ar
 
 def torques(found: Arm, readings: Array) -> Array:
     """What gravity makes every joint hold (N, k), Nm: each link weighs MASS, halfway to the next joint."""
-    q = [np.zeros(len(readings)) if j.kind == "fixed" else readings[:, found.free.index(j.driver)] for j in found.joints]
+    q = [
+        np.zeros(len(readings)) if j.kind == "fixed" else readings[:, found.free.index(j.driver)] for j in found.joints
+    ]
     frames = found._walk([joint.origin for joint in found.joints], [v[None] for v in q])
     frames = [np.broadcast_to(T, (1, len(readings), 4, 4))[0] for T in frames]
     links = [frames[j] for j in found.moving if found.joints[j].kind == "revolute"]
@@ -191,7 +193,9 @@ def four_bar(truth: Machine, fit: calib.Fit, machine: CalibratedMachine) -> dict
             by_fit[own[joint]] = by_state[places[joint]] = share / CRANK
         error = abs(by_fit @ fit.values - 1e-6 * told[f"{name}_urad"])
         found[name] = bool(error < NORMAL * np.sqrt(by_fit @ fit.covariance @ by_fit))
-        found[f"{name} with the budget"] = bool(error < NORMAL * np.linalg.norm(by_state @ machine.known_uncertainty.factor))
+        found[f"{name} with the budget"] = bool(
+            error < NORMAL * np.linalg.norm(by_state @ machine.known_uncertainty.factor)
+        )
     return found
 
 

@@ -14,6 +14,8 @@ from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.total_differential import Trace
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.presentation.report.charts import (
@@ -32,6 +34,7 @@ from calib.presentation.report.charts import (
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import (
     SHOWN,
+    budget_sheet,
     choice_sheet,
     correlation,
     count,
@@ -54,6 +57,8 @@ _FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 # More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
 _MOST_DOTS = 2000
 _BINS = 24
+# Of so many configurations the budget is told.
+_MOST_CONFIGURATIONS = 200
 _ANGLES = ("rx", "ry", "rz")
 
 
@@ -238,6 +243,23 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
         for title, axes, names in (("From above", [0, 1], "xy"), ("From the side", [0, 2], "xz"))
     ]
     return Section("workspace", "Error over the workspace", tuple(pictures))
+
+
+def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None:
+    """Return how sure the first tool's pose is, and what its doubts come from; None where the machine does not say."""
+    if machine.uncertainty is None:
+        return None
+    readings = np.concatenate([judged.data.readings for judged in sets])
+    readings = readings[np.unique(np.linspace(0, len(readings) - 1, _MOST_CONFIGURATIONS).astype(np.intp))]
+    tool = next(iter(machine.tools))
+    found = tool_uncertainty(machine, readings, tool)
+    shares = {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in found.budget.items()}
+    said = (
+        f"Of {tool!r}, returning to configurations that were measured. Parameters that the data do not show have the "
+        "width that is stated for them, or a wide one. What the model leaves out is told by what residuals have in "
+        "common."
+    )
+    return Section("budget", "How sure the tool is", (budget_sheet(shares, len(readings)), Prose((said,))))
 
 
 def parameters(fit: Fit) -> Section:

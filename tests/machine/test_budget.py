@@ -1,0 +1,224 @@
+"""The budget of the tool point: what is not seen stays wide, what repeats is found, a grid leaves the wrist."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.machine.budget import doubts_of
+from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.gaussian import gaussian_from_residuals
+from calib.machine.grid import grid_from_residuals
+from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
+from calib.machine.uncertainty import CAUSES, Waves
+from tests.support import machines
+from tests.support.machines import Array, Machine, anywhere, pose
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SIGMA = 5e-5
+
+
+def fitted(
+    seed: int = 0,
+    rows: int = 60,
+    off: Callable[[Array], Array] = np.zeros_like,
+    disturbed: Callable[[Array], Array] | None = None,
+    stated: float = SIGMA,
+    **options: object,
+) -> tuple[calib.Fit, Callable[[Array], Array], machines.Arm]:
+    """A fit to a machine whose readings (N, nr) are off by what nobody tells the fit, and the true tool points."""
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
+
+    def points(readings: Array) -> Array:
+        return true.see(readings + off(readings))[:, :3, 3]
+
+    q = arm.draw(rng, rows)
+    seen = points(q) + SIGMA * rng.standard_normal((rows, 3))
+    if disturbed is not None:
+        seen = disturbed(seen)
+    columns = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
+    data = calib.read_measurements(columns, robot, sigma=stated)
+    chosen = {"offsets": "all", "placements": "all", "tool": "position"} | options
+    return calib.identify(machines.model(robot, **chosen), data), points, arm
+
+
+def through_fit(fit: calib.Fit, readings: Array) -> float:
+    """Rms of what scatter that the model leaves out does to the tool through the fit."""
+    machine = machine_of(fit)
+    known = machine.known_uncertainty
+    assert known.waves is not None
+    start, end = sum(known.causes[:2]), known.factor.shape[1] - known.waves.many
+    motions = tool_errors(machine, readings)[:, :3, start:end]
+    return float(np.sqrt(np.mean(np.sum(motions**2, axis=(1, 2)))))
+
+
+def waving(readings: Array) -> Array:
+    return 1.5e-4 * np.cos(2.0 * readings + np.arange(readings.shape[1]))
+
+
+def share(machine: CalibratedMachine, readings: Array, cause: str) -> float:
+    return float(np.sqrt(np.mean(tool_uncertainty(machine, readings).budget[cause][:, 0] ** 2)))
+
+
+def test_shares_add_up_to_the_covariance() -> None:
+    fit, _, arm = fitted(off=waving)
+    found = tool_uncertainty(machine_of(fit), arm.draw(np.random.default_rng(1), 30))
+    assert tuple(found.budget) == CAUSES
+    squares = sum(sigmas**2 for sigmas in found.budget.values())
+    np.testing.assert_allclose(squares[:, 0], found.position**2, rtol=1e-9)
+    np.testing.assert_allclose(squares[:, 1], found.orientation**2, rtol=1e-9)
+
+
+def test_what_repeats_with_the_readings_is_the_models_and_found_in_size() -> None:
+    for off, least, most in ((np.zeros_like, 0.0, 0.4), (waving, 0.7, 1.6)):
+        inside, true, stated = [], 0.0, 0.0
+        for seed in range(4):
+            fit, points, arm = fitted(seed, 120, off)
+            q = arm.draw(np.random.default_rng(seed + 50), 100)
+            machine = machine_of(fit)
+            found = tool_uncertainty(machine, q)
+            errors = machine.predict(q)[:, :3, 3] - points(q)
+            inside.append(found.inside(errors).mean())
+            true += float(np.mean(np.sum(errors**2, axis=1)))
+            stated += float(np.mean(found.position**2))
+        assert np.mean(inside) > 0.9
+        assert 0.8 < np.sqrt(stated / true) < 1.8
+        # 0.15 mrad in six joints of a UR10 move the tool by some 0.17 mm.
+        model = share(machine, q, "model") / 1.7e-4
+        assert least <= model < most
+
+
+def test_the_worse_the_data_the_larger_the_doubts() -> None:
+    def noisy(seen: Array) -> Array:
+        return seen + 0.3 * np.random.default_rng(3).standard_normal(seen.shape)
+
+    (good, _, arm), (bad, *_) = fitted(), fitted(disturbed=noisy)
+    q = arm.draw(np.random.default_rng(1), 20)
+    fine, poor = (float(np.median(tool_uncertainty(machine_of(fit), q).position)) for fit in (good, bad))
+    assert fine < 2e-4
+    assert poor > 0.1
+
+
+def test_what_the_data_do_not_show_has_the_width_of_not_knowing() -> None:
+    # One joint was never turned: where the tool goes when it turns is known from nominal, and by its widths alone.
+    fit, _, arm = fitted()
+    held = machines.load(*UR10)
+    rng = np.random.default_rng(4)
+    q = arm.draw(rng, 60)
+    q[:, 0] = 0.3
+    columns = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(held.readings)}
+    points = machine_of(fit).predict(q)[:, :3, 3] + SIGMA * rng.standard_normal((60, 3))
+    columns |= {f"{axis} [m]": points[:, k] for k, axis in enumerate("xyz")}
+    narrow = machine_of(calib.identify(fit.model, calib.read_measurements(columns, held, sigma=SIGMA)))
+    turned = q.copy()
+    turned[:, 0] = 1.8
+    assert np.median(tool_uncertainty(narrow, q).position) < 2e-4
+    assert np.median(tool_uncertainty(narrow, turned).position) > 1e-3
+    assert share(narrow, turned, "parameters") > 0.9e-3
+
+
+def test_a_drift_is_the_instruments_and_rows_that_err_together_count_less() -> None:
+    def drifting(seen: Array) -> Array:
+        return seen + np.linspace(0.0, 4.0 * SIGMA, len(seen))[:, None] * [1.0, -1.0, 0.5]
+
+    def in_runs(seen: Array) -> Array:
+        return seen + np.repeat(SIGMA * np.random.default_rng(8).standard_normal((len(seen) // 10, 3)), 10, axis=0)
+
+    (plain, _, arm), (drifted, *_), (together, *_) = (
+        fitted(rows=300, disturbed=change) for change in (None, drifting, in_runs)
+    )
+    q = arm.draw(np.random.default_rng(1), 40)
+    of_plain, of_drift = (share(machine_of(fit), q, "instrument") for fit in (plain, drifted))
+    assert of_drift > 1.5 * of_plain
+    # Ten rows that share half of their variance count as two: what reaches the tool is more than twice the variance.
+    noise = [np.hypot(share(machine_of(fit), q, "instrument"), through_fit(fit, q)) for fit in (plain, together)]
+    assert noise[1] > 1.5 * noise[0]
+
+
+def test_noise_that_is_not_stated_counts_as_the_robots() -> None:
+    fit, _, arm = fitted(stated=0.0)
+    q = arm.draw(np.random.default_rng(1), 20)
+    machine = machine_of(fit)
+    assert machine.known_uncertainty.position is not None
+    assert machine.known_uncertainty.position.model == pytest.approx(SIGMA, rel=0.2)
+    assert share(machine, q, "model") > SIGMA
+
+
+def test_waves_are_errors_of_readings() -> None:
+    fit, _, arm = fitted(off=waving)
+    machine = machine_of(fit)
+    known = machine.known_uncertainty
+    assert known.waves is not None
+    q = arm.draw(np.random.default_rng(2), 3)
+    # With a machine that follows nothing, a wave is what the tool does when the reading is off by it.
+    still = replace(machine, uncertainty=replace(known, factor=np.zeros_like(known.factor)))
+    errors = tool_errors(still, q)[:, :3, -known.waves.many :]
+    orders, h = known.waves.width.shape[1], 1e-6
+    for j, k, wave in ((1, 2, np.cos), (4, 1, np.sin)):
+        column = 2 * (j * orders + k - 1) + (wave is np.sin)
+        step = np.zeros_like(q)
+        step[:, j] = h * wave(k * q[:, j])
+        by_step = (machine.predict(q + step)[:, :3, 3] - machine.predict(q - step)[:, :3, 3]) / (2.0 * h)
+        np.testing.assert_allclose(-errors[:, :, column], by_step * known.waves.width[j, k - 1], rtol=1e-6, atol=1e-12)
+
+
+def test_waves_of_what_slides_have_a_length_for_their_period() -> None:
+    waves = Waves(np.array([2.0 * np.pi, 0.5]), np.full((2, 3), 1e-4))
+    at = waves.at(np.array([[0.3, 0.1]]), np.ones((1, 1, 2)))
+    assert at.shape == (1, 1, 12)
+    assert at[0, 0, 6] == pytest.approx(1e-4 * np.cos(2.0 * np.pi * 0.1 / 0.5))
+    np.testing.assert_allclose(waves.at(np.array([[0.3, 0.6]]), np.ones((1, 1, 2))), at, atol=1e-18)
+
+
+def test_a_grid_knows_its_nodes_and_leaves_the_wrist() -> None:
+    fit, _, _ = fitted(off=waving)
+    plain = machine_of(fit)
+    axes = [np.linspace(-0.4, 0.4, 3), np.linspace(-1.2, -0.4, 3), np.linspace(0.4, 1.2, 3)]
+    nodes = np.zeros((27, 6))
+    nodes[:, :3] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    names = [reading.name for reading in fit.robot.readings]
+    grid = grid_from_residuals(nodes, np.full((27, 3), 1e-4), fit.robot.readings, names[:3])
+    machine = replace(plain, residual_model=grid)
+    at_node = nodes[13][None]
+    np.testing.assert_allclose(tool_errors(machine, at_node)[:, :3], 0.0, atol=1e-15)
+    elsewhere, outside = at_node.copy(), at_node.copy()
+    elsewhere[0, 3:] = 1.5
+    outside[0, 0] = 2.0
+    assert np.linalg.norm(tool_errors(machine, elsewhere)[:, :3]) > 1e-5
+    np.testing.assert_allclose(tool_errors(machine, outside), tool_errors(plain, outside), rtol=1e-12)
+    total = machine.known_uncertainty.position.total  # type: ignore[union-attr]
+    assert share(machine, at_node, "residual_model") == pytest.approx(np.sqrt(3.0) * total)
+    between = at_node + np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0])
+    assert share(machine, between, "residual_model") == pytest.approx(np.sqrt(3.0 / 8.0) * total)
+
+
+def test_a_process_leaves_what_it_does_not_know() -> None:
+    fit, *_ = fitted(off=waving)
+    (data,) = fit.measurements
+    process = gaussian_from_residuals(data.readings, fit.residuals[0], fit.robot.readings)
+    plain, machine = machine_of(fit), machine_of(fit, process)
+    far = np.full((1, 6), 40.0)
+    np.testing.assert_allclose(tool_errors(machine, far), tool_errors(plain, far), rtol=1e-6)
+    assert share(machine, far, "residual_model") == pytest.approx(np.sqrt(3.0) * process.kernel.amplitude, rel=1e-6)
+    near = data.readings[:5]
+    assert np.linalg.norm(tool_errors(machine, near)[:, :3]) <= np.linalg.norm(tool_errors(plain, near)[:, :3])
+
+
+def test_parameters_that_were_held_are_not_known() -> None:
+    nearest = fitted()[0]
+    minimal = calib.identify(nearest.model, nearest.measurements, null_space="minimal")
+    assert minimal.held
+    limits = np.tile([[-np.pi, np.pi]], (6, 1))
+    assert {p.name for p in doubts_of(minimal, limits).parameters} == {p.name for p in nearest.parameters}
+
+
+def test_plain_json_of_the_budget() -> None:
+    fit, *_ = fitted()
+    found = calib.uncertainty_map(machine_of(fit), 20)
+    assert json.loads(json.dumps(found.shares())).keys() == set(CAUSES)
