@@ -222,7 +222,8 @@ def main() -> int:
     Console().print(table)
     hits = covered(arguments.intervals)
     said = (
-        f"On {arguments.intervals} machines without wind-up and harmonics the 95 % intervals hold k1 {hits[0]} times "
+        f"On {arguments.intervals} machines without wind-up and harmonics the 95 % intervals, conditional on "
+        f"the model, hold k1 {hits[0]} times "
         f"and k2 {hits[1]} times."
     )
     print(said)
