@@ -115,7 +115,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     before, after = old.known_uncertainty, new.known_uncertainty
     free_old, free_new = (_free(u, count) for u in (before, after))
     difference = _state(new.deviations) - _state(old.deviations)
-    C = before.factor[:count] @ before.factor[:count].T + after.factor[:count] @ after.factor[:count].T
+    C = before.shown[:count] @ before.shown[:count].T + after.shown[:count] @ after.shown[:count].T
     known = free_old & free_new & ~_unidentifiable(before, count) & ~_unidentifiable(after, count)
     nu = min(before.degrees_of_freedom, after.degrees_of_freedom)
     readings = _common_readings(old, new, seed)
@@ -175,7 +175,7 @@ def _state(deviations: Deviations) -> Array:
 
 
 def _free(u: Uncertainty, count: int) -> BoolArray:
-    size = np.hypot(np.linalg.norm(u.factor[:count], axis=1), np.linalg.norm(u.null_basis[:count], axis=1))
+    size = np.hypot(np.linalg.norm(u.shown[:count], axis=1), np.linalg.norm(u.null_basis[:count], axis=1))
     return np.asarray(size > _ROUNDING * DEFAULT_SIGMA)
 
 
@@ -193,7 +193,7 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
     U, values, _ = np.linalg.svd(null_basis, full_matrices=True)
     size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
     Q = U[:, size:]
-    factors = [Q.T @ u.factor[:count][free] for u in (old, new)]
+    factors = [Q.T @ u.shown[:count][free] for u in (old, new)]
     both = np.hstack(factors)
     size = np.linalg.norm(both, axis=1)
     size[size == 0.0] = 1.0
@@ -226,7 +226,7 @@ def _first(machine: CalibratedMachine) -> str:
 def _stated(machine: CalibratedMachine, readings: Array, tool: str) -> float:
     """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
     layout, number = Layout(machine.robot), list(machine.tools).index(tool)
-    of_robot = machine.known_uncertainty.factor.copy()
+    of_robot = machine.known_uncertainty.shown.copy()
     of_robot[layout.base :] = 0.0
     fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
     J = tool_motions(machine, np.hstack([of_robot, fitted]), readings, tool)

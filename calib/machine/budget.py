@@ -84,7 +84,7 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
         triangles[c] = triangle(np.concatenate([triangles[c], rows]))
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    from_data, unseen, left = _solved(problem, x, sigmas, data)
+    from_data, unseen, left = _solved(problem, x, sigmas, data, len(fit.parameters))
 
     pairs = waves.width.size
     taught = _Taught(
@@ -120,21 +120,28 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
     )
 
 
-def _solved(problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array) -> tuple[Array, Array, Array]:
+def _solved(
+    problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array, free: int
+) -> tuple[Array, Array, Array]:
     """Return how the solution (p) follows data (p, q) and priors (p, k), and what it leaves of ``[B r]`` (q, m + 1).
 
-    ``data`` (q, p + m + 1): whitened triangles ``[J B r]`` of all components.
+    ``data`` (q, p + m + 1): whitened triangles ``[J B r]`` of all components. Parameters beyond the first ``free`` ones
+    are held; their errors are those of their priors, and the others follow.
     """
     p, evaluation = len(problem.parameters), problem.evaluate(sigmas, x)
-    hold = np.diag([parameter.hold for parameter in problem.parameters])
-    known = np.concatenate([evaluation.relations[:, :p], hold])
-    J = data[:, :p]
+    hold = np.array([parameter.hold for parameter in problem.parameters])
+    J = np.concatenate([data[:, :p], evaluation.relations[:, :p]])
     if evaluation.set_up_motions.size:
-        J = without(np.concatenate([J, evaluation.relations[:, :p]]), evaluation.set_up_motions)[: len(data)]
-    U, s, Vt = np.linalg.svd(np.concatenate([J, known]), full_matrices=False)
+        J = without(J, evaluation.set_up_motions)
+    J, related = J[: len(data)], evaluation.relations[:, :free]
+    rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
+    U, s, Vt = np.linalg.svd(rows, full_matrices=False)
     follows = (Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T
-    from_data, unseen = follows[:, : len(data)], follows[:, len(data) :]
-    return from_data, unseen, data[:, p:] - J @ (from_data @ data[:, p:])
+    from_data, from_priors = follows[:, : len(data)], follows[:, len(data) :]
+    left = data[:, p:] - J[:, :free] @ (from_data @ data[:, p:])
+    held = np.vstack([from_data @ J[:, free:], -np.eye(p - free)]) / hold[free:]
+    below = ((0, p - free), (0, 0))
+    return np.pad(from_data, below), np.hstack([np.pad(from_priors, below), held]), left
 
 
 def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:

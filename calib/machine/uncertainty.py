@@ -76,6 +76,12 @@ class Uncertainty:
     identified: Array
 
     @property
+    def shown(self) -> Array:
+        """The columns of the factor (n, k) but those of parameters that the data do not show."""
+        instrument, parameters, _ = self.causes
+        return np.hstack([self.factor[:, :instrument], self.factor[:, instrument + parameters :]])
+
+    @property
     def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
         levels = (self.position, self.orientation)

@@ -13,6 +13,7 @@ from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.calibrated import machine_of
+from calib.machine.grid import Leaning
 from tests.support import machines
 from tests.support.cases import copy_case, run
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -110,6 +111,12 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
     class AlongTheBase:
         def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
             return np.tile(base[:3, 0] * 1e-3, (len(readings), 1))
+
+        def leaning(self, readings: Array) -> Leaning:
+            none = np.zeros((len(readings), 0))
+            return Leaning(np.zeros((*none.shape, readings.shape[1])), none, np.ones(len(none)), np.zeros(len(none)))
+
+        frame = "base"
 
     shifted = replace(data, position=data.position + 1e-3 * u.base[:3, 0])
     known = replace(u, residual_model=AlongTheBase())
