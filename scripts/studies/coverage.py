@@ -108,7 +108,10 @@ the true position of the tool is held against the stated 95 % region, an ellipso
 * `holds`: coverage at least 0.90, at most one session in ten below 0.75, ratio from 0.8 to 1.6; of a drift no upper
   end.
 """
-INTERVALS = """On {n} IRB2400 with wind-up and harmonics that the model does not have, the 95 % interval of k1 by the
+INTERVALS = """The machines of the images are nearer to nominal than the weak priors expect, and images of one board
+leave much of a machine to these.
+
+On {n} IRB2400 with wind-up and harmonics that the model does not have, the 95 % interval of k1 by the
 parameters' own sigmas holds the truth {k1} times, that of k2 {k2} times: such sigmas are conditional on the model, and
 are labelled so wherever they are printed. By the covariance of the machine in `uncertainty.json`, which has the whole
 budget, k1 is held {k1_budget} times and k2 {k2_budget} times.
