@@ -23,7 +23,7 @@ from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.system import Problem
-from calib.identification.widths import NARROWEST, WIDEST, Rows, likelihood
+from calib.identification.widths import NARROWEST, WIDEST, NormalEquations, likelihood
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import Waves
 
@@ -168,7 +168,7 @@ class _Taught(NamedTuple):
         grams = np.stack(self.grams) / rows_as_one[:, None, None]
         m, c = len(self.group), len(grams)
         known, fixed = np.zeros((m + 1, m + 1)), np.zeros(c, dtype=bool)
-        rows = Rows(grams, self.freedom / rows_as_one, known, self.instrument, fixed, self.group)
+        rows = NormalEquations(grams, self.freedom / rows_as_one, known, self.instrument, fixed, self.group)
         sizes, noise = _sizes(rows, self.drifts)
         H = np.tensordot(noise**-2.0, grams, 1)
         H[range(m), range(m)] += sizes[self.group] ** -2.0
@@ -184,7 +184,7 @@ def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
     return tuple(sigma * np.where(t > _FAR, t, 1.0)[:, None] for sigma, t in zip(found, far, strict=True))
 
 
-def _sizes(rows: Rows, drifts: bool) -> tuple[Array, Array]:
+def _sizes(rows: NormalEquations, drifts: bool) -> tuple[Array, Array]:
     """Return the likeliest sizes (g,) of what is left out, in usual ones, and of the noise (c,).
 
     ``rows.group``: number of every wave, and one more where an instrument may drift. Waves have sizes of their own, but
