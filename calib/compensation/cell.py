@@ -56,7 +56,7 @@ def calibrated_cell(
     Raises JobError when a URDF is to be placed in an instrument's frame, OutputError when a folder holds no readable
     model, RobotError when a URDF cannot be used.
     """
-    model = load_machine(positioner)
+    model = load_machine(positioner).geometry
     second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
     placement, root = model.base, np.eye(4)
     if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
@@ -68,7 +68,7 @@ def calibrated_cell(
         first = read_urdf(arm)
         base = first.root
     else:
-        carrier = load_machine(arm)
+        carrier = load_machine(arm).geometry
         first = parse_urdf(calibrated_urdf(carrier.robot, carrier.deviations), str(arm))
         base, root = carrier.robot.base, carrier.robot.root_in_base
         if placed_in == "instrument":

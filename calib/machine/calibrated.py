@@ -32,6 +32,7 @@ class CalibratedMachine:
     ``robot`` and ``deviations``: in the frames of its URDF. ``base`` (4, 4): the robot's base in the instrument's
     frame; ``tools``: poses (4, 4) in the tip link, by name. ``residual_model``: errors of tool positions that the rest
     leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where that is not known.
+    ``in_urdf``: the best machine that its URDF can hold, with base and tools of its own, where that is another one.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -43,6 +44,7 @@ class CalibratedMachine:
     tools: Mapping[str, Array]
     residual_model: ResidualModel | None = None
     uncertainty: Uncertainty | None = None
+    in_urdf: "CalibratedMachine | None" = None
 
     @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -113,6 +115,11 @@ class CalibratedMachine:
         tools = np.array(list(self.tools.values())).reshape(-1, 4, 4)
         by_tool = np.array([twists(T) for T in tools]).reshape(-1, 6, 6)
         return Machine(self.deviations, Frames(self.base, tools), twists(self.base), by_tool, np.zeros((0, 6, 6)))
+
+    @property
+    def geometry(self) -> "CalibratedMachine":
+        """What a format that has no place for joint terms or loops can hold best: ``in_urdf``, or else the machine."""
+        return self if self.in_urdf is None else self.in_urdf
 
     @property
     def known_uncertainty(self) -> Uncertainty:

@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -27,6 +29,7 @@ from calib.foundations.json_text import NotJsonError, parse_json
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
+from calib.machine.in_urdf import robot_in_urdf
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
@@ -40,6 +43,8 @@ from calib.robot.urdf import LARGEST_URDF, parse_urdf
 MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
 CALIBRATED_FILE = "calibrated.urdf"
+# Geometry of ``model.json``, for whoever adds its joint terms or closes its loops.
+GEOMETRY_FILE = "model.urdf"
 GRID_FILE: Final = "grid.npz"
 GAUSSIAN_FILE: Final = "gaussian.npz"
 
@@ -138,6 +143,14 @@ class TermEntry(_Strict):
         return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
 
 
+class GeometryEntry(_Strict):
+    """The machine of ``calibrated.urdf``, where a URDF cannot hold the whole one."""
+
+    joints: tuple[JointEntry, ...]
+    base: PoseEntry
+    tools: dict[str, PoseEntry]
+
+
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
 
@@ -155,6 +168,7 @@ class ModelFile(_Strict):
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: Payload | None = None
+    in_urdf: GeometryEntry | None = None
 
 
 def residual_file(known: ResidualModel | None) -> ResidualFile | None:
@@ -166,26 +180,16 @@ def residual_file(known: ResidualModel | None) -> ResidualFile | None:
 
 def model_file(machine: CalibratedMachine) -> ModelFile:
     """Return the contents of ``model.json`` of a machine."""
-    robot, deviations = machine.robot, machine.deviations
-    offsets = iter(map(float, deviations.offsets))
-    joints = tuple(
-        JointEntry(
-            name=joint.name,
-            type=joint.type,
-            deviation=_six(d),
-            offset=None if joint.type == "fixed" else next(offsets),
-        )
-        for joint, d in zip(robot.chain, deviations.placements, strict=True)
-    )
+    robot, deviations, geometry = machine.robot, machine.deviations, machine.in_urdf
     return ModelFile(
         schema=1,
         urdf=NOMINAL_FILE,
         base_link=robot.base,
         tip=robot.tip,
-        joints=joints,
+        joints=_joints(machine),
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.base),
-        tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
+        tools=_tools(machine),
         residual_model=residual_file(machine.residual_model),
         couplings=robot.couplings,
         loops=robot.closed_loops,
@@ -197,7 +201,27 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         ),
         gravity=robot.gravity,
         payload=robot.payload,
+        in_urdf=None
+        if geometry is None
+        else GeometryEntry(joints=_joints(geometry), base=PoseEntry.of(geometry.base), tools=_tools(geometry)),
     )
+
+
+def _joints(machine: CalibratedMachine) -> tuple[JointEntry, ...]:
+    offsets = iter(map(float, machine.deviations.offsets))
+    return tuple(
+        JointEntry(
+            name=joint.name,
+            type=joint.type,
+            deviation=_six(d),
+            offset=None if joint.type == "fixed" else next(offsets),
+        )
+        for joint, d in zip(machine.robot.chain, machine.deviations.placements, strict=True)
+    )
+
+
+def _tools(machine: CalibratedMachine) -> dict[str, PoseEntry]:
+    return {name: PoseEntry.of(T) for name, T in machine.tools.items()}
 
 
 def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:
@@ -250,21 +274,35 @@ def _loaded(folder: Path) -> CalibratedMachine:
         equipped = with_joint_terms(robot, terms)
     except RobotError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
-    if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in model.joints]:
-        raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
+    _refuse_other_joints(robot, model.joints, path)
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
-    offsets = [joint.offset for joint in model.joints if joint.offset is not None]
-    coefficients = [term.coefficient for term in model.terms]
-    deviations = Deviations(
-        read_only([joint.deviation for joint in model.joints]), read_only(offsets), read_only(coefficients)
-    )
+    deviations = replace(_deviations(model.joints), terms=read_only([term.coefficient for term in model.terms]))
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    in_urdf = None if model.in_urdf is None else _geometry(robot, model.in_urdf, path)
     path = folder / UNCERTAINTY_FILE
     uncertainty = load_uncertainty(path, equipped, len(tools)) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty)
+    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty, in_urdf=in_urdf)
+
+
+def _refuse_other_joints(robot: Robot, joints: Sequence[JointEntry], path: Path) -> None:
+    if [(joint.name, joint.type) for joint in robot.chain] != [(joint.name, joint.type) for joint in joints]:
+        raise OutputError(f"{path}: its joints are not those of {NOMINAL_FILE}.")
+
+
+def _deviations(joints: Sequence[JointEntry]) -> Deviations:
+    offsets = [joint.offset for joint in joints if joint.offset is not None]
+    return Deviations(read_only([joint.deviation for joint in joints]), read_only(offsets))
+
+
+def _geometry(robot: Robot, entry: GeometryEntry, path: Path) -> CalibratedMachine:
+    """Return the machine of the calibrated URDF; ``robot`` is the whole one, without its terms."""
+    held = (robot_in_urdf(robot) if robot.loops or robot.couplings else None) or robot
+    _refuse_other_joints(held, entry.joints, path)
+    tools = {name: read_only(tool.placement) for name, tool in entry.tools.items()}
+    return CalibratedMachine(held, _deviations(entry.joints), read_only(entry.base.placement), tools)
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:
@@ -309,12 +347,14 @@ def machine_files(machine: CalibratedMachine) -> dict[str, bytes | str]:
 
     Raises OutputError when the URDF cannot hold the deviations.
     """
-    robot, known = machine.robot, machine.residual_model
+    robot, known, geometry = machine.robot, machine.residual_model, machine.geometry
     files: dict[str, bytes | str] = {
-        CALIBRATED_FILE: calibrated_urdf(robot, machine.deviations),
+        CALIBRATED_FILE: calibrated_urdf(geometry.robot, geometry.deviations),
         NOMINAL_FILE: robot.urdf.source,
         MODEL_FILE: model_json(machine),
     }
+    if geometry is not machine:
+        files[GEOMETRY_FILE] = calibrated_urdf(robot, machine.deviations)
     if machine.uncertainty is not None:
         files[UNCERTAINTY_FILE] = uncertainty_json(machine.uncertainty, robot)
     if isinstance(known, SectorGrid):

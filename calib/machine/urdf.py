@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
 from calib.foundations.files import read_bytes, write_atomically
 from calib.identification.fit import Fit
+from calib.machine.in_urdf import fit_in_urdf
 from calib.robot import deviation
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.load import load_robot, with_document
@@ -91,17 +92,19 @@ def lost_in_urdf(
 def write_urdf(fit: Fit, path: str | Path) -> None:
     """Write the calibrated URDF of a fit; never over the nominal one.
 
+    A fit with joint terms or closed loops is made once more without: a URDF has no place for them, and its geometry
+    alone would be worse than one fitted alone.
     Raises OutputError when the file cannot be written or is the nominal URDF.
     """
-    path = Path(path)
-    robot = fit.robot
+    path, held = Path(path), fit_in_urdf(fit) or fit
+    robot = held.robot
     try:
         there = read_bytes(path, OutputError, len(robot.urdf.source))
     except OutputError:  # nothing there, or another file; any other reason shows when it is written
         there = b""
     if there == robot.urdf.source:
         raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
-    write_atomically(path, calibrated_urdf(robot, fit.deviations))
+    write_atomically(path, calibrated_urdf(robot, held.deviations))
 
 
 def _motion(joint: UrdfJoint, q: float) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
-from calib.foundations.units import DISPLAY, MICRO, MM, Display
+from calib.foundations.units import DISPLAY, MICRO, Display
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
 from calib.measurement.kinds import UNIT_OF, size
@@ -195,12 +195,28 @@ def rank_sentences(fit: Fit) -> tuple[str, ...]:
     )
 
 
-def lost_sentences(lost: float) -> tuple[str, ...]:
-    """Return what a person must know who takes the calibrated URDF alone, where it cannot hold the machine."""
-    if lost == 0.0:
-        return ()
-    off = "takes other readings" if np.isnan(lost) else f"is off by {lost / MM:.3f} mm rms at the tip at these poses"
-    return (f"A URDF holds neither loops nor joint terms: calibrated.urdf alone {off}. model.json holds all.",)
+def in_urdf_sentences(
+    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]],
+    alone: Mapping[str, Mapping[str, Metrics]],
+    converged: bool,
+) -> tuple[str, ...]:
+    """Return what a person must know who takes the calibrated URDF alone, where it cannot hold the machine.
+
+    ``figures``: metrics of the machine by use, when and quantity; ``alone``: of its URDF, by use and quantity.
+    """
+    lacks = "A URDF holds neither loops nor joint terms"
+    if not alone:
+        return (f"{lacks}: calibrated.urdf alone takes other readings. model.json holds all.",)
+    use = "validation" if "validation" in figures else "identification"
+    rows = "rows it never saw" if use == "validation" else "rows it was fitted to"
+    said = ", ".join(
+        f"the {quantity} error is {figure(found.rms, found.unit)} rms, where nominal it is "
+        f"{figure(figures[use]['before'][quantity].rms, found.unit)} and with all of model.json "
+        f"{figure(figures[use]['after'][quantity].rms, found.unit)}"
+        for quantity, found in alone[use].items()
+    )
+    doubt = () if converged else ("The fit of calibrated.urdf did not converge.",)
+    return (f"{lacks}: calibrated.urdf is the best without. On {rows}, base and tool fitted anew, {said}.", *doubt)
 
 
 def count(n: int, one: str, several: str) -> str:

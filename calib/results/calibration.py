@@ -1,7 +1,7 @@
 """A fit, judged: its machine, its errors before and after, whether it may be trusted, which rows lie off."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -19,11 +19,11 @@ from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.in_urdf import machine_in_urdf
 from calib.machine.residual_model import ResidualModel
-from calib.machine.urdf import lost_in_urdf
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import joined
+from calib.results.in_urdf import InUrdf, judged_in_urdf
 
 Use = Literal["identification", "validation"]
 
@@ -72,9 +72,9 @@ class Calibration:
     ``machine``: the calibrated machine of ``fit``. ``metrics[use][when][quantity]``: use is identification or
     validation, when is before or after. ``sets``: residuals of every table; those after are left by ``machine``, with
     its residual model where that has values. ``doubts``: why it should not be trusted. ``findings``: what was doubtful,
-    but usable. ``outliers``: of the data to identify from. ``lost_in_urdf``: rms in m at the tip that the calibrated
-    URDF alone is off, as it holds neither closed loops nor joint terms. ``levels``, ``trace`` and ``choice``: on the
-    way to the fit. ``origin``: what it was made from.
+    but usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches,
+    where it cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``:
+    on the way to the fit. ``origin``: what it was made from.
     """
 
     fit: Fit
@@ -84,7 +84,7 @@ class Calibration:
     doubts: tuple[str, ...]
     findings: tuple[Finding, ...]
     outliers: Outliers
-    lost_in_urdf: float
+    in_urdf: InUrdf | None
     levels: tuple[LevelReport, ...] = ()
     trace: Trace | None = None
     choice: Choice | None = None
@@ -147,6 +147,9 @@ def assess(
     uses: list[tuple[Use, tuple[Measurements, ...]]] = [("identification", own)]
     if validation:
         uses.append(("validation", validation))
+    in_urdf = judged_in_urdf(fit, own, uses)
+    if in_urdf is not None and in_urdf.fit is not fit:
+        machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit))
     sets: list[JudgedSet] = []
     for use, some in uses:
         before, after = residuals_of(fit, some, fit.nominal), residuals_of(fit, some, fit.machine)
@@ -162,7 +165,6 @@ def assess(
     }
     decisive = figures["validation" if validation else "identification"]
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
-    ends = [end for judged in sets for end in judged.data.ends]
     told = any(finding.code == "not-held-out" for finding in findings)
     return Calibration(
         fit,
@@ -172,12 +174,7 @@ def assess(
         (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
         (*findings, *([] if told else _not_held_out(own, validation)), *remarks(fit)),
         outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)}),
-        lost_in_urdf(
-            fit.robot,
-            fit.deviations,
-            np.concatenate([end.readings for end in ends]),
-            joined([end.conditions for end in ends]),
-        ),
+        in_urdf,
         trace=trace,
         origin=origin,
     )

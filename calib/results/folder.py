@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calib.assessment.advice import advice
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
@@ -24,6 +22,7 @@ from calib.identification.fit import Fit
 from calib.machine.model_file import (
     CALIBRATED_FILE,
     GAUSSIAN_FILE,
+    GEOMETRY_FILE,
     GRID_FILE,
     MODEL_FILE,
     NOMINAL_FILE,
@@ -36,6 +35,7 @@ from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
 from calib.results.calibration import Calibration, assess
+from calib.results.in_urdf import InUrdf
 from calib.results.report import report_of
 from calib.results.scene import scene_of
 from calib.results.versions import versions
@@ -50,7 +50,7 @@ MARKDOWN_FILE = "report.md"
 DH_FILE = "calibrated_dh.csv"
 ALWAYS = (CALIBRATED_FILE, NOMINAL_FILE, JOB_FILE, MODEL_FILE, RESULT_FILE, RESIDUAL_FILE, UNCERTAINTY_FILE)
 TO_BE_SEEN = (REPORT_FILE, MARKDOWN_FILE, SCENE_FILE)
-_RESULTS = (*ALWAYS, *TO_BE_SEEN, DH_FILE, GRID_FILE, GAUSSIAN_FILE)
+_RESULTS = (*ALWAYS, *TO_BE_SEEN, DH_FILE, GEOMETRY_FILE, GRID_FILE, GAUSSIAN_FILE)
 _OF_POSES = ("x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
 _OF_LENGTHS = ("error [mm]",)
 _OF_PIXELS = ("u [px]", "v [px]")
@@ -116,7 +116,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
         SCENE_FILE: scene,
         REPORT_FILE: render_page(report),
         MARKDOWN_FILE: render_markdown(report),
-        **_dh_table(found.fit),
+        **_dh_table(found.fit if found.in_urdf is None else found.in_urdf.fit),
     }
     if found.origin.settings:
         files[JOB_FILE] = found.origin.settings
@@ -197,7 +197,7 @@ def result(found: Calibration) -> dict[str, Any]:
             use: {when: _by_quantity(figures) for when, figures in by_when.items()}
             for use, by_when in found.metrics.items()
         },
-        "lost_in_urdf": None if np.isnan(found.lost_in_urdf) else found.lost_in_urdf,
+        "in_urdf": None if found.in_urdf is None else _in_urdf(found.in_urdf),
         "rank": fit.rank,
         "numerical_rank": fit.numerical_rank,
         "null_space": {
@@ -251,6 +251,13 @@ def result(found: Calibration) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _strict(contents)
     return plain
+
+
+def _in_urdf(found: InUrdf) -> dict[str, Any]:
+    return {
+        "converged": found.fit.converged,
+        "metrics": {use: _by_quantity(figures) for use, figures in found.metrics.items()},
+    }
 
 
 def _worst(found: Outliers) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from calib.results.calibration import Calibration
 from calib.results.versions import versions
 
 SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
-    lambda c: sections.errors(c.metrics, c.lost_in_urdf),
+    lambda c: sections.errors(c.metrics, None if c.in_urdf is None else (c.in_urdf.metrics, c.in_urdf.fit.converged)),
     lambda c: None if c.trace is None else sections.trace(c.trace),
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),

@@ -86,5 +86,7 @@ def test_wrong_levels_are_refused(old: str, new: str, sentence: str, tmp_path: P
 
 def test_what_a_urdf_without_the_loop_loses_is_told(outcome: Calibration, out: Path) -> None:
     # Shape errors of the parallelogram of some tenths of a millimetre, which the mimic joints of a URDF do not follow.
-    assert 0.05e-3 < outcome.lost_in_urdf < 2e-3
-    assert json.loads((out / "result.json").read_text())["lost_in_urdf"] == outcome.lost_in_urdf
+    assert outcome.in_urdf is not None
+    alone = outcome.in_urdf.metrics["validation"]["position"].rms
+    assert outcome.judged_by["after"]["position"].rms < alone < 0.3 * outcome.judged_by["before"]["position"].rms
+    assert json.loads((out / "result.json").read_text())["in_urdf"]["metrics"]["validation"]["position"]["rms"] == alone

@@ -96,8 +96,10 @@ def test_priors_of_a_job_are_those_of_its_model(tmp_path: Path) -> None:
 
 def test_what_a_urdf_without_them_loses_is_told(given: tuple[Calibration, Path]) -> None:
     outcome, out = given
-    assert outcome.lost_in_urdf > 0.1e-3
-    assert json.loads((out / "result.json").read_text())["lost_in_urdf"] == outcome.lost_in_urdf
+    assert outcome.in_urdf is not None
+    alone = outcome.in_urdf.metrics["validation"]["position"].rms
+    assert 2.0 * outcome.judged_by["after"]["position"].rms < alone < 0.5 * outcome.judged_by["before"]["position"].rms
+    assert json.loads((out / "result.json").read_text())["in_urdf"]["metrics"]["validation"]["position"]["rms"] == alone
 
 
 def test_commands_are_corrected_for_them(given: tuple[Calibration, Path], tmp_path: Path) -> None:

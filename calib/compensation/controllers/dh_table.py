@@ -21,10 +21,10 @@ def export_dh(model: CalibratedMachine, table: DhTable | None = None) -> Export:
     ``table``: the corrected one where DH parameters were free; by default that of the calibrated URDF. Raises
     RobotError for an arm that has none, as joints follow others; OutputError when the table is of another machine.
     """
-    robot = model.robot
+    robot = model.geometry.robot
     names = [reading.name for reading in robot.readings]
     if table is None:
-        document = parse_urdf(calibrated_urdf(robot, model.deviations), "the calibrated URDF")
+        document = parse_urdf(calibrated_urdf(robot, model.geometry.deviations), "the calibrated URDF")
         table = dh.dh_of(load_robot(document, robot.tip, robot.base))
     unread = [row.joint for row in table.rows if row.type != "fixed" and row.joint not in names]
     if unread:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import OutputError
@@ -76,8 +77,22 @@ def whole_positions(model: CalibratedMachine, readings: Array) -> Array:
 
 
 def plain_tips(model: CalibratedMachine, readings: Array) -> Array:
-    """Return the tips (N, 4, 4) in the base link of placements and offsets alone, at readings (N, nr)."""
-    return model.robot.tips(readings, replace(model.deviations, terms=np.zeros_like(model.deviations.terms)))
+    """Return the tips (N, 4, 4) in the base link of the best placements and offsets alone, at readings (N, nr)."""
+    held = model.geometry
+    return held.robot.tips(readings, replace(held.deviations, terms=np.zeros_like(held.deviations.terms)))
+
+
+def as_placed(model: CalibratedMachine, tips: Array) -> Array:
+    """Return tips (N, 4, 4) of ``model.geometry`` in the base link of the machine, as its own base and tool put them.
+
+    Geometry that was fitted alone has a base and tools of its own.
+    """
+    held = model.geometry
+    if held is model or not model.tools:
+        return tips
+    tool = next(iter(model.tools))
+    to_base = rigid.inverse(model.base) @ held.base
+    return np.asarray(to_base @ tips @ held.tools[tool] @ rigid.inverse(model.tools[tool]))
 
 
 def rms(a: Array, b: Array) -> float:
@@ -106,21 +121,30 @@ def judged_export(
         raise OutputError(f"the file read back differs from the calibrated machine by {difference:.3g}.")
     whole = whole_positions(model, readings)
     nominal = model.robot.tips(readings, model.robot.no_deviations())[:, :3, 3]
-    left = tuple(part for part in _parts(model, readings) if part.part not in holds)
-    return Export(text, rms(nominal, whole), rms(tips[:, :3, 3], whole), (*more, *left))
+    seen = as_placed(model, tips) if "placements" in holds else tips
+    left = tuple(part for part in _parts(model, readings, holds) if part.part not in holds)
+    return Export(text, rms(nominal, whole), rms(seen[:, :3, 3], whole), (*more, *left))
 
 
-def _parts(model: CalibratedMachine, readings: Array) -> list[LeftOut]:
-    """Return the parts that this calibration has, each with the distance that it makes at the tip."""
+def _parts(model: CalibratedMachine, readings: Array, holds: frozenset[Part]) -> list[LeftOut]:
+    """Return the parts that this calibration has, each with the distance that it makes at the tip.
+
+    Of geometry that was fitted without them, terms and loops together are what it lacks.
+    """
     robot, d, conditions = model.robot, model.deviations, ordinary(readings)
     tips = robot.tips(readings, d, conditions)
     found: list[LeftOut] = []
     if d.placements.any():
         without = robot.tips(readings, replace(d, placements=np.zeros_like(d.placements)), conditions)
         found.append(LeftOut("placements", rms(without[:, :3, 3], tips[:, :3, 3])))
+    alone = model.in_urdf is not None and "placements" in holds
+    lacking = rms(as_placed(model, plain_tips(model, readings))[:, :3, 3], tips[:, :3, 3]) if alone else np.nan
     if d.terms.any():
-        found.append(LeftOut("joint terms", rms(plain_tips(model, readings)[:, :3, 3], tips[:, :3, 3])))
-    if robot.loops or robot.couplings:
+        without = robot.tips(readings, replace(d, terms=np.zeros_like(d.terms)))
+        found.append(LeftOut("joint terms", lacking if alone else rms(without[:, :3, 3], tips[:, :3, 3])))
+    if alone and (robot.loops or robot.couplings):
+        found.append(LeftOut("closed loops and couplings", lacking))
+    elif robot.loops or robot.couplings:
         bare, without_terms = replace(robot, terms=(), weights=None), replace(d, terms=np.zeros(0))
         found.append(LeftOut("closed loops and couplings", lost_in_urdf(bare, without_terms, readings)))
     if model.residual_model is not None:

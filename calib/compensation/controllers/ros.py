@@ -17,9 +17,10 @@ from calib.robot.terms import JointTerm, kind_of
 
 _COMMENTS = """\
 # Calibrated machine, in m, rad and SI. Quaternions in the order of ROS: x, y, z, w.
-# joint position = reading + offset + sum of coefficient * basis over the joint's terms. calibrated.urdf has the offsets
+# joint position = reading + offset + sum of coefficient * basis over the joint's terms. {document} has the offsets
 # in its origins already: add them to readings only where the nominal URDF is kept, never with both.
 """
+_WITH_TERMS = "# The terms go with model.urdf: calibrated.urdf is the best geometry without them.\n"
 
 
 @checked
@@ -59,7 +60,9 @@ def export_ros(model: CalibratedMachine) -> Export:
         "gravity": [x, y, z],
     }
     own = replace(d, placements=np.zeros_like(d.placements))
-    text = _COMMENTS + yaml_text({"calibration": contents})
+    alone = model.in_urdf is None
+    comments = _COMMENTS.format(document="calibrated.urdf" if alone else "model.urdf") + ("" if alone else _WITH_TERMS)
+    text = comments + yaml_text({"calibration": contents})
 
     def read_back(readings: Array) -> Array:
         read = read_yaml(text)["calibration"]

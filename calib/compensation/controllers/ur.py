@@ -66,7 +66,9 @@ def export_ur(model: CalibratedMachine) -> Export:
     if before is None or after is None or to_tool is None:
         raise _not_ur(robot, f"has moving joints between {base!r} and its base, or {tool!r} and its tip")
     nominal = load_robot(robot.urdf, wrist, base)
-    calibrated = load_robot(parse_urdf(calibrated_urdf(robot, model.deviations), "the calibrated URDF"), wrist, base)
+    held = model.geometry
+    document = parse_urdf(calibrated_urdf(held.robot, held.deviations), "the calibrated URDF")
+    calibrated = load_robot(document, wrist, base)
     slides = _slides(nominal, to_tool)
     to_driver = nominal.chain[-1].frame @ slides[-1]
     if np.abs(rigid.inverse(to_driver) @ to_tool - np.eye(4)).max() > _SAME_TOOL:

@@ -40,8 +40,8 @@ from calib.presentation.sheets import (
     count,
     error_sheet,
     figure,
+    in_urdf_sentences,
     level_sheet,
-    lost_sentences,
     noise_sentences,
     parameter_sheet,
     prior_sentences,
@@ -135,11 +135,17 @@ def verdict(
     return Verdict(not doubts, " ".join(said), reasons, tuple(tiles), tuple(warnings))
 
 
-def errors(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], lost: float) -> Section:
-    """Return the before/after table, and what the calibrated URDF alone cannot hold."""
+def errors(
+    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]],
+    in_urdf: tuple[Mapping[str, Mapping[str, Metrics]], bool] | None = None,
+) -> Section:
+    """Return the before/after table, and what the calibrated URDF alone reaches where it cannot hold the machine.
+
+    ``in_urdf``: its figures by use, none where it takes other readings, and whether its fit converged.
+    """
     blocks: list[Block] = [error_sheet(figures)]
-    if sentences := lost_sentences(lost):
-        blocks.append(Prose(sentences, brief=True))
+    if in_urdf is not None:
+        blocks.append(Prose(in_urdf_sentences(figures, *in_urdf), brief=True))
     return Section("errors", "Before and after", tuple(blocks))
 
 

@@ -1,0 +1,91 @@
+"""The best machine that a URDF can hold: geometry fitted without what it has no place for.
+
+Geometry that was fitted together with joint terms or closed loops leans on them, and is worse without them than
+geometry that was fitted alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from glob import escape
+
+from calib.foundations.arrays import read_only
+from calib.identification.error_model import ErrorModel, with_terms
+from calib.identification.fit import Fit
+from calib.identification.identify import identify
+from calib.identification.initialisation.problem import initial_problem
+from calib.identification.machine import values_at
+from calib.machine.calibrated import CalibratedMachine
+from calib.measurement.measurements import Measurements
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
+
+
+def robot_in_urdf(robot: Robot) -> Robot | None:
+    """Return the robot that whoever reads the URDF alone has: mimic joints, neither loops nor couplings nor terms.
+
+    None where its joints do not take the same readings.
+    """
+    plain = load_robot(robot.urdf, robot.tip, robot.base)
+    same = [reading.name for reading in plain.readings] == [reading.name for reading in robot.readings]
+    return plain if same else None
+
+
+def machine_in_urdf(fit: Fit) -> CalibratedMachine:
+    """Return the machine of what :func:`fit_in_urdf` has found; nothing is said of its uncertainty."""
+    frames, names = fit.machine.frames, fit.measurements[0].tools
+    tools = {name: read_only(T) for name, T in zip(names, frames.tools, strict=True)}
+    return CalibratedMachine(fit.robot, fit.deviations, read_only(frames.base), tools)
+
+
+def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit | None:
+    """Return the fit of what a URDF holds, by rows of ``tables`` or those of ``fit``; None where that is ``fit``.
+
+    Free is what ``fit`` has moved, with base and tools. Joints that closed loops have placed follow their ``<mimic>``,
+    with an offset each; where a reader of the URDF would take other readings, loops and couplings stay. Raises what
+    :func:`calib.identify` raises.
+    """
+    robot = fit.robot
+    looped = bool(robot.loops or robot.couplings)
+    plain = robot_in_urdf(robot) if looped and fit.model.dh is None else None
+    if plain is None and not robot.terms:
+        return None
+    own = fit.measurements if tables is None else tuple(tables)
+    model = with_terms(fit.model, ()) if plain is None else _moved_to(fit.model, plain)
+    moved = _moved(fit)
+    placed = {f"{robot.chain[robot.moving[j]].name}.offset" for j in robot.passive} if plain is not None else set()
+    free = [
+        parameter.name
+        for parameter in initial_problem(model.within(own), own).parameters
+        if not parameter.of_robot or parameter.name in moved or parameter.name in placed
+    ]
+    losses = {data.where: loss for data, loss in zip(fit.measurements, fit.losses, strict=True)}
+    found = identify(
+        model.within(own),
+        own,
+        free=[escape(name) for name in free],
+        null_space="nearest" if fit.policy == "refuse" else fit.policy,
+        losses=[losses.get(data.where, "linear") for data in own],
+    )
+    return replace(found, model=replace(found.model, targets=fit.model.targets))
+
+
+def _moved(fit: Fit) -> set[str]:
+    """Return the names of parameters that a fit has found, or holds at what an earlier level has found."""
+    known = fit.model.parameters(fit.measurements[0].tools)
+    values = values_at(fit.model.robot, known, fit.machine.frames, fit.machine.deviations)
+    earlier = {parameter.name for parameter, value in zip(known, values, strict=True) if value != 0.0}
+    return earlier | {parameter.name for parameter in (*fit.parameters, *fit.held)}
+
+
+def _moved_to(model: ErrorModel, plain: Robot) -> ErrorModel:
+    """Return a model of the robot that its URDF alone makes, with as much freedom."""
+    there = {joint.name for joint in plain.chain}
+    passive = {model.robot.chain[model.robot.moving[j]].name for j in model.robot.passive}
+    free = {*model.offsets, *(passive if model.offsets or model.placements else ())}
+    return replace(
+        model,
+        robot=plain,
+        offsets=tuple(plain.chain[i].name for i in plain.moving if plain.chain[i].name in free),
+        placements=tuple(pair for pair in model.placements if pair[0] in there),
+        terms=(),
+    )
