@@ -314,7 +314,7 @@ def with_terms(model: ErrorModel, terms: Sequence[JointTerm]) -> ErrorModel:
     """
     if model.dh is not None and (of_link := next((term for term in terms if kind_of(term).of_link), None)):
         raise JobError(
-            f"{of_link.kind}: links bend and expand between joints of the URDF; free placements instead of dh."
+            f"{kind_of(of_link).key}: links bend and expand between joints of the URDF; free placements instead of dh."
         )
     source = with_joint_terms(model.urdf_robot, terms)
     robot = replace(model.robot, terms=source.terms, weights=source.weights)

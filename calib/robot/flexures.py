@@ -7,6 +7,9 @@ it may
               k (L^2/3 F + L/2 M x e) and in turns by k (M + L/2 e x F), with its length L, its direction e, force F
               and moment M across it, and the coefficient k = L/EI: the turn of its end for a moment there, in rad/Nm
     expand    along itself, by L times a strain
+    twist     about itself, by a coefficient times the torque about it
+
+and the bearing of the joint there may tilt, about axes that the joint does not turn about.
 
 (S. Timoshenko, *Strength of materials*, 1940, part I, chapter V.) What such a joint holds against gravity is the slope
 of the potential energy by its motion, as of any other joint: loops that follow are accounted for.
@@ -160,9 +163,24 @@ def expanding(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
 
 
 def bending(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
-    """Return the motions of a link that bends: along x and y across it, then about x and y."""
+    """Return the motions of a link that bends: along x and y across it, then about x and y; none without a length."""
+    if not link_length(segments[joint]):
+        return ()
     x, y = axis_frame(_along(segments[joint]))[:3, :2].T
     return tuple(Flexure(joint, kind, axis) for kind in ("prismatic", "revolute") for axis in (x, y))
+
+
+def twisting(segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+    """Return the motion of a link that twists: of none without a length."""
+    return (Flexure(joint, "revolute", _along(segments[joint])),) if link_length(segments[joint]) else ()
+
+
+def tilting(segments: Sequence[Segment], joint: int, axis: int) -> tuple[Flexure, ...]:
+    """Return the turn of a joint's bearing about x, y or z (0, 1, 2), z along the joint's axis: of none that is fixed.
+
+    A bearing stands where its joint is placed, whether there is a link before it or not.
+    """
+    return () if segments[joint].type == "fixed" else (Flexure(joint, "revolute", np.eye(3)[axis]),)
 
 
 def beam(length: float) -> Array:

@@ -13,7 +13,7 @@ from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
 from calib.robot.terms import KINDS, NAMED, JointTerm, kind_of
-from calib.robot.terms.kind import Parts
+from calib.robot.terms.kind import Dimension, Parts
 from calib.robot.urdf import UrdfJoint, inertials
 
 # Poses at which torques of masses are compared, and the share of the largest below which one says nothing new.
@@ -63,7 +63,13 @@ def parts(robot: Robot) -> Parts:
         masses=tuple(_units(robot)),
         weighed=weighed,
         moments=functools.cache(lambda: moments(robot)),
+        moving=_moving(robot),
+        lateral_moments=functools.cache(lambda: lateral_moments(robot)),
     )
+
+
+def _moving(robot: Robot) -> dict[str, Dimension]:
+    return {j.name: "length" if j.type == "prismatic" else "angle" for j in robot.chain if j.type != "fixed"}
 
 
 def foreign(robot: Robot, terms: Iterable[JointTerm]) -> JointTerm | None:
@@ -92,17 +98,36 @@ def moments(robot: Robot) -> tuple[JointTerm, ...]:
     Dombre, *Modeling, identification and control of robots*, 2002, chapter 9). Outwards from the base, one is left out
     where those before it do the same to the reading in all poses: what is left is as few as tell all masses apart.
     """
+    bare = replace(robot, terms=(), weights=None)
+    return _fewest(bare, [JointTerm(reading.name, "moment") for reading in robot.readings])
+
+
+def lateral_moments(robot: Robot) -> tuple[JointTerm, ...]:
+    """Return the same of the bearings of all joints that move: lateral compliance by masses that nobody knows."""
+    bare = replace(robot, terms=(), weights=None)
+    axes = [
+        JointTerm(name, f"lateral_{axis}")
+        for name, dimension in _moving(robot).items()
+        for axis in ("xyz" if dimension == "length" else "xy")
+    ]
+    tilting = replace(bare, terms=ordered(bare, axes))
+    named = [JointTerm(term.reading, term.kind.replace("lateral", "lateral_moment")) for term in tilting.terms]
+    return _fewest(tilting, named, len(robot.readings))
+
+
+def _fewest(robot: Robot, terms: Sequence[JointTerm], first: int = 0) -> tuple[JointTerm, ...]:
+    """Return terms with the masses that make what their coordinates hold differ; ``first``: of these coordinates."""
     readings, units = random_readings(robot, _POSES), _units(robot)
     each = Holding(_weights(robot, (), tuple(units))).of_units(readings)
     least = _TOLD_APART * float(np.linalg.norm(robot.gravity)) * np.sqrt(_POSES)
     found: list[JointTerm] = []
-    for k, reading in enumerate(robot.readings):
+    for k, term in enumerate(terms):
         kept = np.zeros((_POSES, 0))
-        for name, torques in zip(units, each[:, :, k], strict=True):
+        for name, torques in zip(units, each[:, :, first + k], strict=True):
             left = torques - kept @ (kept.T @ torques)
             if np.linalg.norm(left) > least:
                 kept = np.linalg.qr(np.column_stack([kept, left]))[0]
-                found.append(JointTerm(reading.name, "moment", body=name))
+                found.append(replace(term, body=name))
     return tuple(found)
 
 

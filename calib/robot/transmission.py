@@ -41,8 +41,8 @@ def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequen
             if kind.of_link and kind_of(term) is kind:
                 start = len(every)
                 for i, name in enumerate(joints):
-                    if term.reading in (name, "") and link_length(segments[i]):
-                        every += kind.motions(segments, i)
+                    if term.reading in (name, ""):
+                        every += kind.motions(segments, i, term)
                 if len(every) == start:
                     raise RobotError(f"{term.name}: there is no link before {term.reading or 'any'!r}.")
                 of_term[t] = range(start, len(every))

@@ -14,12 +14,14 @@ from calib.robot.terms.expansion import Expansion
 from calib.robot.terms.gain import Gain
 from calib.robot.terms.harmonic import Harmonic
 from calib.robot.terms.kind import Kind
+from calib.robot.terms.lateral import Lateral, LateralMoment
 from calib.robot.terms.moment import Moment
 from calib.robot.terms.term import JointTerm
 from calib.robot.terms.thermal import Thermal
 from calib.robot.terms.torque import Torque
+from calib.robot.terms.torsion import Torsion
 
-# Terms of one reading have this order among parameters. A link expands before it bends.
+# Terms of one reading have this order among parameters. A link expands before it bends and twists; then bearings tilt.
 KINDS: tuple[Kind, ...] = (
     Gain(),
     Harmonic(),
@@ -30,6 +32,9 @@ KINDS: tuple[Kind, ...] = (
     Thermal(),
     Expansion(),
     Bending(),
+    Torsion(),
+    Lateral(),
+    LateralMoment(),
 )
 NAMED: Mapping[str, Kind] = MappingProxyType({name: kind for kind in KINDS for name in kind.names})
 

@@ -10,6 +10,7 @@ from calib.robot.flexures import Flexure, beam, bending
 from calib.robot.skeleton import Segment
 from calib.robot.terms.kind import Basis, Coefficient, Parts, Rows, Shares
 from calib.robot.terms.link import LinkKind
+from calib.robot.terms.term import JointTerm
 
 
 class Bending(LinkKind):
@@ -32,7 +33,7 @@ class Bending(LinkKind):
 
         return found
 
-    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+    def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the motions across the link, and about the directions across it."""
         return bending(segments, joint)
 

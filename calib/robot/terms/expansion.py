@@ -24,7 +24,7 @@ class Expansion(LinkKind):
         """Return what every link grows by."""
         return lambda rows: warmth(rows) * shares.length
 
-    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
+    def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the motion along the link."""
         return expanding(segments, joint)
 

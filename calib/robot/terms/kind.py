@@ -79,7 +79,8 @@ class Parts:
 
     ``readings``: their dimensions by name. ``links``: by the joint that a link with a length ends in, whether that
     joint moves; ``joints``: all of the chain. ``masses``: names of masses that may be unknown, outwards from the base;
-    ``weighed`` asks whether masses are stated, and ``moments`` for the terms of those that are not.
+    ``weighed`` asks whether masses are stated, and ``moments`` for the terms of those that are not. ``moving``: joints
+    that move, passive ones too, with what they move by; ``lateral_moments``: as ``moments``, of their bearings.
     """
 
     readings: Mapping[str, Dimension]
@@ -88,6 +89,8 @@ class Parts:
     masses: tuple[str, ...]
     weighed: Callable[[], bool]
     moments: Callable[[], tuple[JointTerm, ...]]
+    moving: Mapping[str, Dimension]
+    lateral_moments: Callable[[], tuple[JointTerm, ...]]
 
 
 class Kind(ABC):
@@ -121,8 +124,8 @@ class Kind(ABC):
         """Return what evaluates how fast the bases follow their own reading; None where that is negligible."""
         return None
 
-    def motions(self, segments: Sequence[Segment], joint: int) -> tuple[Flexure, ...]:
-        """Return how a link gives way."""
+    def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
+        """Return how the link before a joint, or its bearing, gives way; nothing where there is none."""
         return ()
 
     def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:

@@ -7,7 +7,7 @@ WHOLE_ARM = "arm"
 
 @dataclass(frozen=True, slots=True)
 class JointTerm:
-    """One term of one reading; of bending and expansion: of the link before the joint that ``reading`` names.
+    """One term of one reading; of links and bearings: of those before the joint that ``reading`` names.
 
     ``kind``: a name of ``calib.robot.terms.NAMED``. ``order``: periods of a harmonic in a turn of the reading, 0
     for all other kinds. ``body``: of a moment, the joint that carries it and its axis in the joint's frame, as
