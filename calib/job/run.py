@@ -54,7 +54,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     )
     if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
-    return replace(found, levels=reports, choice=choice)
+    return replace(found, levels=reports, choice=choice).accepting(inputs.job.accept)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
