@@ -36,7 +36,7 @@ _HAS_PART = 0.02
 
 # Fewer directions than these are told one by one.
 _A_FEW = 3
-_NUMBERS = dict(enumerate("no one two three four five six seven eight nine ten".split()))
+_NUMBERS = dict(enumerate(["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]))
 
 _REMEDIES = {
     "orientation": "measure orientations as well",
@@ -119,7 +119,7 @@ def told_briefly(
         return tuple(said)
     several = f"{sum(never)} combinations of parameters no {'pose' if first.kind == 'pose' else 'position'} can show"
     others = [sentence for sentence, always in zip(said, never, strict=True) if not always]
-    return (f"{several}, normal for {_joints(model)}: whatever is measured, the tip moves alike.", *others)
+    return (f"{several}, normal for {_joints(model)}; no prediction depends on them.", *others)
 
 
 def _joints(model: ErrorModel) -> str:

@@ -11,7 +11,7 @@ from calib.assessment.effects import Effect, Step, Stretch, memory
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
 from calib.identification.fit import Fit
@@ -159,7 +159,7 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
 
 
-def _tips(fit: Fit, readings: Array, tool: Array, data: Measurements, end: int) -> Array:
+def _tips(fit: Fit, readings: Array, tool: IntArray, data: Measurements, end: int) -> Array:
     conditions = data.ends[end].conditions
     T = fit.robot.tips(readings, fit.deviations, conditions)
     known = fit.measurements[0].tools
@@ -311,14 +311,15 @@ def copies(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
     return _check("copies", share, COPIES, passed, f"{said}{'.' if passed else ': they prove nothing about others.'}")
 
 
-def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> Array:
+def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
     """Return which rows (N,) are at a pose of the fit, with the same tool and target."""
-    found = np.zeros(len(one.data), dtype=np.bool_)
+    found: BoolArray = np.zeros(len(one.data), dtype=np.bool_)
     labels = _labels(one.data)
     for other in own:
         if other.data.kind != one.data.kind:
             continue
-        near = cKDTree(_readings(other.data)).query_ball_point(_readings(one.data), ONE_POSE, p=np.inf)
+        tree = cKDTree(_readings(other.data))
+        near: list[list[int]] = list(tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf))
         there = _labels(other.data)
         found |= np.array(
             [any(there[k] == label for k in ks) for ks, label in zip(near, labels, strict=True)], dtype=np.bool_

@@ -8,7 +8,6 @@ from calib.cli.application import PATH, Telling, command
 from calib.cli.options import JobFile, Json, Quiet
 from calib_start import loading
 
-
 Every = Annotated[bool, typer.Option("--all", help="List all that the data do not determine, one by one.")]
 
 

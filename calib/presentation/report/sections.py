@@ -311,7 +311,7 @@ def correlations(fit: Fit) -> Section | None:
 
 
 def seen(fit: Fit) -> Section:
-    """Return the ranks, and every direction of the null space in words."""
+    """Return the ranks, and the null space in words."""
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
     weak = values < NUMERICAL_TOLERANCE
@@ -329,8 +329,8 @@ def seen(fit: Fit) -> Section:
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
     if fit.null_space:
-        said = told_briefly(fit.model, fit.measurements, fit.null_space, tuple(map(str, fit.null_space)))
-        blocks.append(Prose(said, "list"))
+        directions = tuple(map(str, fit.null_space))
+        blocks.append(Prose(told_briefly(fit.model, fit.measurements, fit.null_space, directions), "list"))
     return Section("rank", "What the data determine", tuple(blocks))
 
 
