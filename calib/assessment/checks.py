@@ -30,11 +30,14 @@ ENOUGH = 10.0
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
 
+# A scatter of a nanometre is rounding, of data without noise.
+ROUNDING = 1e-9
+
 # The thresholds. Beside each: the largest of the sound sessions of docs/verdicts.md, where it says something.
 LEFT = 0.05
 # One place that was touched has no spread; this share of the reach stands for it.
 ONE_PLACE = 0.05
-SURELY = 0.99
+SURELY = 0.975
 WORSE = -4.0
 PREDICTED = 3.0
 RARELY = 1e-4
@@ -50,7 +53,7 @@ FROZEN = 0.02
 LINE = 5e-3
 REST = 1e-4
 SCALE, LINK, LINK_LENGTH = 0.04, 0.04, 0.025
-FAR_BASE = 100.0
+FAR_TOOL, FAR_BASE = 1.0, 100.0
 COUNTED = (
     "unexplained",
     "radians-as-degrees",
@@ -102,26 +105,25 @@ def redundancy(fit: Fit) -> Check:
 
 def stated_sigma(fit: Fit) -> Check:
     """Whether what remains is near the instrument's noise, where that is stated."""
-    worst, said = NOTHING, "No sigma is stated to compare with."
-    passed = True
+    worst, limit, said = NOTHING, SIGMA, "No sigma is stated to compare with."
     for noise in fit.noise:
         if not noise.degrees_of_freedom >= ENOUGH or not noise.chi_square >= 0.0:
             continue
         times = float(np.sqrt(noise.chi_square))
-        size = noise.total / (fit.model.robot.reach if UNIT_OF[noise.quantity] == "m" else 1.0)
-        bad = times > SIGMA and size > OF_REACH
-        if not worst >= times or bad:
-            worst = times
+        allowed = max(SIGMA, _small(fit, UNIT_OF[noise.quantity]) / noise.instrument)
+        if not worst / limit >= times / allowed:
+            worst, limit = times, allowed
             said = f"The {noise.quantity} residuals scatter {times:.2g} times as much as the stated sigma"
-            said += (
-                ": it is far too small, or the model lacks what there is."
-                if bad
-                else "; it seems too large."
-                if times < 1.0 / TOO_LARGE
-                else "."
-            )
-        passed = passed and not bad
-    return _check("stated sigma", worst, SIGMA, passed, said)
+            if times > allowed:
+                said += ": it is far too small, or the model lacks what there is."
+            else:
+                said += "; it seems too large." if times < 1.0 / TOO_LARGE else "."
+    return _check("stated sigma", worst, limit, not worst > limit, said)
+
+
+def _small(fit: Fit, unit: str) -> float:
+    """Return a standard deviation that is small for an arm of its reach, in the unit."""
+    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0) if unit != "px" else 0.0
 
 
 # ---- what was shown
@@ -244,7 +246,7 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
     robust = any(loss != "linear" for loss in fit.losses)
     # Parameters from rows that go together are that much less sure.
     together = 1.0 + 2.0 * memory(fit.residuals)
-    worst, passed, said = NOTHING, True, "No rows were held out."
+    worst, limit, said = NOTHING, PREDICTED, "No rows were held out."
     for one in held_out:
         for quantity in QUANTITIES[one.data.kind]:
             same = [n for n in fit.noise if n.quantity == quantity.name and n.degrees_of_freedom >= 1.0]
@@ -253,23 +255,22 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
             own = np.average([n.total**2 for n in same], weights=[n.degrees_of_freedom for n in same])
             width = quantity.columns.stop - quantity.columns.start
             predicted = float(own) * width + together * _of_parameters(machine, one.data, quantity.columns)
+            predicted = np.maximum(predicted, ROUNDING**2)
             squares = np.sum(one.after[:, quantity.columns] ** 2, axis=1)
             if robust:
                 # Outliers that a robust loss passes over in one table are in others, too.
                 kept = squares <= np.quantile(squares, 1.0 - GROSS_ROBUST)
                 squares, predicted = squares[kept], predicted[kept]
-            ratio = float(np.sqrt(np.mean(squares / np.maximum(predicted, 1e-24))))
-            size = float(np.sqrt(np.mean(squares))) / (fit.model.robot.reach if quantity.unit == "m" else 1.0)
+            ratio = float(np.sqrt(np.mean(squares / predicted)))
             # What was predicted is itself an estimate, of few numbers a poor one.
             freedom = sum(n.degrees_of_freedom for n in same)
-            limit = PREDICTED * max(1.0, 0.5 * float(np.sqrt(bound(1.0 - RARELY, 3, freedom) / 3.0)))
-            bad = ratio > limit and size > OF_REACH
-            if bad or not worst >= ratio:
-                worst = ratio
+            allowed = PREDICTED * max(1.0, 0.5 * float(np.sqrt(bound(1.0 - RARELY, 3, freedom) / 3.0)))
+            allowed = max(allowed, _small(fit, quantity.unit) / float(np.sqrt(np.mean(predicted))))
+            if not worst / limit >= ratio / allowed:
+                worst, limit = ratio, allowed
                 said = f"Held-out {quantity.name} errors are {ratio:.2g} times as large as was predicted for them"
-                said += ": something is not as it was in the data of the fit." if bad else "."
-            passed = passed and not bad
-    return _check("prediction", worst, PREDICTED, passed, said)
+                said += "." if ratio <= allowed else ": something is not as it was in the data of the fit."
+    return _check("prediction", worst, limit, not worst > limit, said)
 
 
 def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slice) -> Array:
@@ -341,7 +342,7 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     """Whether base, tool, a joint or a target moved between two rows."""
     real = [step for step in found if step.chance < RARELY]
     worst = max(real, key=lambda step: step.size, default=None)
-    size, said = 0.0, "Nothing moved between two rows."
+    size, said = 0.0, ""
     if worst is not None:
         size = worst.size
         said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} is elsewhere, by {size:.2g} times"
@@ -371,19 +372,21 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     """Whether the base wandered in the course of the rows."""
     size, chance = wandered
     limit = WANDERED * fit.model.robot.reach
-    passed = size <= limit or chance >= RARELY
+    if chance >= RARELY:
+        return _check("drift", NOTHING, limit, True, "In the course of the rows the base does not seem to wander.")
+    passed = size <= limit
     said = f"In the course of the rows the base wanders by {size * 1e3:.2g} mm"
     return _check("drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved.")
 
 
 def late(found: Effect) -> Check:
     """Whether what was measured is later, or earlier, than the readings beside it."""
+    if not (abs(found.t) > SURE and found.size > SEEN):
+        return _check("delay", NOTHING, LATE, True, "Measurements do not seem later or earlier than their readings.")
     value = abs(found.value)
-    passed = not (value > LATE and abs(found.t) > SURE and found.size > SEEN)
+    passed = value <= LATE
     how = "later" if found.value > 0.0 else "earlier"
     said = f"Measurements are {value:.2g} +- {found.sigma:.2g} rows {how} than their readings"
-    if not value >= 0.0:
-        said = "The rows do not show a delay"
     return _check("delay", value, LATE, passed, f"{said}." if passed else f"{said}: align their times.")
 
 
@@ -400,7 +403,7 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
         if passed
         else f"{name!r} seems to move by {100.0 * sure[name].value:+.2g} % more than it says: is its gear ratio right?"
     )
-    return _check("gear", value, GEAR, passed, said)
+    return _check("gear", value or NOTHING, GEAR, passed, said)
 
 
 def groups(found: Outliers, fit: Fit) -> Check:
@@ -417,7 +420,7 @@ def groups(found: Outliers, fit: Fit) -> Check:
         if passed
         else f"The {name} differs from the rest by {size:.2g} times what remains: it asks for another machine."
     )
-    return _check("groups", size, SIZE, passed, said)
+    return _check("groups", size or NOTHING, SIZE, passed, said)
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
@@ -428,7 +431,7 @@ def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
         for name, errors in error_norms(one.data.kind, one.after).items():
             d = next(q.columns.stop - q.columns.start for q in QUANTITIES[one.data.kind] if q.name == name)
             scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
-            many = int(np.sum(errors > FAR * scale)) if scale > 1e-12 else 0
+            many = int(np.sum(errors > FAR * scale)) if scale > ROUNDING else 0
             share = many / len(errors) if many > 1 else 0.0
             if share / allowed > worst / limit:
                 worst, limit, where = share, allowed, one.file
@@ -549,7 +552,7 @@ def _common_scale(fit: Fit, parts: Sequence[Stretch], scaled: Array, moved: Bool
 def tool_and_base(fit: Fit) -> Check:
     """Whether tools are within reach of their link, and the base within sight."""
     free = {parameter.kind for parameter in fit.parameters}
-    reach = max(fit.model.robot.reach, 0.5)
+    reach = max(fit.model.robot.reach, FAR_TOOL)
     found = []
     if "tool" in free:
         far = float(np.linalg.norm(fit.machine.frames.tools[:, :3, 3], axis=1).max(initial=0.0))

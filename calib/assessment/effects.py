@@ -31,6 +31,8 @@ _MOST_ROWS, _RUN = 6000, 100
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
 _MOST_SPLITS = 60
+# A scatter of a nanometre is rounding.
+_ROUNDING = 1e-9
 # Rows on either side of a jump.
 _LEAST_ROWS = 3
 
@@ -41,7 +43,7 @@ class Stretch:
 
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
-    change from row to row. ``row`` (n,): number in the set.
+    change from row to row. ``row`` (n,): number in the set. ``least``: variance of r that is rounding.
     """
 
     r: Array
@@ -54,6 +56,7 @@ class Stretch:
     rates: Array
     row: Array
     data: Measurements
+    least: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +135,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 rates[rows][:, column],
                 rows.astype(np.float64),
                 data,
+                (_ROUNDING / float(residue.sigma[i].min())) ** 2,
             )
         )
     return tuple(found)
@@ -171,11 +175,9 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
         return NO_EFFECT
     # Of numbers the parameters have taken some.
     free = max(len(r) - float(np.sum((J @ C) * J)), 0.05 * len(r), 1.0)
-    variance = float(rest @ rest) / free
+    variance = max(float(rest @ rest) / free, *(part.least for part in parts))
     sigma = np.sqrt(max(float(sums @ sums) * len(r) / free, M * variance)) / M
-    # Rounding is no noise.
-    remains = max(np.sqrt(variance), 1e-12)
-    size = float(np.sqrt(value**2 * M / sum(lengths)) / remains)
+    size = float(np.sqrt(value**2 * M / sum(lengths) / variance))
     return Effect(value, float(sigma), size)
 
 
@@ -237,7 +239,7 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         gain = float(np.sum(u**2 / values[kept]))
         shift = ((D - J @ (C @ S.T)) @ a).reshape(part.r.shape)
         rest = part.r + shift
-        chance = _chance(gain, int(kept.sum()), [rest], part.r.size, C)
+        chance = _chance(gain, int(kept.sum()), rest, part, C)
         seen = part.by_base[:, :, :3]
         # By how much the whitened numbers follow a metre.
         per_metre = float(np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2)) / 3.0)))
@@ -247,11 +249,11 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
     return best
 
 
-def _chance(gain: float, numbers: int, rest: Sequence[Array], measured: int, C: Array) -> float:
-    """Return how probable a chi-squared is, against what remains, of rows that remember each other."""
-    freedom = max(measured - len(C), 0.1 * measured, 1.0)
-    variance = max(sum(float(np.sum(r * r)) for r in rest) / freedom, 1e-24)
-    inflation = 1.0 + 2.0 * memory(rest)
+def _chance(gain: float, numbers: int, rest: Array, part: Stretch, C: Array) -> float:
+    """Return how probable a chi-squared is, against what remains (n, d), of rows that remember each other."""
+    freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
+    variance = max(float(np.sum(rest**2)) / freedom, part.least)
+    inflation = 1.0 + 2.0 * memory([rest])
     return float(exceeded(gain / variance / inflation, max(numbers, 1), max(freedom / inflation, 1.0)))
 
 
@@ -287,9 +289,9 @@ def _steps_of(part: Stretch, C: Array) -> list[Step]:
         J = part.J.reshape(n * d, -1)
         rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
         free = max(n * d - float(np.sum((J @ C) * J)), 0.1 * n * d)
-        variance = max(float(np.sum(rest**2)) / free, 1e-24)
+        variance = max(float(np.sum(rest**2)) / free, part.least)
         size = float(np.sqrt(gain / variance / (place * (n - place) / n)))
-        chance = min(1.0, _chance(gain, int(kept[best].sum()), [rest], n * d, C) * len(places) * len(things))
+        chance = min(1.0, _chance(gain, int(kept[best].sum()), rest, part, C) * len(places) * len(things))
         # The rows were thinned, maybe: their numbers are those of the whole set.
         line = int(part.data.lines[int(part.row[place - 1])])
         found.append(Step(what, part.data.where, line, size, chance))

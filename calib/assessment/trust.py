@@ -81,8 +81,10 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
     """Return what a user should know of the search for a solution that may be trusted, and of the noise."""
     found = []
     for noise in fit.noise:
-        if noise.degrees_of_freedom >= checks.ENOUGH and noise.chi_square < checks.TOO_LARGE**-2:
-            times = float(np.sqrt(1.0 / max(noise.chi_square, 1e-12)))
+        share = float(np.sqrt(noise.chi_square))
+        told = noise.degrees_of_freedom >= checks.ENOUGH and share * noise.instrument > checks.ROUNDING
+        if told and share < 1.0 / checks.TOO_LARGE:
+            times = 1.0 / share
             found.append(
                 Finding(
                     "warning",
