@@ -176,7 +176,7 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         return _check("improvement", NOTHING, NOTHING, True, "Nothing of the robot was sought.", least=True)
     best, limit, worse = -np.inf, NOTHING, ""
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
-        x = _gains(judged, name)
+        x = gained(judged, name)
         if len(x) < 2:
             continue
         t = float(np.mean(x)) / max(float(np.std(x, ddof=1)) / np.sqrt(len(x)), 1e-15)
@@ -214,7 +214,7 @@ def _worse(judged: Sequence[JudgedSet], name: str) -> bool:
     return bool(np.sum(after**2) >= np.sum(before**2))
 
 
-def _gains(judged: Sequence[JudgedSet], name: str) -> Array:
+def gained(judged: Sequence[JudgedSet], name: str) -> Array:
     """Return how much smaller the error has become, as a logarithm, in stretches of rows that go together.
 
     Ratios: where errors were large before, they have most to lose, and their mean would say less surely that they did.

@@ -28,9 +28,9 @@ LEAST = ("improvement", "held-out poses", "redundancy", "places", "joints")
 HEAD = """# Does the verdict say no?
 
 Every calibration ends with a list of checks (see [assessment](assessment.md)); it is trusted when all of them pass.
-Here sessions of simulated robots, made without any of the toolkit's mathematics, are judged: sound ones, labelled as sound
-before anything was judged, from which the thresholds come, and bad ones. Made by `python scripts/studies/verdicts.py`;
-the sessions are described in `scripts/studies/verdict_sessions.py`.
+Here sessions of simulated robots, made without any of the toolkit's mathematics, are judged: sound ones, labelled as
+sound before anything was judged, from which the thresholds come, and bad ones. Made by
+`python scripts/studies/verdicts.py`; the sessions are described in `scripts/studies/verdict_sessions.py`.
 """
 
 
