@@ -34,7 +34,7 @@ TOO_LARGE = 3.0
 ROUNDING = 1e-9
 
 # The thresholds. Beside each: the largest of the sound sessions of docs/verdicts.md, where it says something.
-LEFT = 0.05
+LEFT = 0.01
 # One place that was touched has no spread; this share of the reach stands for it.
 ONE_PLACE = 0.05
 SURELY = 0.975
@@ -44,7 +44,7 @@ RARELY = 1e-4
 SIGMA, OF_REACH = 30.0, 5e-4
 POSES = 4
 COPIES = 0.5
-FREEDOM = 3.0
+FREEDOM = 10.0
 SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
@@ -109,7 +109,8 @@ def stated_sigma(fit: Fit) -> Check:
     for noise in fit.noise:
         if not noise.degrees_of_freedom >= ENOUGH or not noise.chi_square >= 0.0:
             continue
-        times = float(np.sqrt(noise.chi_square))
+        # Of a robust loss the total leaves out what the loss does.
+        times = noise.total / noise.instrument if noise.model > 0.0 else float(np.sqrt(noise.chi_square))
         allowed = max(SIGMA, _small(fit, UNIT_OF[noise.quantity]) / noise.instrument)
         if not worst / limit >= times / allowed:
             worst, limit = times, allowed
@@ -320,10 +321,10 @@ def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
         if other.data.kind != one.data.kind:
             continue
         tree = cKDTree(_readings(other.data))
-        near: list[list[int]] = list(tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf))
+        near = tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf).tolist()
         there = _labels(other.data)
         found |= np.array(
-            [any(there[k] == label for k in ks) for ks, label in zip(near, labels, strict=True)], dtype=np.bool_
+            [label in {there[k] for k in ks} for ks, label in zip(near, labels, strict=True)], dtype=np.bool_
         )
     return found
 

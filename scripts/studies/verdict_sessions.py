@@ -35,7 +35,7 @@ ROBOTS = {
     "ur5": ("example:ur_description/urdf/ur5_robot.urdf", "tool0"),
     "ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0"),
     "panda": ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp"),
-    "xarm7": ("example:xarm_description/urdf/xarm7.urdf", "link_tcp"),
+    "xarm7": ("example:xarm_description/urdf/xarm7.urdf", "link7"),
 }
 ORDERS = (1, 2, 5, 11)
 
