@@ -321,7 +321,7 @@ def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
         if other.data.kind != one.data.kind:
             continue
         tree = cKDTree(_readings(other.data))
-        near = tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf).tolist()
+        near = np.asarray(tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf), dtype=object).tolist()
         there = _labels(other.data)
         found |= np.array(
             [label in {there[k] for k in ks} for ks, label in zip(near, labels, strict=True)], dtype=np.bool_
@@ -360,7 +360,11 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     passed = size <= SIZE
     if passed:
         return _check(
-            "jump", size, SIZE, True, f"No jump in the course of the rows exceeds {SIZE:g} times what remains."
+            "jump",
+            size or NOTHING,
+            SIZE,
+            True,
+            f"No jump in the course of the rows exceeds {SIZE:g} times what remains.",
         )
     return _check("jump", size, SIZE, False, f"{said}: identify the parts apart.")
 
