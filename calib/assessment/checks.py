@@ -286,11 +286,8 @@ def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) ->
     if not held_out:
         said = "No rows were held out: how well the robot predicts other poses is not shown."
         return _check("held-out poses", NOTHING, POSES, True, said, least=True)
-    cells = set()
-    for one in held_out:
-        new = ~_copied(own, one)
-        cells |= {row.tobytes() for row in np.round(_readings(one.data)[new] / ONE_POSE) + 0.0}
-    n = len(cells)
+    cells = [np.round(_readings(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
+    n = len(np.unique(np.concatenate(cells), axis=0))
     said = f"{n} held-out {'pose is' if n == 1 else 'poses are'} different from those of the fit"
     return _check(
         "held-out poses",
@@ -316,24 +313,23 @@ def copies(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
 def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
     """Return which rows (N,) are at a pose of the fit, with the same tool and target."""
     found: BoolArray = np.zeros(len(one.data), dtype=np.bool_)
-    labels = _labels(one.data)
+    names: dict[str, int] = {}
+    wanted = _apart(one.data, names)
     for other in own:
-        if other.data.kind != one.data.kind:
-            continue
-        tree = cKDTree(_readings(other.data))
-        near = np.asarray(tree.query_ball_point(_readings(one.data), ONE_POSE, p=np.inf), dtype=object).tolist()
-        there = _labels(other.data)
-        found |= np.array(
-            [label in {there[k] for k in ks} for ks, label in zip(near, labels, strict=True)], dtype=np.bool_
-        )
+        if other.data.kind == one.data.kind and len(other.data) and len(one.data):
+            distance, _ = cKDTree(_apart(other.data, names)).query(wanted, p=np.inf, distance_upper_bound=ONE_POSE)
+            found |= np.isfinite(distance)
     return found
 
 
-def _labels(data: Measurements) -> list[tuple[str, str]]:
-    return [
-        (data.tools[tool], data.targets[target] if target >= 0 else "")
-        for tool, target in zip(data.tool, data.target, strict=True)
-    ]
+def _apart(data: Measurements, names: dict[str, int]) -> Array:
+    """Return the readings, and beside them numbers by which rows of other tools and targets are far away."""
+
+    def numbers(of: Sequence[str]) -> Array:
+        return np.array([names.setdefault(name, len(names)) for name in of] or [0], dtype=np.float64)
+
+    tool, target = numbers(data.tools)[data.tool], numbers(data.targets)[np.maximum(data.target, 0)]
+    return np.column_stack([_readings(data), tool, target])
 
 
 # ---- what the rows say of themselves

@@ -80,7 +80,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         rows.append(f"| {name} | {shown} | {'at least' if least else 'at most'} {told} |")
     parts.append("\n".join(rows) + "\n")
     for name, title, said in (
-        ("bad", "Bad sessions", "Each on three robots; the instrument's sigma is stated in every other one."),
+        ("bad", "Bad sessions", "Each on three robots."),
         (
             "later",
             "Ten more",
@@ -92,7 +92,9 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
             continue
         trusted = sum(line["word"] == "trusted" for line in own)
         whats = list(dict.fromkeys(line["what"] for line in own))
-        parts.append(f"## {title}\n\n{said} {len(whats)} situations, {len(own)} sessions, {trusted} of them trusted.\n")
+        stated = sum(bool(line["stated"]) for line in own)
+        told = f"{len(whats)} situations, {len(own)} sessions ({stated} state a sigma), {trusted} of them trusted."
+        parts.append(f"## {title}\n\n{said} {told}\n")
         rows = ["| situation | trusted | doubted | refused | by |", "|---|--:|--:|--:|---|"]
         for what in whats:
             these = [line for line in own if line["what"] == what]
