@@ -410,18 +410,19 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
 def groups(found: Outliers, fit: Fit) -> Check:
     """Whether files, groups or targets ask for another machine than the rest."""
     width = max(r.shape[1] for r in fit.residuals)
-    sizes = {
-        f"{group.kind} {group.name!r}": float(np.sqrt(group.gain / (group.rows * width))) for group in found.disagreeing
-    }
-    name = max(sizes, key=lambda name: sizes[name], default="")
-    size = sizes.get(name, 0.0)
-    passed = size <= SIZE
-    said = (
-        f"No group of rows differs from the rest by more than {SIZE:g} times what remains."
-        if passed
-        else f"The {name} differs from the rest by {size:.2g} times what remains: it asks for another machine."
-    )
-    return _check("groups", size or NOTHING, SIZE, passed, said)
+    # A group that differs makes the scatter of the fit larger: what remains is that without it.
+    sizes = [
+        float(np.sqrt(group.gain / (group.rows * width)) / np.clip(group.scatter, 1e-6, 1.0))
+        for group in found.disagreeing
+    ]
+    size = max(sizes, default=0.0)
+    if size <= SIZE:
+        said = f"No group of rows differs from the rest by more than {SIZE:g} times what remains."
+        return _check("groups", size or NOTHING, SIZE, True, said)
+    worst = found.disagreeing[int(np.argmax(sizes))]
+    said = f"The {worst.kind} {worst.name!r} differs from the rest by {size:.2g} times what remains"
+    asks = f"it asks for a {worst.differs} of its own" if worst.differs else "it asks for another machine"
+    return _check("groups", size, SIZE, False, f"{said}: {asks}.")
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
