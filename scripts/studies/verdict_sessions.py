@@ -494,7 +494,7 @@ BAD |= {
 }
 
 
-# ---- ten more, thought of when all thresholds stood
+# ---- ten more, written down before any of them was judged
 
 
 def _slips(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
