@@ -407,22 +407,20 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
     return _check("gear", value or NOTHING, GEAR, passed, said)
 
 
-def groups(found: Outliers, fit: Fit) -> Check:
-    """Whether files, groups or targets ask for another machine than the rest."""
+def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
+    """Whether files, groups or targets ask for another machine than the rest; ``sets``: for a base of their own."""
     width = max(r.shape[1] for r in fit.residuals)
-    # A group that differs makes the scatter of the fit larger: what remains is that without it.
-    sizes = [
-        float(np.sqrt(group.gain / (group.rows * width)) / np.clip(group.scatter, 1e-6, 1.0))
+    told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
+    told += [
+        (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "another machine")
         for group in found.disagreeing
     ]
-    size = max(sizes, default=0.0)
+    size, name, asks = max(told, default=(0.0, "", ""))
     if size <= SIZE:
         said = f"No group of rows differs from the rest by more than {SIZE:g} times what remains."
         return _check("groups", size or NOTHING, SIZE, True, said)
-    worst = found.disagreeing[int(np.argmax(sizes))]
-    said = f"The {worst.kind} {worst.name!r} differs from the rest by {size:.2g} times what remains"
-    asks = f"it asks for a {worst.differs} of its own" if worst.differs else "it asks for another machine"
-    return _check("groups", size, SIZE, False, f"{said}: {asks}.")
+    said = f"{name}: differs from the rest by {size:.2g} times what remains; it asks for {asks}."
+    return _check("groups", size, SIZE, False, said)
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:

@@ -263,6 +263,33 @@ def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
+def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
+    """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
+    found = []
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
+    ends = np.cumsum([0, *(part.r.size for part in parts)])
+    r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
+    for k, part in enumerate(parts if len(parts) > 1 else ()):
+        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
+        for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
+            D = Z.reshape(part.r.size, -1)
+            S = D.T @ J[rows]
+            values, V = np.linalg.eigh(D.T @ D - S @ C @ S.T)
+            kept = values > _TAKEN * float(np.sum(D**2)) / D.shape[1]
+            u = V[:, kept].T @ (D.T @ r[rows])
+            gain, a = float(np.sum(u**2 / values[kept])), -V[:, kept] @ (u / values[kept])
+            rest = r - J @ (C @ (S.T @ a))
+            rest[rows] += D @ a
+            free = max(len(r) - float(np.sum((J @ C) * J)), 0.1 * len(r))
+            variance = max(float(rest @ rest) / free, *(one.least for one in parts))
+            others = sum(len(one.r) for one in parts) - n
+            size = float(np.sqrt(gain / variance / (n * others / (n + others))))
+            inflation = 1.0 + 2.0 * memory([part.r])
+            chance = float(exceeded(gain / variance / inflation, max(int(kept.sum()), 1), max(free / inflation, 1.0)))
+            found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
+    return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+
+
 def _steps_of(part: Stretch, C: Array) -> list[Step]:
     n, d = part.r.shape
     if n < 4 * _LEAST_ROWS:

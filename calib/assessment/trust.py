@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.assessment import checks
-from calib.assessment.effects import delay, gains, steps, stretches, wandering
+from calib.assessment.effects import apart, delay, gains, steps, stretches, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.outliers import Outliers
@@ -65,7 +65,7 @@ def verdict(
             checks.copies(own, held_out),
             checks.redundancy(fit),
             *by_row,
-            checks.groups(found, fit),
+            checks.groups(found, apart(parts, C), fit),
             checks.gross_errors(fit, own),
             checks.frozen(own),
             checks.in_line(own),

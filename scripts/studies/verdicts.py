@@ -97,7 +97,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         (
             "later",
             "Ten more",
-            f"Thought of when all thresholds stood, on another robot ({LATER_ROBOT}), as they came out.",
+            f"Written down before any was judged; on another robot ({LATER_ROBOT}), as they came out.",
         ),
     ):
         own = [line for line in lines if line["set"] == name]
