@@ -7,6 +7,7 @@ from glob import escape
 
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
+from calib.assessment.suggestions import suggestions
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
@@ -53,7 +54,9 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     )
     if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
-    return replace(found, levels=reports, choice=choice)
+    if choice is None and not inputs.job.levels and trace is None:
+        found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
+    return replace(found, levels=reports, choice=choice).accepting(inputs.job.accept)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, create_model
 
+from calib.assessment.judged import Accepted
 from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
@@ -267,11 +268,12 @@ class MeasurementsSection(_Section):
 
 
 class Job(_Section):
-    """A whole job."""
+    """A whole job. ``accept``: checks of the verdict that the user answers for, and that do not count."""
 
     schema_: Annotated[Literal[1], BeforeValidator(this_schema)] = Field(alias="schema")
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
+    accept: tuple[Accepted, ...] = ()
     solver: SolverSection = SolverSection()
     base: FrameSection | None = None
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)

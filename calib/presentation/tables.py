@@ -71,8 +71,13 @@ def sheet_table(sheet: Sheet) -> Table:
     return out
 
 
-def null_space_lines(null_space: Sequence[NullDirection | str], most: int | None = None) -> list[RenderableType]:
-    """Return the directions of the null space, under their number; nothing where there are none."""
+def null_space_lines(
+    null_space: Sequence[NullDirection | str], most: int | None = None, *, directions: int | None = None
+) -> list[RenderableType]:
+    """Return the directions of the null space, under their number; nothing where there are none.
+
+    ``directions``: how many there are, where one line stands for several.
+    """
     if not null_space:
         return []
     lines = Table.grid(padding=(0, 1))
@@ -82,4 +87,4 @@ def null_space_lines(null_space: Sequence[NullDirection | str], most: int | None
         lines.add_row(" -", Text(str(direction)))
     if most is not None and len(null_space) > most:
         lines.add_row(" -", Text(f"and {len(null_space) - most} more"))
-    return [Text(f"The null space has {count(len(null_space), 'direction', 'directions')}:"), lines]
+    return [Text(f"The null space has {count(directions or len(null_space), 'direction', 'directions')}:"), lines]

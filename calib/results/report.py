@@ -14,6 +14,7 @@ from calib.results.versions import versions
 
 SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.errors(c.metrics, c.lost_in_urdf),
+    lambda c: sections.checks(c.checks),
     lambda c: None if c.trace is None else sections.trace(c.trace),
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),
@@ -37,6 +38,6 @@ def report_of(found: Calibration) -> Report:
     robot = found.fit.robot
     return Report(
         f"Calibration of {robot.urdf.name or robot.urdf.where}",
-        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings]),
+        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings], found.shown),
         tuple(section for make in SECTIONS if (section := make(found)) is not None),
     )

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
@@ -12,7 +13,7 @@ from calib.identification.targets import shapes
 from calib.measurement.kinds import size
 from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Mark, Scene, magnification
-from calib.results.calibration import Calibration, JudgedSet
+from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
 from calib.robot.robot import Deviations
 

@@ -143,7 +143,7 @@ def test_no_better_is_said_so(outcome: Calibration) -> None:
 def test_every_part_of_the_issue_is_there(report: Report) -> None:
     keys = [section.key for section in report.sections]
     assert keys == [
-        *("errors", "distribution", "poses", "joints", "workspace", "outliers", "budget", "parameters"),
+        *("errors", "checks", "distribution", "poses", "joints", "workspace", "outliers", "budget", "parameters"),
         *("correlations", "rank", "noise", "provenance"),
     ]
     pictures = [block for section in report.sections for block in section.blocks if isinstance(block, Picture)]

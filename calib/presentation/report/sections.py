@@ -8,7 +8,9 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from calib.assessment.advice import told_briefly
 from calib.assessment.choice import Choice
+from calib.assessment.judged import Check
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
@@ -102,9 +104,15 @@ def judged_use(sets: Sequence[Judged]) -> Use:
 
 
 def verdict(
-    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], doubts: Sequence[str], warnings: Sequence[str]
+    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]],
+    doubts: Sequence[str],
+    warnings: Sequence[str],
+    shown: Sequence[str] = (),
 ) -> Verdict:
-    """Return the answer: how much better, on which data, to be trusted or not."""
+    """Return the answer: how much better, on which data, to be trusted or not.
+
+    ``shown``: for which range, and what would make it more certain.
+    """
     held_out = "validation" in figures
     judged = figures["validation" if held_out else "identification"]
     said, tiles = [], []
@@ -126,12 +134,17 @@ def verdict(
     if doubts:
         reasons = tuple(f"Not to be trusted: {doubt}" for doubt in doubts)
     elif held_out:
-        reasons = ("To be trusted: the solver converged, and the figures are of data that took no part in the fit.",)
-    else:
         reasons = (
-            "To be trusted with care: the solver converged, but no data were held out; how well the robot predicts "
-            "other poses is not shown.",
+            " ".join(
+                ("To be trusted: all checks passed, and the figures are of data that took no part in the fit.", *shown)
+            ),
         )
+    else:
+        care = (
+            "To be trusted with care: all checks passed, but no data were held out; how well the robot predicts other "
+            "poses is not shown."
+        )
+        reasons = (" ".join((care, *shown)),)
     return Verdict(not doubts, " ".join(said), reasons, tuple(tiles), tuple(warnings))
 
 
@@ -141,6 +154,29 @@ def errors(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], lost: flo
     if sentences := lost_sentences(lost):
         blocks.append(Prose(sentences, brief=True))
     return Section("errors", "Before and after", tuple(blocks))
+
+
+def checks(found: Sequence[Check]) -> Section | None:
+    """Return all checks of the verdict, with what each has found and what it allows; None where there are none."""
+    if not found:
+        return None
+    rows = tuple(
+        Row((check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO"), not check.passed)
+        for check in found
+    )
+    columns = ("check", "found", "allowed", "passed")
+    sheet = Sheet("Checks of the verdict", columns, frozenset(("found",)), rows, brief=True)
+    return Section("checks", "What was checked", (sheet, Prose(tuple(check.sentence for check in found), "list")))
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3g}"
+
+
+def _allowed(check: Check) -> str:
+    if np.isnan(check.threshold):
+        return "-"
+    return f"{'at least' if check.least else 'at most'} {check.threshold:.3g}"
 
 
 def levels(found: Sequence[LevelFigures]) -> Section:
@@ -297,7 +333,7 @@ def correlations(fit: Fit) -> Section | None:
 
 
 def seen(fit: Fit) -> Section:
-    """Return the ranks, and every direction of the null space in words."""
+    """Return the ranks, and the null space in words."""
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
     weak = values < NUMERICAL_TOLERANCE
@@ -315,7 +351,8 @@ def seen(fit: Fit) -> Section:
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
     if fit.null_space:
-        blocks.append(Prose(tuple(map(str, fit.null_space)), "list"))
+        directions = tuple(map(str, fit.null_space))
+        blocks.append(Prose(told_briefly(fit.model, fit.measurements, fit.null_space, directions), "list"))
     return Section("rank", "What the data determine", tuple(blocks))
 
 
