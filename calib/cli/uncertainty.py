@@ -26,7 +26,7 @@ def uncertainty(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool, and what its doubts come from.
+    """Show how sure a calibrated machine is of its tool, and why.
 
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """

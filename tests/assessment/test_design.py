@@ -154,7 +154,7 @@ def test_the_forecast_of_an_i_design_is_the_variance_a_fit_then_states() -> None
     columns |= {f"{axis} [m]": tip[:, k, 3] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, model.robot, sigma=setup.sigma)
     fit = calib.identify(model, data, model_sigmas=[0.0])
-    stated = calib.tool_uncertainty(calib.machine_of(fit), q).position
+    stated = machines.scatter_of_positions(fit, q)
     assert np.sqrt(np.mean(stated**2)) == pytest.approx(np.sqrt(value_of(s, chosen)), rel=1e-6)
     assert parts_of(s, chosen)[1] == 0.0
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.identification.parameters import directions
 from calib.robot.sources import resolve
 from calib.robot.terms import KINDS
 from calib.robot.urdf import parse_urdf
@@ -284,3 +285,10 @@ INLINE = {
         ("j6", "revolute", "0.1 0 0", "0 0 0", "-1 0 0"),
     ),
 }
+
+
+def scatter_of_positions(fit: calib.Fit, readings: Array) -> Array:
+    """Standard deviation (N,) of the tool's position by the covariance of the parameters alone."""
+    J = calib.machine_of(fit).tool_jacobian(readings)[:, :3]
+    J = J @ directions(fit.parameters, J.shape[2])
+    return np.sqrt(np.einsum("nip,pq,niq->n", J, fit.covariance, J))
