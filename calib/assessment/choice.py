@@ -30,7 +30,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.system import Rates, evaluate
+from calib.identification.system import Rates, without_rows
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
@@ -195,8 +195,8 @@ class _System:
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
-        found = evaluate(self._problem, self._sigmas, self._x)
-        rows = np.concatenate([found.relations, np.pad(found.set_up_motions.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
+        related, moving = without_rows(self._problem, self._sigmas, self._x)
+        rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
@@ -255,7 +255,11 @@ class _System:
         start = 0
         for i, _, sigma, rows in self._rows():
             own = fold[start : (start := start + len(rows))]
-            errors = np.einsum("ndp,nsp->snd", rows[:, :, :-1], values[own]) + rows[:, :, -1]
+            errors = np.empty((values.shape[1], *rows.shape[:2]))
+            for k in np.unique(own):
+                here = rows[own == k]
+                changes = here[:, :, :-1].reshape(-1, here.shape[2] - 1) @ values[k].T
+                errors[:, own == k] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
             found.append(np.mean(errors**2, axis=2))
             for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
                 more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
@@ -268,8 +272,7 @@ def _pivot(tableau: Array, block: Sequence[int]) -> None:
     """Eliminate a block of unknowns from a tableau (p, p + 1) of normal equations, in place."""
     columns = np.array(block, dtype=np.intp)
     own = np.linalg.solve(tableau[columns[:, None], columns], tableau[columns])
-    others = np.delete(np.arange(len(tableau)), columns)
-    tableau[others] -= tableau[others[:, None], columns] @ own
+    tableau -= tableau[:, columns] @ own
     tableau[columns] = own
 
 
