@@ -466,8 +466,16 @@ def _targets(folder: Path, size: int) -> None:
 
 
 def _positions(folder: Path, size: int) -> None:
-    rows = repeated(lambda k: f"{k % 900},{k % 700},300\n", size)
+    rows = repeated(lambda k: f"{k % 900},{k % 701},300\n", size)
     (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + rows, encoding="utf-8")
+
+
+def _poses(folder: Path, size: int) -> None:
+    """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
+    (folder / "targets.csv").write_text(
+        "x [mm],y [mm],z [mm],qw,qx,qy,qz\n" + repeated(lambda k: f"{k % 50}{k % 97},{k % 900},9,1,0,0,0\n", size),
+        encoding="utf-8",
+    )
 
 
 def _far_positions(folder: Path, size: int) -> None:
@@ -643,6 +651,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
+    "poses hardly in reach": Hostile(_poses, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
     "joints of a model": _model(
