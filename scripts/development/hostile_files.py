@@ -652,6 +652,7 @@ HOSTILE: dict[str, Hostile] = {
     "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
+    "models of many rows": Hostile(_rows(lambda _: "", "").write, ("models", "calibration.toml")),
     "a process of many rows": _rows(
         lambda _: "",
         "",
