@@ -156,15 +156,35 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
                 rows = whitened[:, of_quantity].reshape(-1, columns)
                 triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
         found.append(np.concatenate(parts))
+    related, set_up_motions = _of_the_whole(problem, at, x, whole)
+    return Evaluation(tuple(found), tuple(triangles), related, set_up_motions)
+
+
+def without_rows(problem: Problem, sigmas: Sequence[Array], x: Array) -> tuple[Array, Array]:
+    """Return the relations (k, p + 1) and set-up motions (p, k) of an :class:`Evaluation`, which no row is needed for.
+
+    Rows are looked at only where the set-up may move, which they tell how to weigh.
+    """
+    at, moving = problem.machine(x), problem.motions
+    whole = None if moving is None else SetUpMotions(problem.parameters, moving, problem.model.robot.reach)
+    if whole is not None:
+        rates = Rates(problem, at, scales(problem.parameters))
+        for data, sigma in zip(problem.measurements, sigmas, strict=True):
+            for block in rates.blocks(data):
+                whole.add(block.J, block.moved, sigma[block.rows])
+    return _of_the_whole(problem, at, x, whole)
+
+
+def _of_the_whole(problem: Problem, at: Machine, x: Array, whole: SetUpMotions | None) -> tuple[Array, Array]:
+    """Return what is known between targets (k, p + 1), and directions (p, k) in which the whole set-up moves."""
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     layout = Layout.of(problem.model.robot, at.frames)
     S = directions(problem.parameters, layout.size) * scales(problem.parameters)
     by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
     related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
-    set_up_motions = np.zeros((len(x), 0))
-    if whole is not None:
-        set_up_motions = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
-    return Evaluation(tuple(found), tuple(triangles), related, set_up_motions)
+    if whole is None:
+        return related, np.zeros((len(x), 0))
+    return related, whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:

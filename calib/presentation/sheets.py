@@ -75,6 +75,8 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
 def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
+    every = sum(map(len, choice.geometric.measurements))
+    some = f"; by {choice.rows} of {every} rows, of groups taken at random" if choice.rows < every else ""
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
@@ -90,7 +92,7 @@ def choice_sheet(choice: Choice) -> Sheet:
         ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
         frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
         tuple(rows),
-        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone{some}",
         brief=True,
     )
 

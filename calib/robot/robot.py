@@ -19,7 +19,7 @@ from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
-from calib.robot.kinematics import Kinematics, MovingType, Regressor
+from calib.robot.kinematics import Kinematics, MovingType
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
 from calib.robot.terms import JointTerm
@@ -297,7 +297,8 @@ class TipModel:
             rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
         by_terms = np.zeros((len(q), 6, 0))
         if self._terms is not None:
-            by_terms = self._terms.by_terms(self._by_coordinate(q, tip), readings, conditions)
+            every = tip.by_joint(self._types, range(len(self._types)))
+            by_terms = self._terms.by_terms(self._by_coordinate(q, every), readings, conditions)
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
@@ -307,11 +308,11 @@ class TipModel:
         joint_positions does.
         """
         q = self._positions(readings, conditions)
-        (tip,) = self._kinematics.regressors(q)
-        by_reading = self._by_coordinate(q, tip)[:, :, : readings.shape[1]]
+        placement, by_joint = self._kinematics.jacobian(q)
+        by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
-        return tip.placement, by_reading
+        return placement, by_reading
 
     def _positions(self, readings: Array, conditions: Conditions) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
@@ -319,10 +320,12 @@ class TipModel:
         q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
-    def _by_coordinate(self, q: Array, tip: Regressor) -> Array:
-        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj)."""
+    def _by_coordinate(self, q: Array, by_joint: Array) -> Array:
+        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj).
+
+        ``by_joint`` (N, 6, nj): per change of the joints.
+        """
         coupling, passive = self._mechanism.coupling, self._passive
-        by_joint = tip.by_joint(self._types, range(len(self._types)))
         if self._closure is None:
             return np.asarray(by_joint @ coupling)
         active = coupling.copy()

@@ -156,6 +156,43 @@ def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
     assert self_collision(robot_of(with_shapes(ARM, {"base": broken}))) is None
 
 
+@pytest.mark.parametrize("value", [1e30, np.nan])
+def test_a_mesh_of_no_size_is_not_judged(tmp_path: Path, value: float) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [value, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype="<f4")
+    facet = np.concatenate([np.zeros(3, dtype="<f4"), corners.ravel()]).tobytes() + bytes(2)
+    (tmp_path / "m.stl").write_bytes(bytes(80) + (1).to_bytes(4, "little") + facet)
+    mesh = '<collision><geometry><mesh filename="m.stl"/></geometry></collision>'
+    found = self_collision(robot_of(with_shapes(ARM, {"base": mesh, "tip": ball((0, 0, 0))})), [tmp_path])
+    assert found is not None
+    assert found.notes[0].endswith("'m.stl', which cannot be read, and is not judged.")
+    assert len(found.shapes) == 1
+
+
+def needles(many: int, seed: int) -> bytes:
+    """Return an STL of triangles in all directions that are all near each other and hardly touch."""
+    rng = np.random.default_rng(seed)
+    ends = rng.normal(size=(2, many, 3))
+    ends /= np.linalg.norm(ends, axis=2)[:, :, None]
+    facets = np.zeros(many, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+    facets["corners"] = np.stack([ends[0], ends[1], ends[1] + rng.normal(scale=1e-6, size=(many, 3))], axis=1)
+    return bytes(80) + many.to_bytes(4, "little") + facets.tobytes()
+
+
+def test_meshes_that_wind_into_each_other_count_by_the_time_they_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.stl").write_bytes(needles(500, 0))
+    (tmp_path / "b.stl").write_bytes(needles(500, 1))
+    shapes = {
+        link: f'<collision><geometry><mesh filename="{"ab"[k % 2]}.stl"/></geometry></collision>'
+        for k, link in enumerate(BALLS)
+    }
+    monkeypatch.setattr("calib.robot.collision._LEAST_TESTS", 10_000)
+    # Three pairs in 200 poses are 2400 tests, and take a hundred times longer.
+    with pytest.raises(RobotError, match=r"takes more than 20000 tests of two of them; "):
+        self_collision(robot_of(with_shapes(ARM, shapes)), [tmp_path])
+
+
 def test_an_arm_without_shapes_has_none() -> None:
     assert self_collision(robot_of(ARM)) is None
 
