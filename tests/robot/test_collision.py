@@ -145,7 +145,7 @@ def test_meshes_are_read_below_the_roots_only_and_scaled(tmp_path: Path) -> None
     [
         ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed"),
         ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed"),
-        ("<cone/>", "is a 'cone', which is not known"),
+        ("<cone/>", "is a 'cone', which is not a known shape"),
     ],
 )
 def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
