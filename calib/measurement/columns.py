@@ -19,7 +19,7 @@ BOARD = ("board_x", "board_y", "board_z")
 _EULER = ("rx", "ry", "rz")
 SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
-_KNOWN = frozenset(
+KNOWN = frozenset(
     (
         *POSITION,
         *QUATERNION_COLUMNS,
@@ -44,11 +44,11 @@ def refuse_unknown(table: Table, readings: Iterable[str], unread: Collection[str
     ``unread``: joints of the URDF that no column tells.
     """
     joints = frozenset(readings)
-    for name in sorted(joints & _KNOWN):
+    for name in sorted(joints & KNOWN):
         raise MeasurementError(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
-    known = joints | _KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
+    known = joints | KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name in unread:
@@ -89,8 +89,8 @@ def orientations(table: Table) -> Array:
     """
     if any(name in table.columns for name in _EULER) and "qw" not in table.columns:
         raise MeasurementError(
-            f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; "
-            "convert them to quaternions qw, qx, qy, qz."
+            f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; give orientation, "
+            "or convert them to quaternions qw, qx, qy, qz."
         )
     require(table, QUATERNION_COLUMNS, "of the measured pose")
     quaternion = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))

@@ -378,10 +378,13 @@ TWINS = [
         answers={"columns": {"x": "x2"}},
     ),
     Twin(
-        "four rows without units",
-        lambda: text([*J, *XYZ], [degrees()[:4], mm()[:4]]),
+        "four rows, beyond limits and reach in other units", lambda: text([*J, *XYZ], [degrees()[:4], mm()[:4]]), PLAIN
+    ),
+    Twin(
+        "four rows without units, of which two would do",
+        lambda: text([*J, *XYZ], [S().readings[:4], mm()[:4]]),
         asks="angles",
-        answers={"angles": "deg", "lengths": "mm"},
+        answers={"angles": "rad", "lengths": "mm"},
     ),
     Twin(
         "an arm that hardly turns, without an order of its angles",
