@@ -14,6 +14,7 @@ from calib.cli.application import BAD_INPUT, INTERRUPTED, app
 from calib.foundations.errors import CalibError
 
 # In the order in which the help lists their commands.
+from calib.cli import init as init  # isort: skip
 from calib.cli import check as check  # isort: skip
 from calib.cli import calibrate as calibrate  # isort: skip
 from calib.cli import view as view  # isort: skip

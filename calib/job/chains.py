@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from calib.robot.urdf import Urdf, UrdfJoint
+from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
 
 # Links of the same joints differ by where the tool is; what is usually meant by the tip, first.
 _TIPS = ("tool0", "flange", "tcp", "tip", "tool", "ee", "end_effector", "hand")
@@ -60,3 +61,15 @@ def behind(document: Urdf, arm: Chain, first: int) -> Chain:
 def listed(arms: Sequence[Chain]) -> tuple[str, ...]:
     """Return tips, those of the longest arms first."""
     return tuple(dict.fromkeys(arm.tip for arm in arms))
+
+
+def tips(urdf: str | Path) -> tuple[str, ...]:
+    """Return one sentence for every arm of a URDF: its joints and its tip."""
+    document = read_urdf(urdf)
+    arms = chains(document)
+    whole = [arm for arm in arms if not any(o.joints[: len(arm.joints)] == arm.joints for o in arms if o is not arm)]
+    return tuple(
+        f"{document.where}: {len(arm.joints)} joints from {arm.base or document.root} to {arm.tip}: "
+        f"{', '.join(arm.joints)}."
+        for arm in whole
+    ) or (f"{document.where}: no joint moves.",)

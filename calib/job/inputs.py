@@ -22,6 +22,7 @@ from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
+from calib.job.propose import reading_that_fits
 from calib.job.read import read_job
 from calib.job.schema import (
     CouplingSection,
@@ -40,6 +41,7 @@ from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
 from calib.robot.gravity import Payload
@@ -93,22 +95,23 @@ class JobArm(NamedTuple):
     mesh_roots: tuple[Path, ...]
 
 
-def load_arm(path: Path) -> JobArm:
+def load_arm(path: Path, job: Job | None = None) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
-    job = read_job(path)
+    job = read_job(path) if job is None else job
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
     robot = _robot(job, urdf, path)
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
-def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
+def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None) -> Inputs:
     """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
 
-    Doubtful but usable things are returned as findings.
+    Doubtful but usable things are returned as findings. ``job``: what would stand in ``path``, which is not there yet.
     """
     progress("reading the job")
     stamps = {path: stamp(path)}
-    arm = load_arm(path)
+    written = job is None
+    arm = load_arm(path, job)
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
@@ -134,7 +137,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     findings += signatures(model, chosen)
     _refuse(findings)
     hashes = {
-        path.name: sha256(read_bytes(path, JobError)),
+        **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
         **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
@@ -415,19 +418,23 @@ def _measurements(
     doubts: list[Finding],
 ) -> Measurements:
     if section.instrument is not None and section.instrument in arms:
-        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, section.columns)
+        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
         return data
-    data = read_measurements(
-        folder / section.file,
-        robot,
-        section.observes,
-        sigma=(_si(section.sigma, "length"), _si(section.sigma_angle, "angle")),
-        instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-        offset=section.length_offset,
-        in_order=section.in_order,
-        columns=section.columns,
-    )
+    try:
+        data = read_measurements(
+            folder / section.file,
+            robot,
+            section.observes,
+            sigma=(_si(section.sigma, "length"), _si(section.sigma_angle, "angle")),
+            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+            offset=section.length_offset,
+            in_order=section.in_order,
+            columns=_columns(section),
+        )
+    except HeaderError as e:
+        ready = reading_that_fits(folder / section.file, robot, section.observes)
+        raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
@@ -436,6 +443,10 @@ def _measurements(
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
     return replace(data, targets=names)
+
+
+def _columns(section: MeasurementsSection) -> Columns:
+    return Columns(section.columns, section.ignore, section.orientation)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:

@@ -16,14 +16,14 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import UNITS, symbols
 from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, Followed, followed, pivots, turned_along
 from calib.job.chains import Chain, behind, chains
 from calib.job.chains import listed as tips_of
-from calib.job.proposal import About, Proposal, ProposedTable, Question
+from calib.job.proposal import About, Proposal, ProposedTable, Question, table_lines
 from calib.measurement.columns import KNOWN
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, EULER, MAKERS, MATRIX, ORIENTATIONS, rotations_of
@@ -176,6 +176,34 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
     return shared, [
         f"{table.file}: a quarter of its {table.rows} rows is held out to judge the rest." for table in shared
     ]
+
+
+def reading_that_fits(file: Path, robot: Robot, observes: Kind) -> str:
+    """Return how a job would say that a table is read, for the end of a sentence; empty where that is not clear."""
+    try:
+        raw = raw_table(read_bytes(file, MeasurementError), str(file))
+        found = _Reader(robot.urdf, raw, Answers(observes=observes), robot).read()
+    except (_AskedError, CalibError):
+        return ""
+    return ", ".join(table_lines(found.columns))
+
+
+def told(file: str | Path) -> tuple[str, ...]:
+    """Return what the header of a table says without an arm; one sentence each."""
+    raw = raw_table(read_bytes(Path(file), MeasurementError), str(file))
+    known = roles(raw) if raw.named else Roles((), (), (), (), None, frozenset())
+
+    def named(columns: Iterable[int]) -> str:
+        return _run([raw.columns[k].title for k in columns])
+
+    said = [*raw.remarks, f"{raw.count} rows of {len(raw.columns)} columns"]
+    said += [f"{named(point.columns)} may be a point" for point in known.points]
+    said += [f"{named(one.columns)} may be an orientation" for one in known.orientations]
+    said += [f"{size} columns are numbered" for size in numbered_columns(raw) if size > 2]
+    unitless = [c.title for c in raw.columns if c.numbers is not None and c.symbol is None]
+    if unitless:
+        said.append(f"without a unit: {listed(unitless, most=20)}")
+    return tuple(f"{file}: {one}." for one in said)
 
 
 # ---- one file
