@@ -124,8 +124,8 @@ __all__ = [
     "IdentificationError", "JobError", "JointTerm", "Known", "MeasurementError", "Measurements", "OutputError",
     "Payload", "Priors", "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare",
     "data_frame", "dh", "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of",
-    "measuring", "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions", "propose",
-    "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
+    "measuring", "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
+    "propose", "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
     "write_urdf",
 ]
 # fmt: on

@@ -86,7 +86,7 @@ _SYMBOL_OF = {
 
 
 def symbol_of(text: str) -> str | None:
-    """Return the symbol of a unit as others spell it, such as ``"\u00b0"`` or ``"Millimeter"``; None where it is none."""
+    """Return the symbol of a unit as others spell it, such as ``"\u00b0"`` or ``"Degrees"``; None where it is none."""
     text = text.strip()
     return text if text in UNITS else _SYMBOL_OF.get(text.lower())
 

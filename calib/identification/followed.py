@@ -1,4 +1,4 @@
-"""Does the nominal arm follow these rows, when base and tool are where they explain most?"""
+"""How well the nominal arm follows rows, with base and tool where they explain most."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ FEWEST_ROWS = 8
 
 
 class Followed(NamedTuple):
-    """``miss``: rms in m of what the best base and tool leave of positions; ``share``: of their spread. ``base`` (4, 4)."""
+    """What the best base (4, 4) and tool leave of positions: ``miss``, rms in m, and its ``share`` of their spread."""
 
     miss: float
     share: float
@@ -48,7 +48,7 @@ def turned_along(tips: Array, base: Array, rotation: Array) -> float:
 
 
 def pivots(tips: Array, target: Array) -> float:
-    """Return the share that the best tool point leaves of the tip's spread, where rows of one target touch one point."""
+    """Return the share that the best tool point leaves of the tip's spread, if rows of one target touch one point."""
     n, k = len(tips), int(target.max()) + 1
     left = np.concatenate([tips[:, :3, :3].reshape(-1, 3), -np.kron(np.eye(k)[target], np.eye(3))], axis=1)
     right = -tips[:, :3, 3].reshape(-1)

@@ -13,7 +13,7 @@ _MOVES = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The joints that are read between ``base`` (None: the root link) and ``tip``; ``others``: tips of the same joints."""
+    """The joints that are read between ``base`` (None: the root) and ``tip``; ``others``: tips of the same joints."""
 
     base: str | None
     tip: str

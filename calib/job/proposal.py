@@ -50,12 +50,12 @@ class Proposal:
     """How files of others are read as measurements of an arm.
 
         found = calib.propose("arm.urdf", ["measured.csv"])
-        print(*found.reasons, sep="\\n")
+        print(found.reasons)
         data = calib.read_measurements("measured.csv", found.robot, found.tables[0].observes,
                                        columns=found.tables[0].columns)
 
-    ``reasons``: one sentence for everything that was concluded. ``questions``: what could not be; ``tables`` is complete
-    only when there are none. ``urdf``: as it was given.
+    ``reasons``: one sentence for everything that was concluded. ``questions``: what could not be; ``tables`` is
+    complete only when there are none. ``urdf``: as it was given.
     """
 
     __repr__ = brief
@@ -67,7 +67,7 @@ class Proposal:
     questions: tuple[Question, ...]
 
     def job(self, folder: Path | None = None) -> str:
-        """Return the job file, with paths relative to the ``folder`` in which it will be; as they were given for None."""
+        """Return the job file, with paths relative to the ``folder`` in which it will be; None: as they were given."""
         robot = self.robot
         lines = ["schema = 1", ""]
         lines += [f"# {reason}" for reason in map(_on_one_line, self.reasons)]

@@ -50,13 +50,17 @@ from calib.robot.urdf import Urdf, read_urdf
 _FOLLOWS = 0.15
 # What comes so near, or within three times what the best leaves, is a rival that something else must decide on.
 _ALIKE, _TIMES = 0.1, 3.0
-_FOLLOWS_ANGLE, _ALIKE_ANGLE = 0.2, 0.06
+_FOLLOWS_ANGLE, _ALIKE_ANGLE = 0.2, 0.015
 # Nothing that an instrument measures agrees with a URDF so well.
 _COMPUTED = 2e-5
 _SAME_ANGLE = 1e-6
 _MOST_ARMS = 12
-# The joints of an arm whose fingers are joints of the URDF as well.
+# Joints beyond an arm.
+_FINGER = re.compile(r"finger|grip|hand|jaw|knuckle|thumb|claw|palm", re.IGNORECASE)
+# A run of numbered columns that may be the end of a longer arm.
 _FEWEST_JOINTS = 4
+# Rows on which a reading is tried.
+_MOST_ROWS = 120
 _HELD_OUT = 0.25
 _VALIDATION = re.compile(r"valid|verif|test|check|held|control", re.IGNORECASE)
 _LIMIT_SLACK = 1.1
@@ -106,7 +110,7 @@ def propose(
         print(found.job())
 
     What is given answers questions, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and ``"mm"``;
-    ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``, ``"ZYX"``, ...);
+    ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``, ``"ZYX"``...);
     ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
 
     Raises CalibError with one sentence where a file has nothing of the arm, or an answer cannot be used.
@@ -293,7 +297,7 @@ class _Reader:
         every = self.known.orientations
         if point is None:
             return ()
-        own = {k for k in point.columns}
+        own = set(point.columns)
         free = tuple(one for one in every if not own & set(one.columns))
         aside = {"rot", "rotation", "quat", "q", "r", "phi", "euler", "orientation", "ori", "p", "pos", "position", "t"}
         aside |= {"trans", "translation", "rvec", "rotvec", "rv", "o", "w", "coord"}
@@ -322,14 +326,17 @@ class _Reader:
                     continue
                 named += [(behind(self.document, arm, first), one) for one in joints_by_name(self.raw, part, among)]
                 break
-        if named:
-            longest = max(len(arm.joints) for arm, _ in named)
-            return [(arm, one) for arm, one in named if len(arm.joints) == longest]
+        fewest = max((len(arm.joints) for arm, _ in named), default=0)
+        named = [(arm, one) for arm, one in named if len(arm.joints) == fewest]
+        # Some joints may have names that are nearly theirs: then all columns are looked at in their order as well.
+        claimed = {k for _, one in named for k in one.columns}
+        if named and not [k for k in among if k not in self.known.spoken and k not in claimed]:
+            return named
         found = []
-        for arm in self._arms_of(range(1, len(self.raw.columns) + 1)):
+        for arm in self._arms_of(range(fewest + 1, len(self.raw.columns) + 1)):
             found += [(arm, one) for one in joints_by_order(self.raw, len(arm.joints), self.known)]
         longest = max((len(arm.joints) for arm, _ in found), default=0)
-        return [(arm, one) for arm, one in found if len(arm.joints) == longest]
+        return named + [(arm, one) for arm, one in found if len(arm.joints) == longest]
 
     def _arms_of(self, counts: Iterable[int]) -> list[Chain]:
         """Return whole arms with as many joints; the ends of longer ones where no whole arm has as many as a family."""
@@ -340,14 +347,17 @@ class _Reader:
             behind(self.document, arm, len(arm.joints) - count)
             for count in families - lengths
             for arm in self.arms
-            if len(arm.joints) > count > 1
+            if len(arm.joints) > count >= _FEWEST_JOINTS and self._is_plausible(arm)
         ]
         return list(dict.fromkeys([*whole, *ends]))[: 4 * _MOST_ARMS]
 
     def _is_plausible(self, arm: Chain) -> bool:
-        """Return whether an arm may be meant where nothing names its joints: all of one, or not a mere part."""
-        part = any(other.joints[: len(arm.joints)] == arm.joints for other in self.arms if other is not arm)
-        return not part or len(arm.joints) >= _FEWEST_JOINTS
+        """Return whether an arm may be meant where nothing names its joints: a whole one, or all but its fingers."""
+        longer = [other for other in self.arms if other is not arm and other.joints[: len(arm.joints)] == arm.joints]
+        return all(self._is_finger(name) for other in longer for name in other.joints[len(arm.joints) :])
+
+    def _is_finger(self, name: str) -> bool:
+        return _FINGER.search(name) is not None or self.document.joint(name).type == "prismatic"
 
     def _as_answered(self, picks: Sequence[_Pick]) -> list[_Pick]:
         """Return the picks that an answer does not rule out."""
@@ -402,6 +412,8 @@ class _Reader:
         point = [self.raw.columns[k] for k in pick.point.columns]
         numbers = np.column_stack([column.numbers for column in (*columns, *point)])
         rows = np.flatnonzero(np.isfinite(numbers).all(axis=1))
+        if len(rows) > _MOST_ROWS:
+            rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
         if len(rows) < 2 or not _of_dimension(point, "length"):
             return []
         found = []
@@ -480,6 +492,8 @@ class _Reader:
         columns = {one.columns for one in found}
         if len(columns) == 1:
             return list(rivals)
+        if about == "joints" and len({one.exact for one in found}) > 1:
+            return [t for t in rivals if of(t).exact]
         top = min(one.rank for one in found)
         first = {one.columns for one in found if one.rank == top}
         if len(first) == 1 and len({one.rank for one in found}) > 1:
@@ -555,13 +569,15 @@ class _Reader:
             for k in (*pick.joints.columns, *(pick.point.columns if pick.point else ()))
         )
         answered = self.answers.angles is not None and self.answers.lengths is not None
+        if enough and not np.isfinite(trials[0].fit.share):
+            raise _ask("columns", f"{where}: {self._titles(pick.point.columns if pick.point else ())} never change")
         if enough and not ((written or answered) and (pick.joints.exact or self.answers.columns)):
             best = trials[0]
             raise _ask(
                 "columns",
                 f"{where}: the arm follows no reading of the file: at best {self._titles(best.pick.joints.columns)} in "
-                f"{best.units[0]} and the point in {best.units[2]} leave {best.fit.share:.0%} of the spread; is it this "
-                "robot, and are signs and the order of joints those of the URDF?",
+                f"{best.units[0]} and the point in {best.units[2]} leave {best.fit.share:.0%} of the spread; is it "
+                "this robot, and are signs and the order of joints those of the URDF?",
                 (),
                 "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths",
             )

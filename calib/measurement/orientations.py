@@ -5,7 +5,6 @@ Rz(a) Ry(b) Rx(c), ``"xyz"`` is Rz(c) Ry(b) Rx(a).
 """
 
 import itertools
-from typing import cast
 
 import numpy as np
 
@@ -21,7 +20,7 @@ EULER: tuple[str, ...] = tuple(
     for axes in itertools.product(letters, repeat=3)
     if axes[0] != axes[1] != axes[2]
 )
-# What makers call them. A, B, C of KUKA turn about z, y, x; W, P, R of FANUC, and roll, pitch, yaw, about fixed x, y, z.
+# What makers call them: A, B, C of KUKA turn about z, y, x; W, P, R of FANUC, roll, pitch, yaw about fixed x, y, z.
 MAKERS = {"abc": "ZYX", "wpr": "xyz", "rpy": "xyz"}
 ORIENTATIONS: tuple[str, ...] = ("rotation_vector", "matrix", *MAKERS, *EULER)
 # As of quaternions: three digits are enough.
@@ -29,7 +28,7 @@ _TOLERANCE = 2e-3
 
 
 def rotations_of(angles: Array, orientation: str) -> Array:
-    """Return the rotations (N, 3, 3) of three angles in rad (N, 3), or of the nine numbers (N, 9) of a matrix by rows."""
+    """Return the rotations (N, 3, 3) of three angles in rad (N, 3), or of nine numbers (N, 9) by rows."""
     if orientation == "matrix":
         return rigid.nearest_rotation(angles.reshape(-1, 3, 3))
     if orientation == "rotation_vector":
@@ -41,7 +40,7 @@ def rotations_of(angles: Array, orientation: str) -> Array:
 
 
 def quaternions_of(given: Array, orientation: str, where: str, lines: IntArray) -> Array:
-    """Return unit quaternions (N, 4). Raises MeasurementError for a name that is none, and a matrix that turns nothing."""
+    """Return unit quaternions (N, 4). Raises MeasurementError for an unknown name, and a matrix that is no rotation."""
     if orientation not in ORIENTATIONS:
         raise MeasurementError(
             f"{where}: orientation {orientation!r} is not known; allowed are {', '.join(ORIENTATIONS[:5])}, "
@@ -53,4 +52,4 @@ def quaternions_of(given: Array, orientation: str, where: str, lines: IntArray) 
         off |= np.linalg.det(matrices) < 0.0
         if off.any():
             raise MeasurementError(f"{where}:{lines[int(np.argmax(off))]}: r11 to r33 are no rotation.")
-    return cast(Array, rigid.quaternion_of(rotations_of(given, orientation)))
+    return rigid.quaternion_of(rotations_of(given, orientation))

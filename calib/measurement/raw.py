@@ -17,7 +17,7 @@ _MOST_COLUMNS = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColumn:
-    """One column: its ``title`` as the file has it, ``name`` without the unit, the unit's ``symbol``, None where none is.
+    """One column: its ``title`` as the file has it, ``name`` without the unit, the unit's ``symbol``, or None.
 
     ``numbers`` (N): as written, nan where a cell is empty; None where some cell is none. ``words``: the cells.
     """

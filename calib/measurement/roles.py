@@ -14,23 +14,52 @@ import numpy as np
 from calib.measurement.raw import RawTable
 
 _TOKEN = re.compile(r"[^\W\d_]+|\d+")
-_MEASURED = frozenset("measured measurement measure meas actual act real feedback fbk tracker leica faro cmm".split())
+# fmt: off
+_MEASURED = frozenset(
+    (
+        "measured", "measurement", "measure", "meas", "actual", "act", "real", "feedback", "fbk", "tracker",
+        "leica", "faro", "cmm",
+    )
+)
+# fmt: on
+# fmt: off
 _COMMANDED = frozenset(
-    "goal target cmd command commanded desired des setpoint set ref reference nominal theoretical planned model".split()
+    (
+        "goal", "target", "cmd", "command", "commanded", "desired", "des", "setpoint", "set", "ref", "reference",
+        "nominal", "theoretical", "planned", "model",
+    )
 )
+# fmt: on
 # Numbers of a joint, or along an axis, that are no position.
+# fmt: off
 _NO_POSITION = frozenset(
-    "velocity vel speed v qd dq torque tau effort current i acc acceleration force f temp temperature std sigma unc "
-    "uncertainty u dev deviation error err normal n delta d tilt var variance gyro accel".split()
+    (
+        "velocity", "vel", "speed", "v", "qd", "dq", "torque", "tau", "effort", "current", "i", "acc",
+        "acceleration", "force", "f", "temp", "temperature", "std", "sigma", "unc", "uncertainty", "u", "dev",
+        "deviation", "error", "err", "normal", "n", "delta", "d", "tilt", "var", "variance", "gyro", "accel",
+    )
 )
-_TURNS = frozenset("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o".split())
+# fmt: on
+# fmt: off
+_TURNS = frozenset(
+    (
+        "r", "rot", "rotation", "phi", "theta", "euler", "ang", "angle", "angles", "orientation", "ori", "rv",
+        "rvec", "rotvec", "w", "o",
+    )
+)
+# fmt: on
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
 # Titles of what is neither a joint nor measured: never joints by their place alone.
+# fmt: off
 _BESIDE = frozenset(
-    "time t timestamp stamp sec secs nsec date no nr id idx index number row seq count point temperature temp humidity "
-    "pressure rms image user tool ecokey".split()
+    (
+        "time", "t", "timestamp", "stamp", "sec", "secs", "nsec", "date", "no", "nr", "id", "idx", "index",
+        "number", "row", "seq", "count", "point", "temperature", "temp", "humidity", "pressure", "rms", "image",
+        "user", "tool", "ecokey",
+    )
 )
+# fmt: on
 _LETTERS: tuple[tuple[tuple[str, str, str], str | None], ...] = (
     (("a", "b", "c"), "abc"),
     (("w", "p", "r"), "wpr"),
@@ -147,6 +176,13 @@ def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
     numbers = [table.columns[k].numbers for k in columns]
     size = np.sqrt(sum(np.square(values) for values in numbers if values is not None))
     return bool(np.nanmax(np.abs(size - 1.0), initial=0.0) < 1e-2)
+
+
+def _turns(table: RawTable, nine: Sequence[int]) -> bool:
+    """Return whether nine columns are rotations by rows."""
+    R = np.column_stack([table.columns[k].numbers for k in nine]).reshape(-1, 3, 3)
+    R = R[np.isfinite(R).all(axis=(1, 2))]
+    return bool(len(R) and np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-2)
 
 
 def _texts(table: RawTable) -> list[int]:
@@ -311,7 +347,7 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
         ):
             found.append(Joints(family.columns, _rank(family.words), "by their numbers", False))
     if not found:
-        left = [k for k in numeric if k not in known.spoken]
+        left = [k for k in numeric if k not in known.spoken and not set(parts[k]) & set("xyz")]
         if len(left) == count and left == list(range(left[0], left[0] + count)):
             found.append(Joints(tuple(left), 1, "by their order, as the only columns left", False))
     return found
@@ -337,7 +373,7 @@ class Unnamed(NamedTuple):
 
 
 def without_names(table: RawTable, count: int) -> list[Unnamed]:
-    """Return the ways in which joints, a point and an orientation may stand in a row of numbers, one after the other."""
+    """Return the ways in which joints, a point and an orientation may stand in a row of numbers."""
     columns = [k for k, column in enumerate(table.columns) if column.numbers is not None]
     first = table.columns[columns[0]].numbers if columns else None
     skips = [0]
@@ -362,6 +398,8 @@ def without_names(table: RawTable, count: int) -> list[Unnamed]:
                 found += [Unnamed(joints, (x, y, z), one) for one in turned]
             elif rest in (12, 16):
                 nine = tuple(other[4 * i + j] for i in range(3) for j in range(3))
+                if not _turns(table, nine):
+                    continue
                 found.append(
                     Unnamed(joints, (other[3], other[7], other[11]), Orientation(nine, "matrix", "matrix", frozenset()))
                 )

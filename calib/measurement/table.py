@@ -92,8 +92,8 @@ class Columns:
     """How a table of others is read: our names for its columns, what is passed over, and what its angles mean.
 
     ``names``: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
-    ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file has
-    them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
+    ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file
+    has them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
     (:mod:`calib.measurement.orientations`); they become a quaternion.
     """
 
@@ -123,7 +123,8 @@ def read_table(path: str | Path, columns: Mapping[str, str] | Columns = AS_WRITT
     """Read a table of text: a header line, then a line per row; comments and blank lines anywhere.
 
     Cells are separated by commas, or by semicolons, tabs, bars or blanks; decimals then have commas or points, the same
-    in the whole file. The text is UTF-8, UTF-16 with its mark, or cp1252. Memory: the file and its numbers, 8 bytes each.
+    in the whole file. The text is UTF-8, UTF-16 with its mark, or cp1252. Memory: the file and its numbers, 8 bytes
+    each.
 
     ``columns``: how it is read where its header is not ours; a mapping of names alone will do.
 

@@ -12,6 +12,7 @@ import random
 import re
 import shutil
 import tempfile
+import tomllib
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
@@ -30,7 +31,8 @@ from calib.job.calibrate import calibrate
 from calib.job.fleet import Done, FleetJob
 from calib.job.fleet_summary import fleet_lines, summary, summary_csv
 from calib.job.inputs import load
-from calib.job.read import read_job
+from calib.job.propose import propose, told
+from calib.job.read import parse_job, read_job
 from calib.job.run import run
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
@@ -198,6 +200,16 @@ def _table(data: bytes) -> None:
             assert len(str(e)) <= LONGEST_SENTENCE, f"a sentence of {len(str(e))} characters"
 
 
+def _proposal(data: bytes) -> None:
+    file = _file("proposed.csv", data)
+    found = propose(ROBOTS / "arm_cmm" / "arm_cmm.urdf", [file], tip="probe")
+    told(file)
+    if not found.questions:
+        parse_job(tomllib.loads(found.job(file.parent)), "proposed.toml")
+    for question in found.questions:
+        assert len(question.sentence) <= LONGEST_SENTENCE, f"a question of {len(question.sentence)} characters"
+
+
 def _job(data: bytes) -> None:
     read_job(_file("job.toml", data))
 
@@ -346,6 +358,20 @@ def _tables() -> list[bytes]:
         b"joint_1 [deg];x [mm];y [mm];z [mm];direction_joint_1\n1,5;2;3;4;+\n-1,5e1;2;3;4;-\n",
         "\ufeffjoint_1 [deg],u [px],v [px],board_x [mm]\r\n1,700,400,20\r\n".encode(),
         "joint_1 [deg],length [mm],pair\r1,700,a\r2,700,a\r".encode("utf-16"),
+    ]
+
+
+def _foreign() -> list[bytes]:
+    """Return tables as other people have them, of the arm CMM."""
+    rows = (ROBOTS / "arm_cmm" / "identification.csv").read_text().splitlines()
+    numbers = [line for line in rows if line and not line.startswith("#")][1:13]
+    head = ",".join(f"J{k}" for k in range(1, 7)) + ",X,Y,Z"
+    return [
+        "\n".join([head, *numbers]).encode(),
+        "\n".join(numbers).replace(",", " ").encode(),
+        ("// exported\n" + "\n".join([head, *numbers])).replace(",", ";").replace(".", ",").encode("cp1252"),
+        "\n".join([head.replace("J", "A").replace(",X", "_deg,X (mm)"), "deg,deg", *numbers]).encode("utf-16"),
+        "\n".join([head + ",A,B,C,target,q1,q2,q3,q4", *(f"{n},1,2,3,a,1,0,0,0" for n in numbers)]).encode(),
     ]
 
 
@@ -554,6 +580,7 @@ READERS: dict[str, Reader] = {
     "urdf": Reader(_urdf, _urdfs, _NUMBERS + _ODD + _XML),
     "dh": Reader(_dh, _dhs, _NUMBERS + _ODD + _CSV),
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
+    "proposal": Reader(_proposal, _foreign, _NUMBERS + _ODD + _CSV),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 import calib
 from calib.assessment.sensitivity import coefficients, exact_error, group_study, predicted_error, sensitivity
-from tests.identification import machines
 
 Array = NDArray[np.float64]
 Errors = dict[str, float]
@@ -49,7 +48,7 @@ SETS = {s: named(np.radians(GIVEN[s]["alpha"]), np.radians(GIVEN[s]["theta"])) f
 def model_with(**options: Any) -> calib.ErrorModel:
     robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
     numbers = [*NAMES["a"], *NAMES["d"], *NAMES["alpha"]]
-    return machines.model(robot, offsets="all", placements=calib.dh.Free(numbers), **options)
+    return calib.error_model(robot, offsets="all", placements=calib.dh.Free(numbers), **options)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tests.support.cases import CASE, TABLE
 def fit_of(**changes: Any) -> Fit:
     robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
     data = calib.read_measurements(CASE / TABLE, robot, sigma=0.02e-3)
-    return calib.identify(machines.model(robot, **{"offsets": "all", "placements": "all", **changes}), data)
+    return calib.identify(calib.error_model(robot, **{"offsets": "all", "placements": "all", **changes}), data)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,6 @@ def test_a_notebook_shows_the_same_words(fit: Fit) -> None:
 def test_nothing_heavy_is_loaded_until_it_is_asked_for() -> None:
     code = f"""
 import sys, calib
-from tests.identification import machines
 robot = calib.load_robot({str(CASE / "arm_cmm.urdf")!r}, tip="probe")
 data = calib.read_measurements({str(CASE / TABLE)!r}, robot, sigma=0.02e-3)
 fit = calib.identify(calib.error_model(robot, offsets="all"), data)

@@ -33,12 +33,12 @@ def check(found: calib.measuring.Proposal, expected: Expected) -> None:
     (table,) = found.tables
     joints = [reading.name for reading in found.robot.readings]
     columns = {f"{ours} [{expected.angle}]": theirs for ours, theirs in zip(joints, expected.joints, strict=True)}
-    columns |= {f"{axis} [{expected.length}]": theirs for axis, theirs in zip("xyz", expected.position)}
+    columns |= {f"{axis} [{expected.length}]": theirs for axis, theirs in zip("xyz", expected.position, strict=False)}
     if expected.convention == "matrix":
         names = [f"r{i}{j}" for i in "123" for j in "123"]
     else:
         names = [f"r{axis} [{expected.angle}]" for axis in "xyz"] if expected.convention else ["qw", "qx", "qy", "qz"]
-    columns |= dict(zip(names, expected.orientation))
+    columns |= dict(zip(names, expected.orientation, strict=False))
     columns |= expected.words
     assert dict(table.columns.names) == columns, found.reasons
     assert (table.observes, table.columns.orientation) == (expected.observes, expected.convention)

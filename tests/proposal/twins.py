@@ -1,7 +1,7 @@
 """Synthetic twins of files that people have, with what is to be read from each: written before the reader was.
 
-``expected`` is what the columns are; or what is asked (``asks``), where two readings fit alike and nothing written tells;
-or a part of the sentence with which a file is refused that holds no measurement of the arm.
+``expected`` is what the columns are; or what is asked (``asks``), where two readings fit alike and nothing tells; or
+a part of the sentence with which a file is refused that holds no measurement of the arm.
 """
 
 from collections.abc import Callable, Sequence
@@ -327,7 +327,7 @@ TWINS = [
     Twin(
         "Dobot",
         lambda: text(
-            "j1,j2,j3,j4,j5,j6,x,y,z,Rx,Ry,Rz,user,tool,ecoKey".split(","),
+            ["j1", "j2", "j3", "j4", "j5", "j6", "x", "y", "z", "Rx", "Ry", "Rz", "user", "tool", "ecoKey"],
             [degrees(), mm(), angles(S().rotation, "xyz"), *(np.zeros(40),) * 3],
         ),
         Expected(
@@ -427,9 +427,9 @@ TWINS = [
 
 def sockets(title: str) -> str:
     """Touches of two sockets: forty poses of a Panda's first six joints would need a search, a wrist's turns do not."""
-    from scipy.optimize import least_squares  # noqa: PLC0415
+    from scipy.optimize import least_squares
 
-    from tests.support.people import robot  # noqa: PLC0415
+    from tests.support.people import robot
 
     arm, chance = robot(UR10, "tool0"), np.random.default_rng(3)
     tool, rows, names = np.array([0.03, -0.05, 0.12]), [], []

@@ -18,7 +18,6 @@ from calib.robot.robot import Deviations, Robot, TipModel
 from calib.robot.terms import KINDS, NAMED, JointTerm, Kind, kind_of
 from tests.robot.test_transmission import twist
 from tests.support import machines
-from tests.identification import machines
 
 Array = np.ndarray
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -82,7 +81,7 @@ def test_a_parameter_has_its_name_unit_and_size(kind: Kind) -> None:
         assert parameter.weak == TERM_WIDTH * parameter.scale
     for dimension, name in kind.priors.items():
         if dimension == "angle":
-            held = machines.model(UR10, terms=terms, priors=calib.Priors(**{name: 2e-5}))
+            held = calib.error_model(UR10, terms=terms, priors=calib.Priors(**{name: 2e-5}))
             assert {p.prior for p in held.parameters() if p.kind == "term"} == {2e-5}
             learning = replace(held, priors=calib.Priors(**{name: "learned"}))
             assert None not in {p.group for p in learning.parameters() if p.kind == "term"}

@@ -19,7 +19,6 @@ import calib
 from calib.robot.sources import resolve
 from calib.robot.terms import KINDS
 from calib.robot.urdf import parse_urdf
-from tests.identification import machines
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -55,7 +54,7 @@ def model(robot: calib.Robot, **keys: Any) -> calib.ErrorModel:
     if "dh" in keys:
         names = {"dh": "numbers", "dh_convention": "convention", "dh_parallel": "parallel", "placements": "placements"}
         keys["placements"] = calib.dh.Free(**taken(names))
-    return machines.model(robot, **({"terms": terms, "priors": priors, "known": known} | keys))
+    return calib.error_model(robot, **({"terms": terms, "priors": priors, "known": known} | keys))
 
 
 @dataclass(frozen=True)

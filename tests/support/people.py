@@ -1,4 +1,4 @@
-"""Files as people have them, of simulated sessions: the headers, units and conventions of others around known numbers."""
+"""Files as people have them, of simulated sessions: the headers, units and conventions of others, known numbers."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -32,7 +32,7 @@ def robot(urdf: str, tip: str) -> Robot:
 
 @cache
 def session(urdf: str = UR10, tip: str = "tool0", n: int = 40, seed: int = 1, still: bool = False) -> Session:
-    """Return what an instrument saw of an arm with errors of a millimetre and a milliradian; ``still``: hardly turned."""
+    """Return what an instrument saw of an arm with errors of a millimetre; ``still``: it hardly turns."""
     arm, chance = robot(urdf, tip), np.random.default_rng(seed)
     low = np.array([max(r.lower or -2.5, -2.5) for r in arm.readings])
     high = np.array([min(r.upper or 2.5, 2.5) for r in arm.readings])
