@@ -40,9 +40,10 @@ def check(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check a job and what its poses can see, without solving; or tell what is in a URDF and tables.
+    """Check a job, or tell what a URDF and tables hold.
 
-    Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
+    Nothing is solved or written. Looks at units, names, limits, duplicates and observability.
+    Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     robots = [file for file in files if file.lower().endswith(_ROBOT) or file.startswith("example:")]
     tables = [file for file in files if file not in robots and file.lower().endswith(_TABLE)]

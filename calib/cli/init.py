@@ -42,7 +42,7 @@ def init(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look at a robot and files of measurements, and write the job that they make.
+    """Write the job that a robot and tables of measurements make.
 
     Says which columns are joints and points, in which units and conventions, and why; asks what cannot be known.
     Exit codes: 0 good, 1 bad input or an open question, 2 wrong usage.

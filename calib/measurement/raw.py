@@ -1,5 +1,6 @@
 """A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from calib.measurement.layout import is_number, layout, name_and_unit
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
 _MOST_COLUMNS = 1000
+# A unit that we do not know; numbers in brackets are none.
+_BRACKETED = re.compile(r"\[\s*[^\W\d][^\[\]]*\]$")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +33,10 @@ class RawColumn:
 
     @property
     def dimension(self) -> str | None:
-        """What the unit is one of, None where no unit is written."""
-        return None if self.symbol is None else UNITS[self.symbol].dimension
+        """What the unit is one of; None where no unit is written, ``"unknown"`` where it is none of ours."""
+        if self.symbol is None:
+            return "unknown" if _BRACKETED.search(self.title) else None
+        return UNITS[self.symbol].dimension
 
 
 @dataclass(frozen=True, slots=True, eq=False)
