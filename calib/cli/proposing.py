@@ -82,7 +82,9 @@ def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     typer.echo(f"{question.text}:", err=True)
     for k, choice in enumerate(question.choices, start=1):
         typer.echo(f"  {k}  {choice}", err=True)
-    number = typer.prompt("Which", type=typer.IntRange(1, len(question.choices)), err=True)
+    number = 0
+    while not 1 <= number <= len(question.choices):
+        number = typer.prompt("Which", type=int, err=True)
     choice = question.choices[number - 1].strip("'")
     if question.option == "--column":
         ours, _, theirs = choice.partition("=")

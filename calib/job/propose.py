@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import UNITS, symbols
@@ -37,6 +37,7 @@ from calib.measurement.roles import (
     joints_by_order,
     named_among,
     numbered_columns,
+    numbers_of,
     roles,
     without_names,
 )
@@ -238,7 +239,7 @@ class _Trial:
     pick: _Pick
     units: tuple[str, str, str]
     tips: Array
-    rows: Array
+    rows: IntArray
     fit: Followed
 
 
@@ -410,7 +411,7 @@ class _Reader:
         robot = self._robot(pick.arm)
         columns = [self.raw.columns[k] for k in pick.joints.columns]
         point = [self.raw.columns[k] for k in pick.point.columns]
-        numbers = np.column_stack([column.numbers for column in (*columns, *point)])
+        numbers = numbers_of(self.raw, (*pick.joints.columns, *pick.point.columns))
         rows = np.flatnonzero(np.isfinite(numbers).all(axis=1))
         if len(rows) > _MOST_ROWS:
             rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
@@ -675,11 +676,11 @@ class _Reader:
         """Return convention, columns and unit of the orientation that turns with the arm; None where none does."""
         ways = []
         for one in best.pick.turned:
-            columns = [self.raw.columns[k] for k in one.columns]
-            numbers = np.column_stack([_numbers(column) for column in columns])[best.rows]
+            own = [self.raw.columns[k] for k in one.columns]
+            numbers = np.column_stack([_numbers(column) for column in own])[best.rows]
             if not np.isfinite(numbers).all():
                 continue
-            for orientation, order, unit, rotation in self._rotations(one, columns, numbers):
+            for orientation, order, unit, rotation in self._rotations(one, own, numbers):
                 angle = turned_along(best.tips, best.fit.base, rotation)
                 ways.append((angle, orientation, tuple(one.columns[k] for k in order), unit, rotation, one))
         if not ways or not np.isfinite(best.fit.share):

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.foundations.arrays import Array
 from calib.measurement.raw import RawTable
 
 _TOKEN = re.compile(r"[^\W\d_]+|\d+")
@@ -161,8 +162,8 @@ def roles(table: RawTable) -> Roles:
         if point is not None:
             points.append(point)
     # A matrix with a fourth column has its point; what else looks like one is not sought among its cells.
-    for part in (*points, *orientations):
-        spoken.update(part.columns)
+    spoken.update(k for point in points for k in point.columns)
+    spoken.update(k for orientation in orientations for k in orientation.columns)
     single = {p[0]: k for k, p in enumerate(parts) if len(p) == 1}
     pixels = (single["u"], single["v"]) if {"u", "v"} <= single.keys() else None
     spoken.update(pixels or ())
@@ -178,9 +179,15 @@ def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
     return bool(np.nanmax(np.abs(size - 1.0), initial=0.0) < 1e-2)
 
 
+def numbers_of(table: RawTable, columns: Sequence[int]) -> Array:
+    """Return columns of numbers (N, k), nan where a cell is empty."""
+    found = [table.columns[k].numbers for k in columns]
+    return np.column_stack([values for values in found if values is not None])
+
+
 def _turns(table: RawTable, nine: Sequence[int]) -> bool:
     """Return whether nine columns are rotations by rows."""
-    R = np.column_stack([table.columns[k].numbers for k in nine]).reshape(-1, 3, 3)
+    R = numbers_of(table, nine).reshape(-1, 3, 3)
     R = R[np.isfinite(R).all(axis=(1, 2))]
     return bool(len(R) and np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-2)
 
