@@ -33,6 +33,9 @@ def init(
         "calibration.toml"
     ),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse where two readings fit alike.")] = False,
+    xacro: Annotated[
+        bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
+    ] = False,
     tip: Tip = None,
     angles: Angles = None,
     lengths: Lengths = None,
@@ -52,6 +55,8 @@ def init(
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.presentation.console import sentence
     refuse_taken(output)
+    if xacro:
+        urdf = str(_expanded(Path(urdf), output))
     telling = Telling(as_json, quiet)
     given = answers(tip, angles, lengths, orientation, observes, column)
     found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
@@ -61,3 +66,14 @@ def init(
     tell_check(telling, inputs, found.reasons, {"job": str(output)})
     if not as_json:
         telling.tell(dict, lambda: [sentence(f"{output} is written; calib calibrate {output} -o out/ goes on.")])
+
+
+def _expanded(source: Path, output: Path) -> Path:
+    """Write the URDF of a xacro file beside the job, and return where."""
+    from calib.foundations.files import write_new
+    from calib.job.xacro import expanded
+
+    name = source.name.removesuffix(".xacro").removesuffix(".urdf")
+    urdf = output.parent / f"{name}.urdf"
+    write_new(urdf, expanded(source))
+    return urdf

@@ -14,6 +14,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
@@ -47,10 +48,11 @@ from calib.robot.dh import Free
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
-from calib.robot.sources import EXAMPLE, examples_folder, resolve
+from calib.robot.sources import EXAMPLE, examples_folder, find_mesh, mesh_uris, package_folders, resolve
 from calib.robot.urdf import Urdf, read_urdf
 
 Progress = Callable[[str], None]
+_MOST_MESHES = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +130,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     _refuse_wrong_shapes(job, sets, path)
     known, model = model.targets, model.within(chosen)
     _refuse_no_noise(job, sets, path)
+    doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
@@ -336,7 +339,24 @@ def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
         if not _is_folder(root):
             raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
     examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
-    return (urdf.parent, *named, *examples)
+    return (urdf.parent, *named, *examples, *package_folders(read_bytes(urdf, JobError), urdf))
+
+
+def _meshes_not_found(source: bytes, roots: Sequence[Path], where: str) -> list[Finding]:
+    """Find meshes that the scene will lack, and say the cure."""
+    uris = mesh_uris(source)
+    lost = [uri for uri in uris[:_MOST_MESHES] if find_mesh(uri, roots) is None]
+    if not lost:
+        return []
+    return [
+        Finding(
+            "warning",
+            "meshes-not-found",
+            f"{where}: {len(lost)} of its {len(uris)} meshes are not found, such as {shown(lost[0])}; the scene shows "
+            "sticks, and nothing else needs them. Name the folder above the package in robot.mesh_roots, or source its "
+            "workspace (AMENT_PREFIX_PATH).",
+        )
+    ]
 
 
 def _is_folder(path: Path) -> bool:
