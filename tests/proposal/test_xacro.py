@@ -1,9 +1,14 @@
 """URDFs as people have them: xacro files, run when that is asked for, and meshes that are not there."""
 
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import calib
+from calib.job.xacro import expanded
+from calib.robot.urdf import parse_urdf
 from tests.proposal.test_init import put
 from tests.support.cases import ROOT, run
 
@@ -45,3 +50,27 @@ def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkey
     said = " ".join(run("check", "calibration.toml").out.split())
     assert "1 of its 1 meshes are not found, such as 'package://none/a.stl'; the scene shows sticks" in said
     assert "AMENT_PREFIX_PATH" in said
+
+
+def test_origins_go_back_into_a_xacro_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A xacro file that loads the exported origins makes the arm of calibrated.urdf."""
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    case = ROOT / "robots" / "arm_cmm"
+    assert run("calibrate", str(case / "calibration.toml"), "-o", "out", "-q").code == 0
+    assert run("export", "out", "--to", "xacro", "-o", "origins.yaml", "-q") == (0, "", "")
+    urdf = parse_urdf((tmp_path / "out" / "nominal.urdf").read_bytes(), "nominal")
+    text = urdf.source.decode()
+    for joint in urdf.joints:
+        own = "".join(f" {key}=\"${{origins['{joint.name}']['{key}']}}\"" for key in ("xyz", "rpy"))
+        at = text.index(f'name="{joint.name}"')
+        end = text.index("</joint>", at)
+        inside = re.sub(r"<origin[^>]*/>", "", text[at:end])
+        text = text[:at] + inside + f"<origin{own}/>" + text[end:]
+    load = "<xacro:property name='origins' value=\"${xacro.load_yaml('origins.yaml')['origins']}\"/>"
+    text = re.sub(r"(<robot[^>]*)>", rf'\1 xmlns:xacro="http://www.ros.org/wiki/xacro">{load}', text, count=1)
+    (tmp_path / "arm.xacro").write_text(text)
+    made = calib.load_robot(parse_urdf(expanded(tmp_path / "arm.xacro"), "made"), "probe")
+    should = calib.load_robot("out/calibrated.urdf", "probe")
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, len(made.readings)))
+    np.testing.assert_allclose(made.tips(q), should.tips(q), rtol=0.0, atol=1e-12)
