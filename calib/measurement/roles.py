@@ -164,6 +164,11 @@ def roles(table: RawTable) -> Roles:
     # A matrix with a fourth column has its point; what else looks like one is not sought among its cells.
     spoken.update(k for point in points for k in point.columns)
     spoken.update(k for orientation in orientations for k in orientation.columns)
+    # Joined to joints, a file of points without a header: three columns that have numbers for names.
+    nameless = [k for k in numeric if len(parts[k]) == 2 and parts[k][0] == "column" and parts[k][1].isdigit()]
+    if len(nameless) == 3 and nameless[2] - nameless[0] == 2:
+        points.append(Point((nameless[0], nameless[1], nameless[2]), frozenset(), 1))
+        spoken.update(nameless)
     single = {p[0]: k for k, p in enumerate(parts) if len(p) == 1}
     pixels = (single["u"], single["v"]) if {"u", "v"} <= single.keys() else None
     spoken.update(pixels or ())

@@ -40,6 +40,7 @@ from calib.machine.grid import grid_bytes, grid_from_residuals, load_grid
 from calib.machine.model_file import load_machine, model_json
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty_file import uncertainty_json
+from calib.measurement.formats.sheet import joined, read_sheet
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -210,6 +211,16 @@ def _proposal(data: bytes) -> None:
         assert len(question.sentence) <= LONGEST_SENTENCE, f"a question of {len(question.sentence)} characters"
 
 
+_SHEETS = (".jsonl", ".json", ".yaml", ".xlsx", ".txt")
+
+
+def _sheet(data: bytes) -> None:
+    kind = _SHEETS[data[0] % len(_SHEETS)] if data else ".jsonl"
+    one = read_sheet(_file(f"sheet{kind}", data[1:]))
+    joined(one, one)
+    assert one.csv().count("\n") >= len(one.rows), "rows that are lost"
+
+
 def _job(data: bytes) -> None:
     read_job(_file("job.toml", data))
 
@@ -372,6 +383,21 @@ def _foreign() -> list[bytes]:
         ("// exported\n" + "\n".join([head, *numbers])).replace(",", ";").replace(".", ",").encode("cp1252"),
         "\n".join([head.replace("J", "A").replace(",X", "_deg,X (mm)"), "deg,deg", *numbers]).encode("utf-16"),
         "\n".join([head + ",A,B,C,target,q1,q2,q3,q4", *(f"{n},1,2,3,a,1,0,0,0" for n in numbers)]).encode(),
+    ]
+
+
+def _sheets() -> list[bytes]:
+    """Return files that are no plain tables; the first byte says of which kind."""
+    records = [{"name": "P1", "q": [1.5, 2], "pose": {"x": 1, "y": None}}, {"name": "P2", "q": [1, 2e3], "z": True}]
+    states = "name: [a, b]\nposition: [1.0, .2]\nvelocity: []\n---\nname: [a, b]\nposition: [1, 2]\n"
+    return [
+        b"\0" + "\n".join(map(json.dumps, records)).encode(),
+        b"\1" + json.dumps(records).encode(),
+        b"\1" + json.dumps({"samples": records}).encode(),
+        b"\2" + states.encode(),
+        b"\2"
+        + b"'15':\n  pose: {x: 1, y: 2}\n  joints:\n  - 1\n  - 2\n'16':\n  pose: {x: 1, y: 3}\n  joints: [1, 2]\n",
+        b"\4name;x;y\nP1;1,5;2\nP2;1;2\n",
     ]
 
 
@@ -581,6 +607,7 @@ READERS: dict[str, Reader] = {
     "dh": Reader(_dh, _dhs, _NUMBERS + _ODD + _CSV),
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
     "proposal": Reader(_proposal, _foreign, _NUMBERS + _ODD + _CSV),
+    "sheet": Reader(_sheet, _sheets, _NUMBERS + _ODD + _CSV + _JSON),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),
