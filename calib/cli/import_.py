@@ -25,6 +25,15 @@ def import_(
     by: Annotated[
         str | None, typer.Option("--by", help="Title of the column that names rows, or: order.", show_default=False)
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="URDF",
+            help="FILE is the maker's calibration of this UR: write its own URDF.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -38,6 +47,9 @@ def import_(
         from calib.measurement.formats.sheet import joined, read_sheet
         from calib.presentation.console import sentence
     refuse_taken(out)
+    if robot is not None:
+        _own_urdf(files, robot, out, Telling(as_json, quiet))
+        return
     sheet, *others = [read_sheet(file) for file in files]
     for other in others:
         sheet = joined(sheet, other, by)
@@ -48,3 +60,18 @@ def import_(
         lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
         lambda: map(sentence, said),
     )
+
+
+def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> None:
+    from calib.compensation.controllers.ur_own import with_ur_kinematics
+    from calib.foundations.errors import RobotError
+    from calib.foundations.files import read_bytes, write_new
+    from calib.presentation.console import sentence
+    from calib.robot.urdf import read_urdf
+
+    if len(files) != 1:
+        raise typer.BadParameter("--robot takes one file: kinematics_params, or calibration.conf.")
+    text = read_bytes(files[0], RobotError, 1_000_000).decode(errors="replace")
+    write_new(out, with_ur_kinematics(read_urdf(robot), text, str(files[0])))
+    said = f"{out} is {robot} with the axes of {files[0]}."
+    telling.tell(lambda: {"file": str(out)}, lambda: [sentence(said)])

@@ -23,6 +23,7 @@ import numpy as np
 
 from calib.assessment.iso9283 import cycles, figures
 from calib.assessment.performance import touches
+from calib.compensation.controllers.ur_own import with_ur_kinematics
 from calib.compensation.targets import targets
 from calib.foundations.errors import CalibError
 from calib.foundations.json_text import document
@@ -56,7 +57,7 @@ from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Reading
-from calib.robot.urdf import inertials, parse_urdf
+from calib.robot.urdf import Urdf, inertials, parse_urdf, read_urdf
 from calib.robot.urdf_writer import splice_origins
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
@@ -219,6 +220,16 @@ def _sheet(data: bytes) -> None:
     one = read_sheet(_file(f"sheet{kind}", data[1:]))
     joined(one, one)
     assert one.csv().count("\n") >= len(one.rows), "rows that are lost"
+
+
+@functools.cache
+def _ur10() -> Urdf:
+    return read_urdf("example:ur_description/urdf/ur10_robot.urdf")
+
+
+def _kinematics(data: bytes) -> None:
+    urdf = parse_urdf(with_ur_kinematics(_ur10(), data.decode(errors="replace")), "own.urdf")
+    assert np.isfinite(load_robot(urdf, "tool0").tips(np.zeros((1, 6)))).all(), "a tool nowhere"
 
 
 def _job(data: bytes) -> None:
@@ -399,6 +410,11 @@ def _sheets() -> list[bytes]:
         + b"'15':\n  pose: {x: 1, y: 2}\n  joints:\n  - 1\n  - 2\n'16':\n  pose: {x: 1, y: 3}\n  joints: [1, 2]\n",
         b"\4name;x;y\nP1;1,5;2\nP2;1;2\n",
     ]
+
+
+def _own_kinematics() -> list[bytes]:
+    deltas = "".join(f"delta_{name} = [ 1e-4, 0, -2e-5, 0.0003, 0, 0]\n" for name in ("theta", "a", "d", "alpha"))
+    return [f"[mounting]\n{deltas}joint_checksum = [ 0xb3241580]\n".encode()]
 
 
 def _urdfs() -> list[bytes]:
@@ -608,6 +624,7 @@ READERS: dict[str, Reader] = {
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
     "proposal": Reader(_proposal, _foreign, _NUMBERS + _ODD + _CSV),
     "sheet": Reader(_sheet, _sheets, _NUMBERS + _ODD + _CSV + _JSON),
+    "kinematics": Reader(_kinematics, _own_kinematics, _NUMBERS + _ODD),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),

@@ -13,6 +13,7 @@ from calib.foundations.errors import MeasurementError
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
+_OF_JOINTS = ("name", "position", "velocity", "effort")
 
 # With these a few lines may stand for any number of values.
 _ANCHOR, _ALIAS = (re.compile(rf"(?m)(?:^|[:\-\[{{,]\s)\s*[{mark}]\w") for mark in "&*")
@@ -105,11 +106,14 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
         raise MeasurementError(f"{where}: is nested too deep.")
     if isinstance(node, Mapping):
         names, positions = node.get("name"), node.get("position")
-        if isinstance(names, list) and isinstance(positions, list) and 0 < len(names) == len(positions):
-            if all(isinstance(one, str) for one in names):
-                yield from ((one, _cell(value)) for one, value in zip(names, positions, strict=True))
-                said = ("name", "position", "velocity", "effort")
-                node = {key: value for key, value in node.items() if key not in said}
+        if (
+            isinstance(names, list)
+            and isinstance(positions, list)
+            and _are_words(names)
+            and len(names) == len(positions)
+        ):
+            yield from ((one, _cell(value)) for one, value in zip(names, positions, strict=True))
+            node = {key: value for key, value in node.items() if key not in _OF_JOINTS}
         for key, value in node.items():
             yield from _flat(value, f"{name}.{key}" if name else str(key), depth + 1, where)
     elif isinstance(node, list):
@@ -119,6 +123,10 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
             yield from _flat(value, f"{name}_{k}", depth + 1, where)
     else:
         yield name, _cell(node)
+
+
+def _are_words(names: Sequence[Any]) -> bool:
+    return bool(names) and all(isinstance(name, str) for name in names)
 
 
 def _cell(value: object) -> str:
