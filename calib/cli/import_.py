@@ -37,7 +37,7 @@ def import_(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a table of files that are none, or that belong together.
+    """Make one table of files of others.
 
     Joints and points are joined by the names of their rows, or in order. What columns mean, calib init says then.
     Exit codes: 0 good, 1 bad input, 2 wrong usage.

@@ -392,7 +392,9 @@ def _foreign() -> list[bytes]:
         "\n".join([head, *numbers]).encode(),
         "\n".join(numbers).replace(",", " ").encode(),
         ("// exported\n" + "\n".join([head, *numbers])).replace(",", ";").replace(".", ",").encode("cp1252"),
-        "\n".join([head.replace("J", "A").replace(",X", "_deg,X (mm)"), "deg,deg", *numbers]).encode("utf-16"),
+        "\n".join(
+            [head.replace("J", "A").replace(",X", "_deg,X (mm)"), ",".join(["deg"] * 6 + ["mm"] * 3), *numbers]
+        ).encode("utf-16"),
         "\n".join([head + ",A,B,C,target,q1,q2,q3,q4", *(f"{n},1,2,3,a,1,0,0,0" for n in numbers)]).encode(),
     ]
 
