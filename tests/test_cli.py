@@ -77,7 +77,7 @@ def test_version() -> None:
     assert run("--version") == (0, f"{calib.__version__}\n", "")
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("-h",), ("calibrate", "--help"), ("check", "-h")], ids=" ".join)
+@pytest.mark.parametrize("arguments", [("--help",), ("-h",), ("calibrate", "--help"), ("view", "-h")], ids=" ".join)
 def test_help(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     said = run(*arguments)
@@ -227,12 +227,12 @@ def test_help_begins_with_the_way_to_a_calibrated_machine() -> None:
     text = run("--help").out
     assert re.findall(r"^([A-Z][a-z]+):$", text, re.MULTILINE) == ["Options", "Calibrate", "Prepare", "Judge", "More"]
     path = text.partition("Calibrate:")[2].partition("Prepare:")[0]
-    assert re.findall(r"^  ([a-z]+) ", path, re.MULTILINE)[:3] == ["check", "calibrate", "view"]
+    assert re.findall(r"^  ([a-z]+) ", path, re.MULTILINE)[:4] == ["init", "check", "calibrate", "view"]
 
 
 def test_every_command_has_an_example_that_it_takes() -> None:
     found = commands()
-    assert len(found) == 17
+    assert len(found) == 19
     for name, text in found.items():
         (example,) = re.findall(r"^  Example: (.*)", text, re.MULTILINE)
         program, command, *arguments = shlex.split(example)

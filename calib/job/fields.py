@@ -11,6 +11,7 @@ from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
 from calib.foundations.units import Dimension, parse_quantity
 from calib.foundations.words import shortened
+from calib.measurement.orientations import ORIENTATIONS
 from calib.robot.terms.kind import Option
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
@@ -146,6 +147,16 @@ def iterations(value: object) -> object:
     """Accept a number of iterations."""
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
         raise ValueError(f"{as_toml(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+    return value
+
+
+def orientation_name(value: object) -> object:
+    """Accept what three angles, or nine numbers, of an orientation are."""
+    if value is not None and value not in ORIENTATIONS:
+        raise ValueError(
+            f"{as_toml(value)} is not one of {', '.join(ORIENTATIONS[:5])}, nor the order of three turns, like "
+            '"ZYX" about axes that turn along, or "xyz" about those that stay.'
+        )
     return value
 
 

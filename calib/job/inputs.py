@@ -14,6 +14,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension
+from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
@@ -23,6 +24,7 @@ from calib.identification.sanity import signatures
 from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.fields import Quantity
+from calib.job.propose import reading_that_fits
 from calib.job.read import read_job
 from calib.job.schema import (
     CouplingSection,
@@ -41,15 +43,17 @@ from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
-from calib.robot.sources import EXAMPLE, examples_folder, resolve
+from calib.robot.sources import EXAMPLE, examples_folder, find_mesh, mesh_uris, package_folders, resolve
 from calib.robot.urdf import Urdf, read_urdf
 
 Progress = Callable[[str], None]
+_MOST_MESHES = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,22 +98,23 @@ class JobArm(NamedTuple):
     mesh_roots: tuple[Path, ...]
 
 
-def load_arm(path: Path) -> JobArm:
+def load_arm(path: Path, job: Job | None = None) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
-    job = read_job(path)
+    job = read_job(path) if job is None else job
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
     robot = _robot(job, urdf, path)
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
-def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
+def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None) -> Inputs:
     """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
 
-    Doubtful but usable things are returned as findings.
+    Doubtful but usable things are returned as findings. ``job``: what would stand in ``path``, which is not there yet.
     """
     progress("reading the job")
     stamps = {path: stamp(path)}
-    arm = load_arm(path)
+    written = job is None
+    arm = load_arm(path, job)
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
@@ -126,6 +131,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     _refuse_wrong_shapes(job, sets, path)
     known, model = model.targets, model.within(chosen)
     _refuse_no_noise(job, sets, path)
+    doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
@@ -135,7 +141,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     findings += signatures(model, chosen)
     _refuse(findings)
     hashes = {
-        path.name: sha256(read_bytes(path, JobError)),
+        **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
         **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
@@ -333,7 +339,24 @@ def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
         if not _is_folder(root):
             raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
     examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
-    return (urdf.parent, *named, *examples)
+    return (urdf.parent, *named, *examples, *package_folders(read_bytes(urdf, JobError), urdf))
+
+
+def _meshes_not_found(source: bytes, roots: Sequence[Path], where: str) -> list[Finding]:
+    """Find meshes that the scene will lack, and say the cure."""
+    uris = mesh_uris(source)
+    lost = [uri for uri in uris[:_MOST_MESHES] if find_mesh(uri, roots) is None]
+    if not lost:
+        return []
+    return [
+        Finding(
+            "warning",
+            "meshes-not-found",
+            f"{where}: {len(lost)} of its {len(uris)} meshes are not found, such as {shown(lost[0])}; the scene shows "
+            "sticks, and nothing else needs them. Name the folder above the package in robot.mesh_roots, or source its "
+            "workspace (AMENT_PREFIX_PATH).",
+        )
+    ]
 
 
 def _is_folder(path: Path) -> bool:
@@ -408,19 +431,23 @@ def _measurements(
     doubts: list[Finding],
 ) -> Measurements:
     if section.instrument is not None and section.instrument in arms:
-        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, section.columns)
+        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
         return data
-    data = read_measurements(
-        folder / section.file,
-        robot,
-        section.observes,
-        sigma=(_si(section.sigma), _si(section.sigma_angle)),
-        instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-        offset=section.length_offset,
-        in_order=section.in_order,
-        columns=section.columns,
-    )
+    try:
+        data = read_measurements(
+            folder / section.file,
+            robot,
+            section.observes,
+            sigma=(_si(section.sigma), _si(section.sigma_angle)),
+            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+            offset=section.length_offset,
+            in_order=section.in_order,
+            columns=_columns(section),
+        )
+    except HeaderError as e:
+        ready = reading_that_fits(folder / section.file, robot, section.observes)
+        raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
@@ -429,6 +456,10 @@ def _measurements(
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
     return replace(data, targets=names)
+
+
+def _columns(section: MeasurementsSection) -> Columns:
+    return Columns(section.columns, section.ignore, section.orientation)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:

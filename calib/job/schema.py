@@ -35,6 +35,7 @@ from calib.job.fields import (
     at_most,
     iterations,
     list_of,
+    orientation_name,
     quantity,
     selection,
     term_option,
@@ -264,6 +265,8 @@ class MeasurementsSection(_Section):
     hold_out: Share | None = None
     in_order: bool = False
     columns: Annotated[dict[str, str], AT_MOST["measurements.columns"]] = Field(default_factory=dict)
+    ignore: Names = ()
+    orientation: Annotated[str | None, BeforeValidator(orientation_name)] = None
     targets: Annotated[dict[str, Name], AT_MOST["measurements.targets"]] = Field(default_factory=dict)
 
 

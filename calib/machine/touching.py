@@ -21,7 +21,7 @@ from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, read_table
+from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, Columns, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Robot
 
@@ -51,7 +51,7 @@ class TouchingArm:
 
 @checked
 def touched(
-    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] = AS_WRITTEN
+    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] | Columns = AS_WRITTEN
 ) -> tuple[Measurements, tuple[Finding, ...]]:
     """Return what a table of touched points says of ``robot``, and what looks wrong with the arm's readings.
 

@@ -185,8 +185,8 @@ THERE = "'j1', 'slide', 'x', 'y', 'z'"
         (
             POSITION | {"rx [deg]": [0, 0], "ry [deg]": [0, 0], "rz [deg]": [0, 0]},
             "pose",
-            "t: rx, ry, rz do not say in which order and about which axes they turn; "
-            "convert them to quaternions qw, qx, qy, qz.",
+            "t: rx, ry, rz do not say in which order and about which axes they turn; give orientation, "
+            "or convert them to quaternions qw, qx, qy, qz.",
         ),
         (
             POSE | {"qw": [0.0, 0.6]},

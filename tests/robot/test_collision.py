@@ -143,16 +143,16 @@ def test_meshes_are_read_below_the_roots_only_and_scaled(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("shape", "why"),
     [
-        ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed"),
-        ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed"),
-        ("<cone/>", "is a 'cone', which is not a known shape"),
+        ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed, and is not judged"),
+        ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed, and is not judged"),
+        ("<cone/>", "is a 'cone', which is not a known shape; its collisions are not judged"),
     ],
 )
 def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
     broken = f"<collision><geometry>{shape}</geometry></collision>"
     found = self_collision(robot_of(with_shapes(ARM, {"base": broken, "tip": ball((0, 0, 0))})))
     assert found is not None
-    assert found.notes == (f"The collision shape of link 'base' {why}, and is not judged.",)
+    assert found.notes == (f"The collision shape of link 'base' {why}.",)
     assert self_collision(robot_of(with_shapes(ARM, {"base": broken}))) is None
 
 
