@@ -1,6 +1,7 @@
 """What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
 
 from calib.identification.relations import Relation
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
@@ -17,6 +18,7 @@ __all__ = [
     "LaserTracker",
     "Measurements",
     "Relation",
+    "SetUp",
     "Target",
     "TouchingArm",
     "distances",

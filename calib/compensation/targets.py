@@ -54,7 +54,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
     """Return the targets of a table; which kind they are, its columns say.
 
     With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
-    joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
+    joint targets. A column ``tool`` names the tool of every row, else ``tool`` is that of all.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a tool is not known, and when a joint term of the machine needs a column that is not there.
@@ -88,7 +88,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
         poses = stacked(table, position)
         if rotation in wanted:
             poses = read_only(rigid.placement(orientations(table), poses))
-    tools = cast(tuple[str, ...], columns["point"].values) if "point" in columns else (tool,) * len(table)
+    tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
     for n, name in enumerate(tools):
         if name not in model.tools:
             raise MeasurementError(

@@ -144,18 +144,18 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     components = list(enumerate(problem.components))
     rates = Rates(problem, at, scales(problem.parameters))
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
-        parts: list[Array] = []
+        left = np.empty(data.sigma.shape)
         own = [(c, component.columns) for c, component in components if component.measurements == i]
         for block in rates.blocks(data):
             residual = block.observed.residual
-            parts.append(residual)
+            left[block.rows] = residual
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
             if whole is not None:
                 whole.add(block.J, block.moved, sigma[block.rows])
             for c, of_quantity in own:
                 rows = whitened[:, of_quantity].reshape(-1, columns)
                 triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
-        found.append(np.concatenate(parts))
+        found.append(left)
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     layout = Layout.of(problem.model.robot, at.frames)
     S = directions(problem.parameters, layout.size) * scales(problem.parameters)
@@ -184,7 +184,7 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
     for data in measurements:
         residual = np.empty(data.sigma.shape)
         for rows, tips, others in _block_by_block(tip.tips, data):
-            placed = at.frames.base @ tips @ at.frames.tools[data.tool[rows]]
+            placed = at.frames.bases[data.setup[rows]] @ tips @ at.frames.tools[data.tool[rows]]
             residual[rows] = _observe(data, rows, at.frames, placed, others).residual
         found.append(residual)
     return tuple(found)
@@ -212,7 +212,7 @@ def _observe(data: Measurements, rows: slice, frames: Frames, tools: Array, othe
     targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
     ends = frames.targets[:0]
     if data.other is not None and others is not None:
-        ends = frames.base @ others @ frames.tools[data.other.tool[rows]]
+        ends = frames.bases[data.setup[rows]] @ others @ frames.tools[data.other.tool[rows]]
     length = float(frames.lengths[data.offset]) if data.offset >= 0 else 0.0
     return observe(data.kind, Seen(data, rows, tools, ends, targets, length))
 
@@ -233,8 +233,10 @@ class Rates:
         self._of_robot, self._of_terms = S[: layout.terms], S[layout.terms : layout.base]
         self._of_lengths = S[layout.lengths :]
         of_tools = S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
-        self._joints = self._tip.joints @ self._of_robot
-        self._joints[:6] += self._tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
+        of_bases = S[layout.base : layout.tools].reshape(len(frames.bases), 6, len(units))
+        # Of every set-up: how the joints' placements follow the parameters, the first one with the base.
+        self._joints = np.repeat((self._tip.joints @ self._of_robot)[None], len(frames.bases), axis=0)
+        self._joints[:, :6] += self._tip.base_column @ at.base_twists @ of_bases
         # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
         self._to_tool = rigid.adjoint(rigid.inverse(frames.tools))
         self._by_tool = self._to_tool @ (self._tip.tail @ self._of_robot) + at.tool_twists @ of_tools
@@ -245,25 +247,25 @@ class Rates:
         """Yield the rows of one set, block by block."""
         frames = self._frames
         for rows, motion, other in _block_by_block(self._tip.motion, data):
-            tool = self._tool(data.tool[rows])
-            placed = frames.base @ motion.placement @ frames.tools[tool]
+            tool, setup = self._tool(data.tool[rows]), data.setup[rows]
+            placed = frames.bases[setup] @ motion.placement @ frames.tools[tool]
             observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
-            J = self._through_robot(observed.twist, motion, tool)
+            J = self._through_robot(observed.twist, motion, tool, setup)
             moved = [(observed.twist, placed)]
             if data.other is not None and other is not None and observed.other is not None:
                 tool = self._tool(data.other.tool[rows])
-                moved.append((observed.other, frames.base @ other.placement @ frames.tools[tool]))
-                J += self._through_robot(observed.other, other, tool)
+                moved.append((observed.other, frames.bases[setup] @ other.placement @ frames.tools[tool]))
+                J += self._through_robot(observed.other, other, tool, setup)
             if observed.target is not None:
                 J += observed.target @ self._by_target[data.target[rows]]
             if data.offset >= 0:
                 J -= self._of_lengths[data.offset]
             yield Block(rows, observed, J, tuple(moved))
 
-    def _through_robot(self, twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
+    def _through_robot(self, twist: Array, motion: TipMotion, tool: IntArray | int, setup: IntArray) -> Array:
         # Residual per local twist of the tip link, then per local twist of every joint placement.
         by_tip = _times(twist, self._to_tool[tool])
-        J = _times(by_tip @ motion.regressor, self._joints)
+        J = _group_by_group(by_tip @ motion.regressor, self._joints, setup)
         J += _times(twist, self._by_tool[tool])
         if self._robot.loops:
             J += (by_tip @ motion.by_passive) @ (motion.rates @ self._of_robot)
@@ -273,6 +275,17 @@ class Rates:
 
     def _tool(self, numbers: IntArray) -> IntArray | int:
         return numbers if len(self._frames.tools) > 1 else 0
+
+
+def _group_by_group(rows: Array, matrices: Array, group: IntArray) -> Array:
+    """Return rows (n, d, a) times that of the matrices (k, a, b) that is of their group (n,)."""
+    used = np.unique(group)
+    if len(used) == 1:
+        return _times(rows, matrices[used[0]])
+    found = np.empty((*rows.shape[:2], matrices.shape[2]))
+    for k in used:
+        found[group == k] = _times(rows[group == k], matrices[k])
+    return found
 
 
 def _times(rows: Array, matrix: Array) -> Array:

@@ -1,7 +1,7 @@
 """What a job names, read and checked before anything is solved."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -20,6 +20,7 @@ from calib.identification.observability import undetermined
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.read import read_job
@@ -38,7 +39,7 @@ from calib.machine.touching import touched
 from calib.measurement.checks import Finding, check
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import QUANTITIES
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.read import read_measurements
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -55,15 +56,15 @@ Progress = Callable[[str], None]
 class Inputs:
     """Everything a job names, read and checked.
 
-    ``model``: with what is known of targets that are identified from; ``targets``: what is known of all. ``hashes``:
-    SHA-256 of every input file by its name in the job.
+    ``model``: with what is known of targets and set-ups that are identified from; ``known``: with what is known of all.
+    ``hashes``: SHA-256 of every input file by its name in the job.
     """
 
     job: Job
     path: Path
     robot: Robot
     model: ErrorModel
-    targets: Mapping[str, Target]
+    known: ErrorModel
     identify: tuple[Measurements, ...]
     validate: tuple[Measurements, ...]
     nodes: tuple[Measurements, ...]
@@ -121,9 +122,10 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
     _refuse_levels(job, path)
-    _refuse_unknown_points(job, chosen, held_out, path)
+    _refuse_unknown_names(job, sets, path)
     _refuse_wrong_shapes(job, sets, path)
-    known, model = model.targets, model.within(chosen)
+    known, model = model, model.within(chosen)
+    doubts += _found_from_held_out(known, chosen, held_out)
     _refuse_no_noise(job, sets, path)
     findings = doubts + [finding for data in sets for finding in check(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
@@ -149,7 +151,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         path=path,
         robot=robot,
         model=model,
-        targets=known,
+        known=known,
         identify=chosen,
         validate=held_out,
         nodes=nodes,
@@ -233,24 +235,48 @@ def _refuse(findings: Sequence[Finding]) -> None:
             raise MeasurementError(finding.sentence)
 
 
-def _refuse_unknown_points(
-    job: Job, chosen: Sequence[Measurements], held_out: Sequence[Measurements], path: Path
-) -> None:
-    """Refuse tools and held-out points that nothing was identified with: they would be passed over or be guessed."""
-    points = tuple(dict.fromkeys(point for data in chosen for point in data.tools))
-    known = ", ".join(map(repr, points))
-    for name in job.tools:
-        if name not in points:
-            raise JobError(f"{path}: tools: {name!r} is not a point of the measurements; they have {known}.")
-    for point in points:
-        if job.tools and point not in job.tools:
-            raise JobError(f"{path}: tools: the point {point!r} of the measurements is missing.")
-    for data in held_out:
-        for point in data.tools:
-            if point not in points:
-                raise MeasurementError(
-                    f"{data.where}: the point {point!r} is in no set to identify from; these have {known}."
+def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse tools and set-ups that no row has, and such of rows that are missing where the others are given."""
+    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
+    for what, given, there in (("tools", job.tools, tools), ("setups", job.setups, setups)):
+        for name in given:
+            if name not in there:
+                raise JobError(
+                    f"{path}: {what}: {name!r} is in no measurement; they have {', '.join(map(repr, there))}."
                 )
+    for tool in tools:
+        if job.tools and tool not in job.tools:
+            raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
+    for setup in setups:
+        if job.error_model.base == "fixed" and setup not in (ONLY_SETUP, *job.setups):
+            raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
+    if job.base is not None and ONLY_SETUP not in setups:
+        raise JobError(
+            f"{path}: base: a pose is given, and every measurement has a named set-up: "
+            f"{', '.join(map(repr, setups))}; give it in [setups.NAME]."
+        )
+
+
+def _found_from_held_out(
+    model: ErrorModel, chosen: Sequence[Measurements], held_out: Sequence[Measurements]
+) -> Iterator[Finding]:
+    """Yield the tools and set-ups that only rows held out have."""
+    tools = {tool for data in chosen for tool in data.tools}
+    setups = {setup for data in chosen for setup in data.setups}
+    for data in held_out:
+        names = [("tool", name) for name in data.tools if name not in tools and model.tool != "fixed"]
+        for name in data.setups:
+            known = model.known_base(name)
+            if name not in setups and (known is None or not known.fixed):
+                names.append(("set-up", name))
+        for what, name in names:
+            yield Finding(
+                "warning",
+                "found-from-held-out",
+                f"{data.where}: the {what} {name!r} is in no table to identify from, and is found from the rows that "
+                "judge; where these are few, that flatters them.",
+            )
 
 
 def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
@@ -364,6 +390,7 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
                 {name: _placement(tool) for name, tool in job.tools.items()},
                 {name: _target(target) for name, target in job.targets.items()},
                 [_relation(relation) for relation in job.relations],
+                _setups(job),
             ),
         )
         free = model.parameters()
@@ -377,6 +404,19 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
 def _placement(frame: FrameSection) -> Array:
     position = np.array([parse_quantity(text, "length", "position") for text in frame.position])
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
+
+
+def _setups(job: Job) -> dict[str, SetUp]:
+    """Return what is known of where the base stood; of the set-up without a name only with a prior."""
+    known = {ONLY_SETUP: job.base} if job.base is not None and job.base.prior is not None else {}
+    return {
+        name: SetUp(
+            _placement(section),
+            None if section.prior is None else _si(section.prior.length, "length"),
+            None if section.prior is None else _si(section.prior.angle, "angle"),
+        )
+        for name, section in (known | job.setups).items()
+    }
 
 
 def _target(section: TargetSection) -> Target:
@@ -417,7 +457,7 @@ def _measurements(
     if section.instrument is not None and section.instrument in arms:
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, section.columns)
         doubts += found
-        return data
+        return data.named(tool=section.tool, setup=section.setup)
     data = read_measurements(
         folder / section.file,
         robot,
@@ -435,7 +475,7 @@ def _measurements(
     names = tuple(section.targets.get(name, name) for name in data.targets)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
-    return replace(data, targets=names)
+    return replace(data, targets=names).named(tool=section.tool, setup=section.setup)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:

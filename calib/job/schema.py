@@ -140,10 +140,23 @@ class ErrorModelSection(_Terms):
 
 
 class FrameSection(_Section):
-    """``[base]`` or ``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
+    """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
     position: Position
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+class BasePriorSection(_Section):
+    """``prior`` of a base: standard deviations of its positions and of its angles."""
+
+    length: Annotated[str, BeforeValidator(quantity("prior.length"))]
+    angle: Annotated[str, BeforeValidator(quantity("prior.angle"))]
+
+
+class BaseSection(FrameSection):
+    """``[base]``, and ``[setups.NAME]``: where the base stood, exactly, or about where a ``prior`` is given."""
+
+    prior: BasePriorSection | None = None
 
 
 class TargetSection(_Section):
@@ -246,6 +259,8 @@ class MeasurementsSection(_Section):
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    tool: Name | None = None
+    setup: Name | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
@@ -264,7 +279,8 @@ class Job(_Section):
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
     solver: SolverSection = SolverSection()
-    base: FrameSection | None = None
+    base: BaseSection | None = None
+    setups: Annotated[dict[str, BaseSection], AT_MOST["setups"]] = Field(default_factory=dict)
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
     instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
     targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)

@@ -30,6 +30,7 @@ from calib.machine.grid import SectorGrid, grid_bytes, load_grid
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
+from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
@@ -139,7 +140,10 @@ class TermEntry(_Strict):
 
 
 class ModelFile(_Strict):
-    """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
+    """Schema 1 of ``model.json``. Lengths in m, angles in rad.
+
+    ``base``: in the set-up named ``setup``; ``setups``: the base in the others.
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     urdf: Literal["nominal.urdf"]
@@ -148,6 +152,8 @@ class ModelFile(_Strict):
     joints: tuple[JointEntry, ...]
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
+    setup: str = ONLY_SETUP
+    setups: dict[str, PoseEntry] = Field(default_factory=dict)
     tools: dict[str, PoseEntry]
     residual_model: ResidualFile | None = None
     couplings: tuple[Coupling, ...] = ()
@@ -155,6 +161,12 @@ class ModelFile(_Strict):
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: Payload | None = None
+
+    @model_validator(mode="after")
+    def _has_each_setup_once(self) -> "ModelFile":
+        if self.setup in self.setups:
+            raise ValueError("a set-up has one pose of the base")
+        return self
 
 
 def residual_file(known: ResidualModel | None) -> ResidualFile | None:
@@ -185,6 +197,8 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         joints=joints,
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.base),
+        setup=machine.setup,
+        setups={name: PoseEntry.of(T) for name, T in machine.others.items()},
         tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
         residual_model=residual_file(machine.residual_model),
         couplings=robot.couplings,
@@ -261,10 +275,11 @@ def _loaded(folder: Path) -> CalibratedMachine:
     )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
-    path = folder / UNCERTAINTY_FILE
-    uncertainty = load_uncertainty(path, equipped, len(tools)) if tools and os.path.lexists(path) else None
+    others = {name: read_only(other.placement) for name, other in model.setups.items()}
+    path, counts = folder / UNCERTAINTY_FILE, (1 + len(others), len(tools))
+    uncertainty = load_uncertainty(path, equipped, *counts) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty)
+    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty, model.setup, others)
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:

@@ -13,7 +13,6 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
-from calib.identification.machine import Layout
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.uncertainty import ToolUncertainty, UncertaintyMap
 from calib.measurement.conditions import refuse_lacking
@@ -58,15 +57,18 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return a factor (N, 3 or 6, r) of the covariance that the predictions of all rows of ``data`` have together.
 
     Errors of the parameters are common to all rows: column j is what one standard deviation of them does to every row.
-    Raises MeasurementError for a tool that was not identified.
+    Raises MeasurementError for a tool or a set-up that was not identified.
     """
     size, factor = data.sigma.shape[1], machine.known_uncertainty.factor
     found = np.zeros((len(data), size, factor.shape[1]))
-    for k, tool in enumerate(data.tools):
-        rows = np.flatnonzero(data.tool == k)
-        if len(rows):
-            own = data.conditions.subset(rows)
-            found[rows] = tool_motions(machine, factor, data.readings[rows], tool, conditions=own)[:, :size]
+    for s, setup in enumerate(data.setups):
+        there = machine.at(setup) if np.any(data.setup == s) else machine
+        for k, tool in enumerate(data.tools):
+            rows = np.flatnonzero((data.tool == k) & (data.setup == s))
+            if len(rows):
+                own = data.conditions.subset(rows)
+                columns = there.known_uncertainty.factor
+                found[rows] = tool_motions(there, columns, data.readings[rows], tool, conditions=own)[:, :size]
     return found
 
 
@@ -113,7 +115,7 @@ def tool_motions(
 
     Other arguments and axes as of :func:`tool_uncertainty`.
     """
-    layout, changes = Layout(machine.robot), np.array(columns)
+    layout, changes = machine.layout, np.array(columns)
     if not base:
         changes[layout.base : layout.tools] = 0.0
     if not tool_pose:

@@ -59,7 +59,7 @@ class UncertaintyFile(_Strict):
     """Schema 1 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
     Rows of ``factor`` and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move,
-    then x, y, z, rx, ry, rz of the base and of every tool.
+    then x, y, z, rx, ry, rz of the base, of the base in every other set-up, and of every tool.
     """
 
     schema_: Literal[1] = Field(alias="schema")
@@ -92,8 +92,8 @@ def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
     return None if entry is None else entry.model_dump()
 
 
-def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
-    """Read the uncertainty of the machine of ``model.json``, which has so many tools.
+def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncertainty:
+    """Read the uncertainty of the machine of ``model.json``, which has so many set-ups and tools.
 
     Raises OutputError when the file does not belong to it.
     """
@@ -102,7 +102,7 @@ def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
-    size = Layout(robot, tools).size
+    size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
     if (

@@ -56,7 +56,7 @@ def check(measurements: Measurements, readings: Sequence[Reading], reach: float)
         *_beyond_limits(measurements, readings),
         *_radians_as_degrees(measurements, readings),
         *_at_rest(measurements),
-        *_spread(measurements, reach),
+        *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
         *_repeated(measurements),
     )
 
@@ -142,7 +142,7 @@ def _excess(values: Array, readings: Sequence[Reading]) -> Array:
 
 
 def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
-    if m.position is None:
+    if m.position is None or not len(m):
         return
     # The median row stands for all of them, so that one wild row is not taken for a wrong unit.
     distance = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=-1)
@@ -176,7 +176,16 @@ def _repeated(m: Measurements) -> Iterable[Finding]:
     position = none if m.position is None else m.position
     orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
     other = none if m.other is None else np.hstack([m.other.readings, m.other.tool[:, None]])
-    rows = np.hstack([m.readings, position, orientation, m.value, other, m.tool[:, None], m.target[:, None]])
+    rows = np.hstack(
+        [
+            m.readings,
+            position,
+            orientation,
+            m.value,
+            other,
+            *(number[:, None] for number in (m.tool, m.setup, m.target)),
+        ]
+    )
     _, first = np.unique(rows, axis=0, return_index=True)
     again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
     if again.size:

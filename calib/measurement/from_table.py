@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS, RANGES, Range, refuse_beyond
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.measurement.columns import (
     BOARD,
@@ -25,7 +25,7 @@ from calib.measurement.columns import (
 from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.measurements import End, Measurements
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
 from calib.measurement.projection import undistort
 from calib.measurement.table import Table
 from calib.robot.robot import Reading
@@ -83,9 +83,14 @@ def measurements_from_table(
     noise = _noise(table, ways, dimension, {"sigma": length, "the instrument": promised}, width)
     if kind == "pose":
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": angle}, 3)])
-    tools, tool = _numbered(words(table, "point"), "tool", len(table))
+    tools, tool = _numbered(words(table, "tool"), ONLY_TOOL, len(table))
+    setups, setup = _numbered(words(table, "setup"), ONLY_SETUP, len(table))
     targets, target = _numbered(words(table, "target"), "target", len(table))
-    for names, column, most in ((tools, "point", MOST_POINTS), (targets, "target", MOST_TARGETS)):
+    for names, column, most in (
+        (tools, "tool", MOST_TOOLS),
+        (setups, "setup", MOST_SETUPS),
+        (targets, "target", MOST_TARGETS),
+    ):
         if len(names) > most:
             raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
     if kind not in WITH_TARGET:
@@ -100,6 +105,8 @@ def measurements_from_table(
         sigma=read_only(noise),
         tools=tools,
         tool=read_only_view(tool),
+        setups=setups,
+        setup=read_only_view(setup),
         targets=targets,
         target=read_only_view(target),
         other=None,
@@ -208,6 +215,10 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
         if rows.value[found[0], 0] != rows.value[found[1], 0]:
             raise MeasurementError(
                 f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
+            )
+        if rows.setup[found[0]] != rows.setup[found[1]]:
+            raise MeasurementError(
+                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} is of two set-ups; a pair is of one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
     other = End(

@@ -14,6 +14,9 @@ from calib.measurement.kinds import Kind, size
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 
+# What the only tool of the robot's tip is called, and the only place where the robot stood.
+ONLY_TOOL, ONLY_SETUP = "tool", "base"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class End:
@@ -36,7 +39,8 @@ class Measurements:
     ``pixels`` have u and v in px, then where the mark is on its board (x, y, z).
     ``sigma`` (N, d), with d numbers in a row's residual: the instrument's standard deviations, 0 where unknown, to be
     estimated from the residuals.
-    ``tool`` (N): which of ``tools``, the points on the flange that were measured, in order of appearance. ``target``
+    ``tool`` (N): which of ``tools``, the tools on the tip link that were measured, in order of appearance. ``setup``
+    (N): which of ``setups``, the places where the robot's base stood. ``target``
     (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
     kinds that have none.
     ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
@@ -58,6 +62,8 @@ class Measurements:
     sigma: Array
     tools: tuple[str, ...]
     tool: IntArray
+    setups: tuple[str, ...]
+    setup: IntArray
     targets: tuple[str, ...]
     target: IntArray
     other: End | None
@@ -97,18 +103,46 @@ class Measurements:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
 
+    def named(self, *, tool: str | None = None, setup: str | None = None) -> "Measurements":
+        """Return the rows as measured with one named tool, or with the robot in one named place.
+
+            left = calib.read_measurements("from_the_left.csv", robot).named(setup="left")
+
+        Raises MeasurementError when columns of the table say it already.
+        """
+        for what, name, own, only in (
+            ("tool", tool, self.tools, ONLY_TOOL),
+            ("setup", setup, self.setups, ONLY_SETUP),
+        ):
+            if name is not None and own != (only,):
+                raise MeasurementError(
+                    f"{self.where}: the {what} is given twice, as {name!r} and by column {what!r}; keep one."
+                )
+        return replace(
+            self, tools=self.tools if tool is None else (tool,), setups=self.setups if setup is None else (setup,)
+        )
+
+    def at(self, setup: str) -> "Measurements":
+        """Return the rows of one set-up, as if there were no other; there may be none."""
+        rows = np.isin(self.setup, [k for k, name in enumerate(self.setups) if name == setup])
+        found = self.subset(rows)
+        return replace(found, setups=(ONLY_SETUP,), setup=np.zeros(len(found), dtype=np.intp))
+
     def with_own_names(self) -> "Measurements":
-        """Return the measurements with those of ``tools`` and ``targets`` alone that some row has.
+        """Return the measurements with those of ``tools``, ``setups`` and ``targets`` alone that some row has.
 
         Nothing is then known, or looked for, of the others.
         """
         tools, number = _used(self.tools, *(end.tool for end in self.ends))
+        setups, setup = _used(self.setups, self.setup)
         targets, target = _used(self.targets, self.target)
         other = self.other
         return replace(
             self,
             tools=tools,
             tool=read_only_view(number[self.tool]),
+            setups=setups,
+            setup=read_only_view(setup[self.setup]),
             targets=targets,
             target=read_only_view(target[self.target]),
             other=None if other is None else replace(other, tool=read_only_view(number[other.tool])),
@@ -116,7 +150,7 @@ class Measurements:
 
     @checked
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
-        """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay.
+        """Return the measurements of some rows, by position or by mask (N); the names stay.
 
         Raises MeasurementError when there are no such rows.
         """
@@ -133,6 +167,7 @@ class Measurements:
             value=read_only_view(self.value[index]),
             sigma=read_only_view(self.sigma[index]),
             tool=read_only_view(self.tool[index]),
+            setup=read_only_view(self.setup[index]),
             target=read_only_view(self.target[index]),
             other=None
             if other is None
@@ -160,7 +195,7 @@ def unmeasured(
     position: Array,
     orientation: Array | None = None,
     *,
-    tools: Sequence[str] = ("tool",),
+    tools: Sequence[str] = (ONLY_TOOL,),
     tool: int = 0,
     conditions: Conditions = NO_CONDITIONS,
     where: str,
@@ -181,6 +216,8 @@ def unmeasured(
         sigma=read_only(np.ones((n, size(kind)))),
         tools=tuple(tools),
         tool=np.full(n, tool, dtype=np.intp),
+        setups=(ONLY_SETUP,),
+        setup=np.zeros(n, dtype=np.intp),
         targets=(),
         target=np.full(n, -1, dtype=np.intp),
         other=None,

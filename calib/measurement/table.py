@@ -24,7 +24,7 @@ from calib.foundations.units import NUMBER, UNITS, Unit
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, lines, refuse_ragged, separator_of
 
-TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
+TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 # The side from which the joint in the name was reached, in words.
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
@@ -269,6 +269,8 @@ def _unit(name: str, symbol: str | None, at: str) -> Unit | None:
         return None
     if name in QUATERNION_COLUMNS and symbol is None:
         return UNITS["1"]
+    if name == "point":
+        raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
     if not symbol:
         raise MeasurementError(
             f"{at}: column {name!r} has no unit; write one in brackets, like '{name} [mm]': {', '.join(UNITS)}."

@@ -67,7 +67,7 @@ def test_readings_come_in_the_order_of_the_robot() -> None:
 def test_optional_columns() -> None:
     m = measured(
         POSITION
-        | {"point": ["ball2", "ball1"], "group": ["a", "b"], "target": ["t1", "t2"], "pair": ["p", "q"]}
+        | {"tool": ["ball2", "ball1"], "group": ["a", "b"], "target": ["t1", "t2"], "pair": ["p", "q"]}
         | {"direction": ["+", "-"], "time [s]": [0, 1], "temperature [degC]": [20, 21], "length [mm]": [1, 1]}
         | {"u [px]": [1, 2], "v [px]": [1, 2], "tau_j1 [Nm]": [0, 0]}
     )
@@ -83,7 +83,7 @@ def test_every_array_is_read_only() -> None:
 
 @pytest.mark.parametrize("rows", [[1], np.array([1]), np.array([False, True])], ids=["list", "positions", "mask"])
 def test_subset(rows: object) -> None:
-    m = measured(POSE | {"point": ["a", "b"], "group": ["g", "h"], "target": ["t", "u"]}, "pose")
+    m = measured(POSE | {"tool": ["a", "b"], "group": ["g", "h"], "target": ["t", "u"]}, "pose")
     s = m.subset(rows)
     for name in ("readings", "position", "orientation", "sigma", "tool", "lines"):
         assert np.array_equal(getattr(s, name), getattr(m, name)[1:])

@@ -7,26 +7,26 @@ import numpy as np
 
 from calib.foundations.arrays import BoolArray, IntArray
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
-from calib.identification.initialisation.target_poses import with_targets
-from calib.identification.machine import Layout, Machine, values_at
+from calib.identification.machine import Frames, Layout, Machine, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
+from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.transmission import lacking
 
 
 def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     """Return the problem of finding all that is free, with base, tools and targets where the nominal robot has them.
 
-    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame is taken
-    for it: a camera or a board on the floor is then found in the base. Of a tool that nothing shows but as a point,
-    beside others that boards and cameras show, the orientation is no unknown.
+    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame in the
+    first set-up is taken for it: a camera or a board on the floor is then found in the base. Of a tool that nothing
+    shows but as a point, beside others that boards and cameras show, the orientation is no unknown.
 
     Raises MeasurementError when there are none, when they are not of this robot, or a target is two things; JobError
     when a name means two things, a known or related target is in no measurement, or a tool needs its orientation free.
@@ -39,13 +39,17 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     sets = with_common_names(model, measurements)
     _refuse_unturned_tools(model, sets)
     _refuse_unknown_targets(model, sets)
+    _refuse_unknown_setups(model, sets)
     if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
-        target.height_is_known for target in model.targets.values()
+        (
+            *(target.height_is_known for target in model.targets.values()),
+            *(model.known_base(setup) is not None for setup in sets[0].setups),
+        )
     ):
-        model = replace(model, base="fixed")
+        model = replace(model, setups={**model.setups, sets[0].setups[0]: SetUp(model.base_pose)})
     reference, unshown = initialise(model, sets)
     layout = Layout.of(model.robot, reference)
-    of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
+    of_model = _without_turns_of_points(model.parameters(sets[0].tools, sets[0].setups), sets, layout)
     of_model = _with_unshown_tools(of_model, unshown, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
     names = [parameter.name for parameter in parameters]
@@ -55,7 +59,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
 
 
 def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with common lists of tools, targets and lengths.
+    """Return the sets with common lists of tools, set-ups, targets and lengths.
 
     Raises MeasurementError when they are not of this robot, or lack what a joint term needs.
     """
@@ -69,9 +73,14 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
     offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
-    for found, what, most in ((tools, "points", MOST_POINTS), (every, "targets", MOST_TARGETS)):
+    for found, what, most in (
+        (tools, "tools", MOST_TOOLS),
+        (setups, "set-ups", MOST_SETUPS),
+        (every, "targets", MOST_TARGETS),
+    ):
         if len(found) > most:
             raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
 
@@ -84,6 +93,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             data,
             tools=tools,
             tool=numbered(data.tools, tools, data.tool),
+            setups=setups,
+            setup=numbered(data.setups, setups, data.setup),
             targets=every,
             target=numbered(data.targets, every, data.target),
             other=None
@@ -96,34 +107,62 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     )
 
 
-def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
-    """Return a machine with the targets and lengths of sets with common names that it does not know yet.
+def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
+    """Return a machine with the set-ups, tools, targets and lengths of sets with common names that it does not know.
 
     The sets' names are the machine's, then new ones. Raises IdentificationError when the measurements are too few.
     """
-    frames = machine.frames
-    known_targets, known_lengths = len(frames.targets), len(frames.lengths)
-    if (known_targets, known_lengths) == (len(sets[0].targets), len(sets[0].offsets)):
+    frames, names = machine.frames, sets[0]
+    known = (len(frames.bases), len(frames.tools), len(frames.targets), len(frames.lengths))
+    if known == (len(names.setups), len(names.tools), len(names.targets), len(names.offsets)):
         return machine
-    tips = [data.tips(model.robot, machine.deviations) for data in sets]
-    placed = with_targets(model, sets, tips, frames)
-    placed = replace(
-        placed,
-        targets=np.concatenate([frames.targets, placed.targets[known_targets:]]),
-        lengths=np.concatenate([frames.lengths, placed.lengths[known_lengths:]]),
+    _refuse_unplaced(model, sets)
+    placed = initialise(model, sets, machine).frames
+    placed = Frames(
+        *(
+            np.concatenate([old, new[len(old) :]])
+            for old, new in (
+                (frames.bases, placed.bases),
+                (frames.tools, placed.tools),
+                (frames.targets, placed.targets),
+                (frames.lengths, placed.lengths),
+            )
+        )
     )
     layout = Layout.of(model.robot, placed)
-    targets_end, lengths_end = layout.targets + 6 * known_targets, layout.lengths + known_lengths
+    starts = (layout.base, layout.tools, layout.targets, layout.lengths)
+    ends = (*starts[1:], layout.size)
     new = tuple(
         parameter
-        for parameter in targets.unknowns(sets, model.targets, layout)
-        if targets_end <= parameter.direction[0][0] < layout.lengths or parameter.direction[0][0] >= lengths_end
+        for parameter in (
+            *_without_turns_of_points(model.parameters(names.tools, names.setups), sets, layout),
+            *targets.unknowns(sets, model.targets, layout),
+        )
+        for start, count, end, size in zip(starts, known, ends, (6, 6, 6, 1), strict=True)
+        if start + size * count <= parameter.direction[0][0] < end
     )
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
     others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
-    return problem.machine(solve(problem, x0).x if others and new else x0)
+    of_setup = any(parameter.kind != "target" for parameter in new)
+    return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
+
+
+def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse set-ups that are known and in no measurement, and as :func:`_refuse_unplaced`."""
+    names = sets[0].setups
+    for name in model.setups:
+        if name not in names:
+            raise JobError(f"setups: {name!r} is in no measurement; they have {', '.join(map(repr, names))}.")
+    _refuse_unplaced(model, sets)
+
+
+def _refuse_unplaced(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse set-ups without a pose where the base is fixed."""
+    for name in sets[0].setups:
+        if model.base == "fixed" and name not in (ONLY_SETUP, *model.setups):
+            raise JobError(f"setups: the pose of the base in {name!r} is missing, and the base is fixed.")
 
 
 def _refuse_unturned_tools(model: ErrorModel, sets: Sequence[Measurements]) -> None:
