@@ -47,6 +47,7 @@ def verify(
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = sure_machine(results).at(setup)
+        machine = machine if tool is None else machine.of(tool)
         data = read_measurements(
             measurements,
             machine.robot,

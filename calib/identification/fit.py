@@ -94,6 +94,12 @@ class Fit:
         bases = self.machine.frames.bases
         return _by_name(self.measurements[0].setups, bases, data.setups, bases[0])[data.setup]
 
+    @property
+    def tool_tips(self) -> dict[str, str]:
+        """The links that carry tools, by the tools' names, of those that are not on the robot's tip."""
+        tips = {data.tools[k]: data.tip for data in self.measurements for k in np.unique(data.tool)}
+        return {tool: tip for tool, tip in tips.items() if tip not in ("", self.robot.tip)}
+
     def knows(self, data: Measurements) -> bool:
         """Return whether the rows are of tools and set-ups that the fit knows."""
         own = self.measurements[0]

@@ -5,7 +5,7 @@ from typing import get_args
 
 from calib.identification.relations import RelationKind
 from calib.job.fields import in_pixels, quantity
-from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
+from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.terms import KINDS
@@ -35,7 +35,8 @@ def contradictions(job: Job) -> Iterator[str]:
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     for name, target in job.targets.items():
-        if (target.position is None) == (target.normal is None):
+        nothing = target.position is None and target.normal is None
+        if (target.position is not None and target.normal is not None) or (nothing and target.on == FLOOR):
             yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
         if target.quaternion is not None and target.position is None:
             yield f"targets.{name}.quaternion: belongs to a position, and there is none."

@@ -25,6 +25,7 @@ from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.read import read_job
 from calib.job.schema import (
+    FLOOR,
     CouplingSection,
     FrameSection,
     InstrumentSection,
@@ -197,10 +198,13 @@ def _refuse_levels(job: Job, path: Path) -> None:
 
 def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
+    tips = [table.tip for table in job.measurements if table.tip is not None]
+    links = [*tips, *(target.on for target in job.targets.values() if target.on != FLOOR)]
     return load_robot(
         document,
-        section.tip,
+        section.tip or next(iter(tips), None),
         section.base,
+        links=links,
         couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
@@ -286,6 +290,8 @@ def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> 
     for name, target in job.targets.items():
         if name not in found:
             raise JobError(f"{path}: targets: {name!r} is in no measurement; they have {listed}.")
+        if not target.says_where:
+            continue
         said = "point" if target.normal is None else "plane"
         # Boards and cameras have a position as points have.
         if found[name] not in (said, "frame" if said == "point" else said):
@@ -388,7 +394,7 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             known=Known(
                 None if job.base is None else _placement(job.base),
                 {name: _placement(tool) for name, tool in job.tools.items()},
-                {name: _target(target) for name, target in job.targets.items()},
+                {name: _target(target) for name, target in job.targets.items() if target.says_where},
                 [_relation(relation) for relation in job.relations],
                 _setups(job),
             ),
@@ -460,7 +466,7 @@ def _measurements(
         return data.named(tool=section.tool, setup=section.setup)
     data = read_measurements(
         folder / section.file,
-        robot,
+        robot.with_tip(section.tip or robot.tip),
         section.observes,
         sigma=(_si(section.sigma, "length"), _si(section.sigma_angle, "angle")),
         instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
@@ -475,7 +481,8 @@ def _measurements(
     names = tuple(section.targets.get(name, name) for name in data.targets)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
-    return replace(data, targets=names).named(tool=section.tool, setup=section.setup)
+    on = {name: target.on for name, target in job.targets.items() if target.on != FLOOR}
+    return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:

@@ -32,6 +32,8 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
     if section is None:
         return ResidualLevel(None)
+    if len(fit.robot.links) > 1:
+        raise JobError("levels: a residual_model is of one arm with one tip, and the job has several links.")
     sets = inputs.nodes or tuple(data for data in inputs.identify if data.position is not None)
     if not sets:
         raise JobError("levels: the residual_model has no positions to be made of.")

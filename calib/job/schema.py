@@ -44,6 +44,10 @@ from calib.robot.terms import KINDS
 AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()}
 
 
+# The word for what does not move; it wins over a link of that name.
+FLOOR = "floor"
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -162,13 +166,21 @@ class BaseSection(FrameSection):
 class TargetSection(_Section):
     """``[targets.NAME]``: what is known of a point, a board or camera (position and quaternion), or a plane.
 
-    Of a plane its normal is known, and perhaps its height along it.
+    Of a plane its normal is known, and perhaps its height along it. All of it in the link that the target is ``on``, or
+    in the instrument's frame where it stands on the floor.
     """
+
+    on: Name = FLOOR
 
     position: Position | None = None
     quaternion: Quaternion | None = None
     normal: Direction | None = None
     height: Annotated[str, BeforeValidator(quantity("height"))] | None = None
+
+    @property
+    def says_where(self) -> bool:
+        """Whether something is known of the place."""
+        return self.position is not None or self.normal is not None
 
 
 class RelationSection(_Section):
@@ -259,6 +271,7 @@ class MeasurementsSection(_Section):
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    tip: Name | None = None
     tool: Name | None = None
     setup: Name | None = None
     length_offset: Name | None = None

@@ -30,8 +30,9 @@ class CalibratedMachine:
 
     ``robot`` and ``deviations``: in the frames of its URDF. ``base`` (4, 4): the robot's base in the instrument's
     frame, in the set-up named ``setup``; ``others``: likewise in other set-ups, by name. ``tools``: poses (4, 4) in the
-    tip link, by name. ``residual_model``: errors of tool positions that the rest leaves, over joint space, or None.
-    ``uncertainty``: how sure all of it is, or None where that is not known.
+    tip link, by name; ``tool_tips``: the links of tools that are on another one. ``residual_model``: errors of tool
+    positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where
+    that is not known.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -45,6 +46,19 @@ class CalibratedMachine:
     uncertainty: Uncertainty | None = None
     setup: str = ONLY_SETUP
     others: Mapping[str, Array] = field(default_factory=dict)
+    tool_tips: Mapping[str, str] = field(default_factory=dict)
+
+    @checked
+    def of(self, tool: str) -> "CalibratedMachine":
+        """Return the same machine, its robot looked at the tip that carries a tool.
+
+        Raises MeasurementError for an unknown one.
+        """
+        tip = self.tool_tips.get(self.tool_named(tool), self.robot.links[0] if self.robot.links else self.robot.tip)
+        if tip == self.robot.tip:
+            return self
+        # What is left over was learned at another tip.
+        return replace(self, robot=self.robot.with_tip(tip), residual_model=None)
 
     @property
     def bases(self) -> dict[str, Array]:
@@ -97,7 +111,7 @@ class CalibratedMachine:
 
         Raises MeasurementError for an unknown tool, and as :meth:`tips` does.
         """
-        return np.asarray(self.base @ self.tips(readings, conditions) @ self.tools[self.tool_named(tool)])
+        return np.asarray(self.base @ self.of(tool).tips(readings, conditions) @ self.tools[tool])
 
     @checked
     def tool_jacobian(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -107,7 +121,7 @@ class CalibratedMachine:
         rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
         """
         layout, number = self.layout, list(self.tools).index(self.tool_named(tool))
-        motion = TipModel(self.robot, self.deviations).motion(readings, conditions)
+        motion = TipModel(self.of(tool).robot, self.deviations).motion(readings, conditions)
         T_tool = self.tools[tool]
         placed = motion.placement @ T_tool
         state = self.state
@@ -138,6 +152,8 @@ class CalibratedMachine:
         if self.residual_model is None:
             return residuals
         found = np.array(residuals)
+        if data.tip and data.tip != self.robot.tip:
+            return residuals
         tips = data.tips(self.robot, self.deviations)
         for name, number in zip(data.setups, range(len(data.setups)), strict=True):
             rows = data.setup == number
@@ -155,6 +171,11 @@ class CalibratedMachine:
                     raise MeasurementError(f"{data.where}: the {what} {name!r} was not identified; known are {known}.")
             return np.array([own.index(name) for name in names], dtype=np.intp)
 
+        for name in (data.tools[k] for k in np.unique(data.tool)):
+            if name in self.tools and data.tip and (tip := self.of(name).robot.tip) != data.tip:
+                raise MeasurementError(
+                    f"{data.where}: the tool {name!r} is on {tip!r}, and the rows are of {data.tip!r}."
+                )
         tools, setups = tuple(self.tools), tuple(self.bases)
         number, place = numbers("tool", tools, data.tools), numbers("set-up", setups, data.setups)
         return replace(data, tools=tools, tool=number[data.tool], setups=setups, setup=place[data.setup])
@@ -221,6 +242,7 @@ def machine_of(fit: Fit, residual_model: ResidualModel | None = None) -> Calibra
         _uncertainty(fit),
         setup,
         {name: read_only(T) for name, T in zip(others, frames.bases[1:], strict=True)},
+        fit.tool_tips,
     )
     return found.at(ONLY_SETUP) if ONLY_SETUP in others else found
 
@@ -242,14 +264,20 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     counts = len(machine.frames.bases), len(machine.frames.tools)
     assert len(state) == Layout(fit.robot, *counts).size, "one state of the machine, two ways"
     s = scales(fit.parameters)
-    readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
+    told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
+    readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
     return Uncertainty(
         read_only(state @ _factor(fit.covariance, s)),
         read_only(state @ (fit.null_basis * s[:, None])),
         _level(fit, "m"),
         _level(fit, "rad"),
-        read_only(np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)),
+        read_only(np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)),
     )
+
+
+def _told(data: Measurements, readings: Array) -> Array:
+    """Return readings (N, nr), nan where no column told them."""
+    return np.where([name in data.absent for name in data.reading_names], np.nan, readings)
 
 
 def _factor(covariance: Array, s: Array) -> Array:

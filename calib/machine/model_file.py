@@ -142,7 +142,8 @@ class TermEntry(_Strict):
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad.
 
-    ``base``: in the set-up named ``setup``; ``setups``: the base in the others.
+    ``base``: in the set-up named ``setup``; ``setups``: the base in the others. ``links``: the tip and other links that
+    the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
     """
 
     schema_: Literal[1] = Field(alias="schema")
@@ -155,6 +156,8 @@ class ModelFile(_Strict):
     setup: str = ONLY_SETUP
     setups: dict[str, PoseEntry] = Field(default_factory=dict)
     tools: dict[str, PoseEntry]
+    links: tuple[str, ...] = ()
+    tool_tips: dict[str, str] = Field(default_factory=dict)
     residual_model: ResidualFile | None = None
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
@@ -200,6 +203,8 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         setup=machine.setup,
         setups={name: PoseEntry.of(T) for name, T in machine.others.items()},
         tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
+        links=robot.links if len(robot.links) > 1 else (),
+        tool_tips=dict(machine.tool_tips),
         residual_model=residual_file(machine.residual_model),
         couplings=robot.couplings,
         loops=robot.closed_loops,
@@ -253,6 +258,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
+            links=model.links,
             couplings=model.couplings,
             loops=model.loops,
             gravity=model.gravity,
@@ -275,11 +281,15 @@ def _loaded(folder: Path) -> CalibratedMachine:
     )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
+    if alien := [name for name, tip in model.tool_tips.items() if name not in tools or tip not in robot.links]:
+        raise OutputError(f"{path}: the tool {alien[0]!r} is on no link of {NOMINAL_FILE}.")
     others = {name: read_only(other.placement) for name, other in model.setups.items()}
     path, counts = folder / UNCERTAINTY_FILE, (1 + len(others), len(tools))
     uncertainty = load_uncertainty(path, equipped, *counts) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty, model.setup, others)
+    return CalibratedMachine(
+        equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips
+    )
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:

@@ -5,7 +5,7 @@ below with their reasons; all are far from what real data show.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -52,16 +52,41 @@ def check(measurements: Measurements, readings: Sequence[Reading], reach: float)
     """
     if len(measurements) == 0:
         return ()
+    told = [k for k, name in enumerate(measurements.reading_names) if name not in measurements.absent]
     return (
-        *_beyond_limits(measurements, readings),
-        *_radians_as_degrees(measurements, readings),
-        *_at_rest(measurements),
+        *_of_readings(_only(measurements, told), [readings[k] for k in told]),
+        *_unused(measurements),
         *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
         *_repeated(measurements),
     )
 
 
 # ---- readings
+
+
+def _of_readings(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
+    yield from _beyond_limits(m, readings)
+    yield from _radians_as_degrees(m, readings)
+    yield from _at_rest(m)
+
+
+def _only(m: Measurements, told: Sequence[int]) -> Measurements:
+    """Return the rows with those readings alone that columns tell."""
+    if len(told) == len(m.reading_names):
+        return m
+    other = None if m.other is None else replace(m.other, readings=m.other.readings[:, told])
+    names = tuple(m.reading_names[k] for k in told)
+    return replace(m, reading_names=names, readings=m.readings[:, told], other=other)
+
+
+def _unused(m: Measurements) -> Iterable[Finding]:
+    if m.unused:
+        names = ", ".join(map(repr, m.unused))
+        yield Finding(
+            "warning",
+            "joint-unused",
+            f"{m.where}: joints that move nothing that was measured, and are left out: {names}.",
+        )
 
 
 def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:

@@ -1,7 +1,7 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,6 +49,9 @@ class Measurements:
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
     ``camera``: by which ``pixels`` were seen.
+    ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
+    that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
+    since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
     """
 
     __repr__ = brief
@@ -74,6 +77,10 @@ class Measurements:
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
     camera: Camera | None = None
+    tip: str = ""
+    target_links: Mapping[str, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -86,12 +93,16 @@ class Measurements:
 
     @checked
     def tips(self, robot: Robot, deviations: Deviations | None = None) -> Array:
-        """Return the tip placements (N, 4, 4) of a robot in its base link, under the conditions of the rows.
+        """Return the placements (N, 4, 4) of the link with the tools in the base link, under the rows' conditions.
 
         Raises as :meth:`calib.Robot.tips` does.
         """
         with naming_rows(self.where, self.lines):
-            return robot.tips(self.readings, deviations, self.conditions)
+            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, self.conditions)
+
+    def link_of(self, target: int) -> str | None:
+        """Return the link that carries a target, by its number; None where it stands on the floor."""
+        return self.target_links.get(self.targets[target]) if target >= 0 else None
 
     @property
     def seen_targets(self) -> tuple[str, ...]:
@@ -103,15 +114,26 @@ class Measurements:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
 
-    def named(self, *, tool: str | None = None, setup: str | None = None) -> "Measurements":
-        """Return the rows as measured with one named tool, or with the robot in one named place.
+    def named(
+        self, *, tool: str | None = None, setup: str | None = None, on: Mapping[str, str] | None = None
+    ) -> "Measurements":
+        """Return the rows as measured with one named tool, with the robot in one named place, of targets on links.
 
             left = calib.read_measurements("from_the_left.csv", robot).named(setup="left")
+            touched = calib.read_measurements("touched.csv", robot, "socket").named(on={"cone": "right_hand"})
 
-        Raises MeasurementError when columns of the table say it already.
+        ``on``: links of the robot that carry targets. Raises MeasurementError when columns of the table say tool or
+        set-up already, and for a target on the link that carries the tool.
         """
+        links = {**self.target_links, **{name: link for name, link in (on or {}).items() if name in self.targets}}
+        for target, carrier in links.items():
+            if carrier == self.tip:
+                raise MeasurementError(
+                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row is "
+                    "about two frames that move against each other."
+                )
         for what, name, own, only in (
-            ("tool", tool, self.tools, ONLY_TOOL),
+            ("tool", tool, self.tools, self.tools[0] if self.tools == (self.tip,) else ONLY_TOOL),
             ("setup", setup, self.setups, ONLY_SETUP),
         ):
             if name is not None and own != (only,):
@@ -119,7 +141,10 @@ class Measurements:
                     f"{self.where}: the {what} is given twice, as {name!r} and by column {what!r}; keep one."
                 )
         return replace(
-            self, tools=self.tools if tool is None else (tool,), setups=self.setups if setup is None else (setup,)
+            self,
+            tools=self.tools if tool is None else (tool,),
+            setups=self.setups if setup is None else (setup,),
+            target_links=links,
         )
 
     def at(self, setup: str) -> "Measurements":

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.arguments import checked
-from calib.measurement.from_table import Sigma, measurements_from_table
+from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
@@ -31,7 +31,9 @@ def read_measurements(
     instrument's standard deviation of each coordinate in m, of poses a pair, in m and rad, when no column and no
     ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
     length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
-    ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``.
+    ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``. Of
+    a robot with several tips, the rows are about the one that it looks at, ``robot.with_tip("left_hand")``, and need
+    the joints that move it.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
@@ -50,5 +52,5 @@ def read_measurements(
         instrument=instrument,
         offset=offset,
         in_order=in_order,
-        unread=[joint.name for joint in robot.urdf.joints],
+        joints=Joints.of(robot),
     )

@@ -48,7 +48,9 @@ def scene_of(found: Calibration) -> Scene:
         nominal=nominal,
         apart=apart,
         tools={
-            name: tool[:3, 3] for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
+            name: tool[:3, 3]
+            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
+            if name not in fit.tool_tips
         },
         tip=robot.tip,
         rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),
@@ -66,7 +68,8 @@ def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
     fit = found.fit
     known = shapes(fit.measurements)
     for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
-        if shape := known.get(name):
+        shape = known.get(name)
+        if shape and name not in fit.measurements[0].target_links:
             kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
             yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
 
@@ -84,10 +87,15 @@ def _points(found: Calibration, judged: JudgedSet) -> Array:
 
 def _carried(found: Calibration, judged: JudgedSet) -> Array:
     """Return the frames (N, 4, 4) in which rows were measured, in that of the first set-up, the base being one."""
-    base = found.fit.machine.frames.base
-    if len(found.fit.machine.frames.bases) == 1:
-        return np.broadcast_to(np.eye(4), (len(judged.data), 4, 4))
-    return np.asarray(base @ rigid.inverse(found.fit.bases_of(judged.data)))
+    fit, data = found.fit, judged.data
+    if len(fit.machine.frames.bases) == 1 and not data.target_links:
+        return np.broadcast_to(np.eye(4), (len(data), 4, 4))
+    T = np.array(fit.machine.frames.base @ rigid.inverse(fit.bases_of(data)))
+    for name, link in data.target_links.items():
+        rows = np.array([data.targets[t] == name for t in data.target])
+        tips = fit.robot.with_tip(link).tips(data.readings[rows], fit.deviations, data.conditions.subset(rows))
+        T[rows] = fit.machine.frames.base @ tips
+    return T
 
 
 def _turned(found: Calibration, judged: JudgedSet, residuals: Array) -> Array:

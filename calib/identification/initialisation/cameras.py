@@ -16,6 +16,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.resection import (
     camera_pose,
     camera_pose_and_point,
@@ -66,8 +67,7 @@ def sights(sets: Sequence[Measurements], tips: Sequence[Array], target: int, set
 
 def place_tools(
     model: ErrorModel,
-    sets: Sequence[Measurements],
-    tips: Sequence[Array],
+    carried: Sequence[Carried],
     bases: Array,
     tools: Array,
     turned: BoolArray,
@@ -83,16 +83,21 @@ def place_tools(
     placed = turned | (model.tool == "fixed")
     seen = np.zeros_like(turned)
     bases, tools, stands = bases.copy(), tools.copy(), stands.copy()
+    sets = [rows.data for rows in carried]
+    names, everywhere = sets[0].targets, np.broadcast_to(np.eye(4), bases.shape)
+    # In the base, or in the link that carries the target.
+    tips = [rows.seen(everywhere) for rows in carried]
     # A target is seen from where most of its rows are.
     everything = [
         max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
-        for t, name in enumerate(sets[0].targets)
+        for t, name in enumerate(names)
     ]
     # The target with the most rows is the best start; others follow from it.
     for setup, name, own in sorted(everything, key=_many, reverse=True):
         sought = {int(k) for sight in own for k in sight.tool} - set(np.flatnonzero(placed).tolist())
         known = model.targets.get(name)
-        if not own or (not sought and (stands[setup] or known is None)):
+        at_rest = stands[setup] or name in sets[0].target_links
+        if not own or (not sought and (at_rest or known is None)):
             continue
         images = images_of(own)
         if images:
@@ -102,7 +107,7 @@ def place_tools(
         else:
             base_in_target = _carried(own, name, tools, sought)
         placed[list(sought)] = seen[list(sought)] = True
-        if known is not None and not stands[setup]:
+        if known is not None and not at_rest:
             bases[setup], stands[setup] = known.pose @ base_in_target, True
     return bases, tools, seen
 

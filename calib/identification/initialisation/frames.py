@@ -17,9 +17,11 @@ from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.base_and_tools import Known, Rows, base_and_tools
+from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
 from calib.identification.machine import Frames, Machine
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import Deviations
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
 _ENOUGH, _FEW = 10_000, 100
@@ -43,7 +45,8 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     Raises MeasurementError where nothing shows where the base of a set-up is.
     """
     sets = [_thinned(data) for data in sets]
-    tips = [data.tips(model.robot, None if begun is None else begun.deviations) for data in sets]
+    carried = [_carried(model, data, None if begun is None else begun.deviations) for data in sets]
+    tips = [rows.tips for rows in carried]
     at = _Placed.of(model, sets[0], None if begun is None else begun.frames)
     unshown = np.zeros(len(at.tools), dtype=np.bool_)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
@@ -57,14 +60,22 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
         at, unshown = _by_positions(model, rows, np.concatenate([data.setup for data, _, _ in seen]), at)
     if any(data.camera is not None for data in sets):
         bases, tools, by_cameras = cameras.place_tools(
-            model, sets, tips, at.bases, at.tools, turned(sets, ("pose",)) | at.begun, at.stands
+            model, carried, at.bases, at.tools, turned(sets, ("pose",)) | at.begun, at.stands
         )
         at = at._replace(bases=bases, tools=tools, placed=at.placed | by_cameras)
     if model.tool != "fixed" and not at.placed.all():
-        at = at._replace(tools=_turned_in_sockets(model, sets, tips, at))
+        at = at._replace(tools=_turned_in_sockets(model, carried, at))
     if not at.stands.all():
-        at = _by_targets(model, sets, tips, at)
-    return Initialisation(with_targets(model, sets, tips, Frames(at.bases, at.tools)), unshown)
+        at = _by_targets(model, carried, at)
+    return Initialisation(with_targets(model, carried, Frames(at.bases, at.tools)), unshown)
+
+
+def _carried(model: ErrorModel, data: Measurements, deviations: Deviations | None) -> Carried:
+    robot = model.robot
+    seats: dict[str, Array] = {}
+    for link in dict.fromkeys(data.target_links[name] for name in data.seen_targets if name in data.target_links):
+        seats[link] = rigid.inverse(robot.with_tip(link).tips(data.readings, deviations, data.conditions))
+    return Carried(data, data.tips(robot, deviations), seats)
 
 
 class _Placed(NamedTuple):
@@ -117,42 +128,52 @@ def _by_positions(model: ErrorModel, rows: Rows, setup: IntArray, at: _Placed) -
     return at._replace(bases=bases, tools=tools, stands=stands, placed=placed), unshown
 
 
-def _by_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], at: _Placed) -> _Placed:
+def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _Placed:
     """Place bases that nothing in an instrument's frame shows, by what is touched or seen from others, or is known."""
-    standing = [at.stands[data.setup] for data in sets]
-    there = [(data.subset(rows), T[rows]) for data, T, rows in zip(sets, tips, standing, strict=True)]
-    frames = with_targets(model, [data for data, _ in there], [T for _, T in there], Frames(at.bases, at.tools))
-    told = {name for data, _ in there for name in data.seen_targets} | set(model.targets)
-    shown = np.array([name in told for name in sets[0].targets], dtype=np.bool_)
+    names = carried[0].data
+    there = [rows.some(at.stands[rows.data.setup]) for rows in carried]
+    frames = with_targets(model, there, Frames(at.bases, at.tools))
+    told = {name for rows in there for name in rows.data.seen_targets} | set(model.targets)
+    shown = np.array([name in told and name not in names.target_links for name in names.targets], dtype=np.bool_)
     bases, stands = at.bases.copy(), at.stands.copy()
     for s in np.flatnonzero(~stands):
-        rows = [
-            _as_positions(data, T, frames, (data.setup == s) & shown[data.target])
-            for data, T in zip(sets, tips, strict=True)
-            if data.kind in ("socket", "pixels")
+        found = [
+            _as_positions(rows, frames, (rows.data.setup == s) & shown[rows.data.target])
+            for rows in carried
+            if rows.data.kind in ("socket", "pixels")
         ]
-        rows = [some for some in rows if len(some.tips)]
-        every = Rows(*(np.concatenate(parts) for parts in zip(*rows, strict=True))) if rows else None
+        found = [some for some in found if len(some.tips)]
+        every = Rows(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
         if every is None or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
-            if not stands.any():
+            if not stands.any() or not _needs_base(carried, int(s)):
                 # Too little is known to place any base: it begins as given, and the null space says so.
                 stands[s] = True
                 continue
             raise MeasurementError(
-                f"{sets[0].where}: nothing shows where the base is in the set-up {sets[0].setups[s]!r}: measure "
-                "positions there, or three sockets whose places are known or found from elsewhere, or give its pose."
+                f"{names.where}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
+                "there, or three sockets whose places are known or found from elsewhere, or give its pose."
             )
         bases[s] = base_and_tools(every, Known(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
         stands[s] = True
     return at._replace(bases=bases, stands=stands)
 
 
+def _needs_base(carried: Sequence[Carried], setup: int) -> bool:
+    """Return whether some row of a set-up is about what stands on the floor."""
+    return any(
+        data.link_of(int(t)) is None and data.kind != "pair_distance"
+        for data in (rows.data for rows in carried)
+        for t in np.unique(data.target[data.setup == setup])
+    )
+
+
 def _places(rows: Rows) -> int:
     return len(np.unique(rows.position, axis=0))
 
 
-def _as_positions(data: Measurements, tips: Array, frames: Frames, rows: BoolArray) -> Rows:
+def _as_positions(carried: Carried, frames: Frames, rows: BoolArray) -> Rows:
     """Return rows (N,) at targets that are known as positions of the tool, and images of boards as poses."""
+    data, tips = carried.data, carried.tips
     if data.kind == "socket":
         n = np.flatnonzero(rows)
         turned = np.full((len(n), 3, 3), np.nan)
@@ -209,7 +230,7 @@ def _orientation(data: Measurements) -> Array:
     return np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
 
 
-def _turned_in_sockets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], at: _Placed) -> Array:
+def _turned_in_sockets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> Array:
     """Return the tools with those points that are not ``placed`` found by turning about points that stay.
 
     A point p that stays at c while the tip turns obeys R_n p + t_n = c: linear in both. A ball that is touched all
@@ -218,18 +239,19 @@ def _turned_in_sockets(model: ErrorModel, sets: Sequence[Measurements], tips: Se
     """
     rows, right = [], []
     tools, placed = at.tools, at.placed
-    k, m = len(tools), len(sets[0].targets)
+    k, m = len(tools), len(carried[0].data.targets)
     width = m * (1 + len(at.bases))
-    for data, T in zip(sets, tips, strict=True):
+    for one in carried:
+        data = one.data
         if data.kind not in ("socket", "sphere"):
             continue
-        in_world = at.bases[data.setup] @ T
+        in_world = one.seen(at.bases)
         A = np.zeros((len(data), 3, k + width, 3))
         b = -in_world[:, :3, 3].copy()
         n = np.arange(len(data))
         A[n, :, data.tool] = np.where(placed[data.tool, None, None], 0.0, in_world[:, :3, :3])
         b -= np.where(placed[data.tool, None], (in_world[:, :3, :3] @ tools[data.tool, :3, 3:])[:, :, 0], 0.0)
-        stands = at.stands[data.setup]
+        stands = at.stands[data.setup] | one.on_links
         known = np.array([name in model.targets for name in data.targets], dtype=np.bool_)[data.target] & stands
         for t in np.unique(data.target[known]):
             b[known & (data.target == t)] += model.targets[data.targets[t]].pose[:3, 3]

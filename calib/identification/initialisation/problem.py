@@ -72,6 +72,9 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         for end in data.ends:
             if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
+    sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
+    links = _common_links(sets)
+    _refuse_absent(model, sets)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
@@ -95,6 +98,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             tool=numbered(data.tools, tools, data.tool),
             setups=setups,
             setup=numbered(data.setups, setups, data.setup),
+            target_links=links,
             targets=every,
             target=numbered(data.targets, every, data.target),
             other=None
@@ -105,6 +109,49 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         )
         for data in sets
     )
+
+
+def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
+    """Return the links of the targets of sets, by name.
+
+    Raises MeasurementError when a tool is on two tips, or a target on two links, or on one and on the floor.
+    """
+    tips: dict[str, str] = {}
+    stands: dict[str, str | None] = {}
+    for data in sets:
+        for tool in (data.tools[k] for k in np.unique(np.concatenate([end.tool for end in data.ends]))):
+            if tips.setdefault(tool, data.tip) != data.tip:
+                raise MeasurementError(
+                    f"{data.where}: the tool {tool!r} is on {data.tip!r} here and on {tips[tool]!r} in another table; "
+                    "give one of them another name."
+                )
+        for target in data.seen_targets:
+            link = data.target_links.get(target)
+            if stands.setdefault(target, link) != link:
+                here, there = (link or "the floor", stands[target] or "the floor")
+                raise MeasurementError(
+                    f"{data.where}: the target {target!r} is on {here} here and on {there} in another table; give one "
+                    "of them another name."
+                )
+    return {target: link for target, link in stands.items() if link is not None}
+
+
+def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse links that the robot does not have, and rows without a joint that moves what they are about."""
+    for data in sets:
+        links = {data.tip, *(data.target_links[name] for name in data.seen_targets if name in data.target_links)}
+        for link in sorted(links - set(model.robot.links)):
+            raise MeasurementError(
+                f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
+                f"{', '.join(map(repr, model.robot.links))}."
+            )
+        # What hangs on a joint pulls at it, wherever that is.
+        needed = data.absent if model.robot.weights is not None else model.robot.driving(links) if data.absent else ()
+        if missing := [name for name in data.absent if name in needed]:
+            raise MeasurementError(
+                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which matters to "
+                f"{'what hangs on joints that give way' if model.robot.weights is not None else 'its targets'}."
+            )
 
 
 def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
@@ -214,6 +261,12 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
         shape = "point" if relation.kind == "distance" else "plane"
+        a, b = (sets[0].target_links.get(name, "the floor") for name in relation.targets)
+        if a != b:
+            raise JobError(
+                f"relations: {relation.targets[0]!r} is on {a} and {relation.targets[1]!r} on {b}; a relation is "
+                "between targets that do not move against each other."
+            )
         for name in relation.targets:
             if found.get(name) != shape:
                 raise JobError(
