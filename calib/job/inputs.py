@@ -38,7 +38,7 @@ from calib.job.schema import (
 )
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding, check
-from calib.measurement.instruments import Camera, LaserTracker
+from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.read import read_measurements
@@ -200,6 +200,8 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
     tips = [table.tip for table in job.measurements if table.tip is not None]
     links = [*tips, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    used = {table.instrument for table in job.measurements}
+    links += [link for name, eye in job.instruments.items() if name in used and (link := _carrier(eye)) is not None]
     return load_robot(
         document,
         section.tip or next(iter(tips), None),
@@ -210,6 +212,11 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
         gravity=[parse_quantity(text, "acceleration", "robot.gravity") for text in section.gravity],
         payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _carrier(section: InstrumentSection) -> str | None:
+    """Return the link that carries a camera, None for the floor, the tip, and for other instruments."""
+    return section.camera_on["link"] if isinstance(section.camera_on, dict) else None
 
 
 def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
@@ -482,6 +489,12 @@ def _measurements(
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
     on = {name: target.on for name, target in job.targets.items() if target.on != FLOOR}
+    link = None if section.instrument is None else _carrier(job.instruments[section.instrument])
+    if link is not None:
+        # The camera is what the rows are about, and the board or mark is on the tip.
+        for name in names:
+            if on.setdefault(name, link) != link:
+                raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
     return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
 
 
@@ -493,7 +506,8 @@ def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
             for text in (section.fx, section.fy, section.cx, section.cy, section.sigma)
         )
         bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
-        return Camera(section.camera_on, fx, fy, cx, cy, *bent, sigma)
+        place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
+        return Camera(place, fx, fy, cx, cy, *bent, sigma)
     x, y, z = (parse_quantity(text, "length", "station") for text in section.station)
     return LaserTracker(
         parse_quantity(section.sigma, "length", "sigma"),

@@ -30,6 +30,7 @@ from calib.job.fields import (
     Sigma,
     SigmaAngle,
     at_most,
+    camera_place,
     iterations,
     list_of,
     quantity,
@@ -203,7 +204,7 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor or on the tip, and has OpenCV's numbers.
+    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
@@ -216,7 +217,7 @@ class InstrumentSection(_Section):
     tool: Name | None = None
     point: Position | None = None
     pivot: Name | None = None
-    camera_on: Literal["floor", "tip"] | None = None
+    camera_on: Annotated[Any, BeforeValidator(camera_place)] = None
     fx: FocalLength | None = None
     fy: FocalLength | None = None
     cx: PrincipalPoint | None = None

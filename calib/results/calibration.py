@@ -10,6 +10,7 @@ import numpy as np
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
+from calib.assessment.own_base import own_bases
 from calib.assessment.trust import doubts, remarks
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
@@ -23,6 +24,9 @@ from calib.machine.urdf import lost_in_urdf
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
+
+# Points of a table that are so far apart, as a share of the arm's reach, tell a moved base from an arm's own errors.
+_FAR_APART = 0.1
 
 Use = Literal["identification", "validation"]
 
@@ -160,6 +164,13 @@ def assess(
         for use, _ in uses
     }
     decisive = figures["validation" if validation else "identification"]
+    own_base = [
+        found
+        for judged in sets
+        if judged.data.position is not None
+        for found in own_bases([(judged.file, judged.data.position, judged.after[:, :3])])
+    ]
+    wide = [found for found in own_base if found.spread > _FAR_APART * fit.robot.reach]
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     ends = [end for judged in sets for end in judged.data.ends]
     told = any(finding.code == "not-held-out" for finding in findings)
@@ -168,8 +179,17 @@ def assess(
         machine,
         tuple(sets),
         figures,
-        (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
-        (*findings, *([] if told else _not_held_out(own, validation)), *remarks(fit)),
+        (
+            *stopped,
+            *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation)),
+            *(found.sentence for found in wide),
+        ),
+        (
+            *findings,
+            *([] if told else _not_held_out(own, validation)),
+            *remarks(fit),
+            *(Finding("warning", "own-base", found.sentence) for found in own_base if found not in wide),
+        ),
         outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)}),
         lost_in_urdf(
             fit.robot,

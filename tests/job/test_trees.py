@@ -13,7 +13,7 @@ from calib.presentation.arm import arm_of, link_placements
 from calib.robot.urdf import parse_urdf
 from tests.identification.test_trees import TOOLS, gap, touching
 from tests.support.cases import run
-from tests.support.machines import anywhere
+from tests.support.machines import anywhere, pose
 from tests.support.trees import TIPS, Tree, tree, urdf
 
 SIGMA = 3e-5
@@ -113,6 +113,52 @@ def test_hands_alone_leave_the_torso_unseen(cell: tuple[Path, Tree]) -> None:
         x = (np.linalg.inv(right) @ left @ machine.tools["left_hand"])[:, :3, 3]
         off.append(np.linalg.norm(x - (0.0, -0.03, 0.14), axis=1).max())
     assert off[0] < 0.5 * off[1]
+
+
+EYE = """
+[instruments.eye]
+kind = "camera"
+camera_on = {}
+sigma = "0.05 px"
+fx = "800 px"
+fy = "800 px"
+cx = "500 px"
+cy = "500 px"
+[[measurements]]
+file = "pixels.csv"
+observes = "pixels"
+tip = "left_hand"
+instrument = "eye"
+"""
+
+
+def test_a_camera_on_the_head_sees_a_mark_on_the_hand(cell: tuple[Path, Tree]) -> None:
+    folder, made = cell
+    rng = np.random.default_rng(9)
+    q = made.draw(rng, 30_000, 0.9)
+    eye = pose((0.02, 0.06, 0.05), (-1.9, 0.1, 0.1))
+    x = (np.linalg.inv(made.link("head", q) @ eye) @ made.link("left_hand", q) @ TOOLS["left_hand"])[:, :3, 3]
+    good = np.flatnonzero((x[:, 2] > 0.2) & (np.abs(x[:, :2]).max(axis=1) < x[:, 2]))[:150]
+    u, v = (800.0 * x[good, :2] / x[good, 2:] + 500.0 + rng.normal(scale=0.05, size=(len(good), 2))).T
+    write(folder / "pixels.csv", made.columns(q[good], TIPS[1:]) | {"u [px]": u, "v [px]": v})
+    job, out = folder / "eye.toml", folder / "eye"
+    job.write_text(JOB + EYE.replace("{}", '{ link = "head" }') + LEFT, encoding="utf-8")
+    said = run("calibrate", job, "-o", out)
+    assert said.code == 0, said
+    result = json.loads((out / "result.json").read_text())
+    assert result["metrics"]["identification"]["after"]["pixels"]["rms"] < 0.1
+    found = np.array(result["targets"]["target"]["position"])
+    assert np.linalg.norm(found - eye[:3, 3]) < 5e-3
+    for place, sentence in (
+        ('{ link = "left_hand" }', "the target 'target' is on 'left_hand', which carries the tool as well"),
+        ('{ link = "tail" }', "link 'tail' is not a link of the URDF"),
+        ('"ceiling"', "instruments.eye.camera_on: 'ceiling' is not"),
+        ("{ on = 3 }", "instruments.eye.camera_on: a section with keys is not"),
+    ):
+        job.write_text(JOB + EYE.replace("{}", place), encoding="utf-8")
+        said = run("calibrate", job, "-o", folder / "none")
+        assert (said.code, said.out, said.err.count("\n")) == (1, "", 1)
+        assert sentence in said.err, said.err
 
 
 COUPLED = """
