@@ -5,6 +5,7 @@ are far apart, that tells it from an arm that is not as it was modelled: what a 
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,11 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.chance import exceeded
+from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation.frames import initial_frames
+from calib.identification.initialisation.problem import with_common_names
+from calib.identification.system import Problem
+from calib.measurement.measurements import Measurements
 
 # Sound tables, also of dense paths whose model error is common to neighbours, lose up to a third of their error when
 # they are moved as a whole; where a base was moved, it was several times what is left.
@@ -21,6 +27,10 @@ _HARDLY = 1e-6
 # What nobody needs to correct, in m rms.
 _FINE = 1e-6
 _UNKNOWN = 6
+# The nominal robot misses sound tables by less than this share of its reach (:mod:`calib.identification.sanity`), and
+# those of another set-up by little if they have a base of their own; from so many rows on, which base and tool do not
+# use up.
+_FAR, _NEAR, _ENOUGH = 0.05, 0.2, 10
 
 
 class OwnBase(NamedTuple):
@@ -38,10 +48,27 @@ class OwnBase(NamedTuple):
     def sentence(self) -> str:
         """What to do about it."""
         return (
-            f"{self.file} asks for a base of its own: moved as a whole, it would be predicted within "
-            f"{self.moved * 1e3:.3g} mm rms in the place of {self.error * 1e3:.3g} mm. If robot or instrument was "
+            f"{self.file} asks for a base of its own: with one, it would be predicted within "
+            f"{self.moved * 1e3:.4g} mm rms in the place of {self.error * 1e3:.4g} mm. If robot or instrument was "
             'moved before it was measured, name its set-up (setup = "second").'
         )
+
+
+def far_apart(model: ErrorModel, tables: Iterable[tuple[str, Measurements, Array]]) -> Iterator[OwnBase]:
+    """Yield the tables that the nominal robot explains by themselves alone, of files, rows and its residuals (N, 3).
+
+    These are left by a base that is the same for all; where it misses a table by far, a fit of all does not tell more.
+    """
+    for file, data, residuals in tables:
+        error = float(np.sqrt(3.0 * np.mean(residuals**2)))
+        if data.position is None or len(data) < _ENOUGH or error < _FAR * model.robot.reach:
+            continue
+        free = replace(model.within([data]), base="pose", setups={}, targets={}, relations=())
+        (alone,) = with_common_names(free, [data.with_own_names()])
+        problem = Problem(free, (), initial_frames(free, [alone]), (alone,))
+        moved = float(np.sqrt(3.0 * np.mean(problem.residuals(np.zeros(0))[0][:, :3] ** 2)))
+        if moved < _NEAR * error:
+            yield OwnBase(file, error, moved, _spread(data.position))
 
 
 def own_bases(tables: Iterable[tuple[str, Array, Array]]) -> Iterator[OwnBase]:
@@ -57,8 +84,12 @@ def own_bases(tables: Iterable[tuple[str, Array, Array]]) -> Iterator[OwnBase]:
         # F-distributed times its freedom, where nothing was moved.
         gained = (before - after) / max(after / freedom, np.finfo(float).tiny)
         if error > _FINE and moved < _SMALLER * error and float(exceeded(gained, _UNKNOWN, freedom)) < _HARDLY:
-            spread = float(np.sqrt(np.mean(np.sum((measured - measured.mean(axis=0)) ** 2, axis=1))))
-            yield OwnBase(file, float(error), float(moved), spread)
+            yield OwnBase(file, float(error), float(moved), _spread(measured))
+
+
+def _spread(x: Array) -> float:
+    """Return the rms distance of points (N, 3) from their middle."""
+    return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
 
 
 def _moved(x: Array, y: Array) -> Array:

@@ -46,7 +46,7 @@ _SIZES: Mapping[Kind, tuple[str, ...]] = {
     "sphere": ("diameter", "ball"),
     "articulations": ("diameter", "ball"),
 }
-_PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
+_PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
 
 
 class Tips(Protocol):

@@ -10,7 +10,7 @@ import numpy as np
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
-from calib.assessment.own_base import own_bases
+from calib.assessment.own_base import far_apart, own_bases
 from calib.assessment.trust import doubts, remarks
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
@@ -165,11 +165,14 @@ def assess(
     }
     decisive = figures["validation" if validation else "identification"]
     own_base = [
-        found
-        for judged in sets
-        if judged.data.position is not None
-        for found in own_bases([(judged.file, judged.data.position, judged.after[:, :3])])
+        *far_apart(fit.model, ((judged.file, judged.data, judged.before[:, :3]) for judged in sets)),
+        *own_bases(
+            (judged.file, judged.data.position, judged.after[:, :3])
+            for judged in sets
+            if judged.data.position is not None
+        ),
     ]
+    own_base = list({found.file: found for found in reversed(own_base)}.values())
     wide = [found for found in own_base if found.spread > _FAR_APART * fit.robot.reach]
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     ends = [end for judged in sets for end in judged.data.ends]

@@ -39,6 +39,19 @@ def test_tables_of_two_set_ups_under_one_name(moved: tuple[float, float]) -> Non
     assert told.trusted
 
 
+def test_tables_of_two_arms_from_two_stations_are_named_though_tools_may_take_it_up() -> None:
+    """A tool that only one table has goes to where a common base wants it, and no rigid motion undoes that."""
+    rng = np.random.default_rng(4)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    made, sets = arm.moved(rng), []
+    for name in ("a", "b"):
+        tool = {"tool": pose(rng.uniform(-0.1, 0.1, 3))}
+        data = machines.Machine(made, anywhere(rng), tool).measure(robot, made.draw(rng, 50), rng=rng, sigma=SIGMA)
+        sets.append(replace(data.named(tool=name), where=f"{name}.csv"))
+    found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets))
+    assert any("asks for a base of its own" in doubt for doubt in found.doubts)
+
+
 def test_what_a_rigid_motion_does_not_explain_asks_for_nothing() -> None:
     rng = np.random.default_rng(0)
     for n in (3, 5, 10, 30, 200):
