@@ -16,10 +16,9 @@ from calib.identification.targets import Target, unknowns
 from calib.measurement.checks import check
 from calib.measuring import Camera
 from tests.support.machines import Array, anywhere, pose
-from tests.support.trees import TIPS, Tree, point, tree
+from tests.support.trees import TIPS, TOOLS, Tree, touching, tree
 
 SIGMA = 2e-5
-TOOLS = {"right_hand": point(0.02, 0.03, 0.1), "left_hand": point(-0.03, 0.02, 0.12)}
 
 
 def tracked(made: Tree, tip: str, rng: np.random.Generator, n: int, base: Array, **more: object) -> calib.Measurements:
@@ -27,29 +26,6 @@ def tracked(made: Tree, tip: str, rng: np.random.Generator, n: int, base: Array,
     seen = (base @ made.link(tip, q) @ TOOLS[tip])[:, :3, 3] + rng.normal(scale=SIGMA, size=(n, 3))
     columns = made.columns(q, (tip,)) | {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")} | more
     return calib.read_measurements(columns, made.robot.with_tip(tip), sigma=SIGMA)
-
-
-def gap(made: Tree, q: Array) -> Array:
-    """Where the tool of the left hand is in the right hand (n, 3)."""
-    right = made.link("right_hand", q)
-    return (np.linalg.inv(right) @ made.link("left_hand", q) @ TOOLS["left_hand"])[:, :3, 3]
-
-
-def touching(made: Tree, rng: np.random.Generator, places: Array) -> Array:
-    """Readings (n, nr) at which the left tool touches places (n, 3) of the right hand."""
-    found = np.full((len(places), len(made.names)), np.nan)
-    h = 1e-6
-    while (open_ := np.flatnonzero(np.isnan(found[:, 0]))).size:
-        q = made.draw(rng, len(open_))
-        for _ in range(30):
-            near = (q + h * np.vstack([np.zeros(q.shape[1]), np.eye(q.shape[1])])[:, None]).reshape(-1, q.shape[1])
-            g = gap(made, near).reshape(q.shape[1] + 1, len(q), 3)
-            J = np.moveaxis((g[1:] - g[0]) / h, 0, -1)
-            step = -(np.linalg.pinv(J) @ (g[0] - places[open_])[:, :, None])[:, :, 0]
-            q = q + step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True))
-        good = (np.abs(gap(made, q) - places[open_]).max(axis=1) < 1e-12) & (np.abs(q).max(axis=1) < 2.5)
-        found[open_[good]] = q[good]
-    return found
 
 
 def touches(made: Tree, rng: np.random.Generator, n: int, at: Mapping[str, Sequence[float]]) -> calib.Measurements:

@@ -11,10 +11,9 @@ import pytest
 import calib
 from calib.presentation.arm import arm_of, link_placements
 from calib.robot.urdf import parse_urdf
-from tests.identification.test_trees import TOOLS, gap, touching
 from tests.support.cases import run
 from tests.support.machines import anywhere, pose
-from tests.support.trees import TIPS, Tree, tree, urdf
+from tests.support.trees import TIPS, TOOLS, Tree, gap, touching, tree, urdf
 
 SIGMA = 3e-5
 JOB = """

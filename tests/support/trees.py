@@ -93,3 +93,29 @@ def tree(rng: Rng | None = None, *, length: float = 0.5e-3, angle: float = 1e-3,
 def point(x: float, y: float, z: float) -> Array:
     """The placement of a tool point."""
     return pose((x, y, z))
+
+
+TOOLS = {"right_hand": point(0.02, 0.03, 0.1), "left_hand": point(-0.03, 0.02, 0.12)}
+
+
+def gap(made: Tree, q: Array) -> Array:
+    """Where the tool of the left hand is in the right hand (n, 3)."""
+    right = made.link("right_hand", q)
+    return (np.linalg.inv(right) @ made.link("left_hand", q) @ TOOLS["left_hand"])[:, :3, 3]
+
+
+def touching(made: Tree, rng: Rng, places: Array) -> Array:
+    """Readings (n, nr) at which the left tool touches places (n, 3) of the right hand."""
+    found = np.full((len(places), len(made.names)), np.nan)
+    h = 1e-6
+    while (open_ := np.flatnonzero(np.isnan(found[:, 0]))).size:
+        q = made.draw(rng, len(open_))
+        for _ in range(30):
+            near = (q + h * np.vstack([np.zeros(q.shape[1]), np.eye(q.shape[1])])[:, None]).reshape(-1, q.shape[1])
+            g = gap(made, near).reshape(q.shape[1] + 1, len(q), 3)
+            J = np.moveaxis((g[1:] - g[0]) / h, 0, -1)
+            step = -(np.linalg.pinv(J) @ (g[0] - places[open_])[:, :, None])[:, :, 0]
+            q = q + step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True))
+        good = (np.abs(gap(made, q) - places[open_]).max(axis=1) < 1e-12) & (np.abs(q).max(axis=1) < 2.5)
+        found[open_[good]] = q[good]
+    return found
