@@ -235,8 +235,8 @@ def predict_held_out(
 ) -> CrossValidation:
     """Predict the rows of every fold by a fit to all others, which ``find`` makes; ``group``, ``fold``: (N,) of rows.
 
-    What ``model`` knows of targets and set-ups holds for rows held out; others that a fit does not know are found from
-    these, and so are tools. Raises what ``find`` raises.
+    What ``model`` knows of targets holds for rows held out; other targets that a fit does not know are found from
+    these. Raises what ``find`` raises, and MeasurementError when a tool or a set-up is in no other fold.
     """
     own = np.split(fold, np.cumsum([len(data) for data in sets])[:-1])
     found = tuple(np.empty_like(data.sigma) for data in sets)
@@ -244,6 +244,13 @@ def predict_held_out(
         fit = find(Rows.of(sets, [f != k for f in own]))
         fit = replace(fit, model=replace(fit.model, targets=model.targets, setups=model.setups))
         left_out = Rows.of(sets, [f == k for f in own])
+        for data in left_out.sets:
+            if not fit.knows(data):
+                own = fit.measurements[0]
+                alien = [name for name in (*data.tools, *data.setups) if name not in (*own.tools, *own.setups)]
+                raise MeasurementError(
+                    f"{data.where}: {alien[0]!r} was not identified without a fold of rows, which cannot judge it then."
+                )
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r
     return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)

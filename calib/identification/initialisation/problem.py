@@ -188,12 +188,29 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
         for start, count, end, size in zip(starts, known, ends, (6, 6, 6, 1), strict=True)
         if start + size * count <= parameter.direction[0][0] < end
     )
+    _refuse_too_few(new, layout, sets)
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
     others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
     of_setup = any(parameter.kind != "target" for parameter in new)
     return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
+
+
+def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Measurements]) -> None:
+    """Refuse rows that new tools and bases would use up: nothing would be left to judge."""
+    for kind, start in (("base", layout.base), ("tool", layout.tools)):
+        entries = [(q.direction[0][0] - start) // 6 for q in new if q.kind == kind]
+        for k in dict.fromkeys(entries):
+            own = [data.setup == k if kind == "base" else data.tool == k for data in sets]
+            numbers = sum(int(rows.sum()) * data.sigma.shape[1] for data, rows in zip(sets, own, strict=True))
+            if numbers <= entries.count(k):
+                what, names = ("set-up", sets[0].setups) if kind == "base" else ("tool", sets[0].tools)
+                where = next(data.where for data, rows in zip(sets, own, strict=True) if rows.any())
+                raise MeasurementError(
+                    f"{where}: the {what} {names[k]!r} was not identified, and its {numbers} measured numbers are too "
+                    f"few to find its {entries.count(k)} unknowns and to judge."
+                )
 
 
 def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> None:
