@@ -246,8 +246,8 @@ def predict_held_out(
         left_out = Rows.of(sets, [f == k for f in own])
         for data in left_out.sets:
             if not fit.knows(data):
-                own = fit.measurements[0]
-                alien = [name for name in (*data.tools, *data.setups) if name not in (*own.tools, *own.setups)]
+                known = (*fit.measurements[0].tools, *fit.measurements[0].setups)
+                alien = [name for name in (*data.tools, *data.setups) if name not in known]
                 raise MeasurementError(
                     f"{data.where}: {alien[0]!r} was not identified without a fold of rows, which cannot judge it then."
                 )
