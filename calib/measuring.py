@@ -1,6 +1,7 @@
 """What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
 
 from calib.identification.relations import Relation
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
 from calib.job.proposal import Proposal, ProposedTable, Question
 from calib.machine.touching import TouchingArm, touched
@@ -23,6 +24,7 @@ __all__ = [
     "ProposedTable",
     "Question",
     "Relation",
+    "SetUp",
     "Target",
     "TouchingArm",
     "distances",

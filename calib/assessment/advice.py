@@ -149,7 +149,7 @@ def _tried(
     """Return, for every direction, the remedies that show it."""
     frames = initial_frames(model, sets)
     sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
-    names = [parameter.name for parameter in model.parameters(sets[0].tools)]
+    names = [parameter.name for parameter in model.parameters(sets[0].tools, sets[0].setups)]
     found: list[list[str]] = [[] for _ in null_space]
     for remedy in ("orientation", "points"):
         trial = _trial(remedy, model, sets, frames)
@@ -177,24 +177,24 @@ def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames:
             return None
         more = [_with_orientation(model, data, frames) for data in sets]
         wider = replace(model, tool="pose")
-        return Problem(wider, wider.parameters(sets[0].tools), frames, tuple(more))
+        return Problem(wider, wider.parameters(sets[0].tools, sets[0].setups), frames, tuple(more))
     if model.tool == "fixed" or len(sets[0].tools) > 2:
         return None
     tools = (*sets[0].tools, *(f"more_{k}" for k in range(len(_MORE_POINTS))))
     first = frames.tools[0]
     others = np.stack([first] * len(_MORE_POINTS))
     others[:, :3, 3] += np.array(_MORE_POINTS)
-    placed = Frames(frames.base, np.concatenate([frames.tools, others]))
+    placed = Frames(frames.bases, np.concatenate([frames.tools, others]))
     more = [
         replace(data, tools=tools, tool=np.full(len(data), k) if k >= len(sets[0].tools) else data.tool)
         for data in sets
         for k in (0, *range(len(sets[0].tools), len(tools)))
     ]
-    return Problem(model, model.parameters(tools), placed, tuple(more))
+    return Problem(model, model.parameters(tools, sets[0].setups), placed, tuple(more))
 
 
 def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
-    placed = frames.base @ data.tips(model.robot) @ frames.tools[data.tool]
+    placed = frames.bases[data.setup] @ data.tips(model.robot) @ frames.tools[data.tool]
     sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 

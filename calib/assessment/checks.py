@@ -11,6 +11,7 @@ from calib.assessment.effects import Effect, Step, Stretch, memory
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
+from calib.assessment.own_base import OwnBase
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
@@ -50,6 +51,7 @@ WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 GROSS, GROSS_ROBUST, FAR = 0.05, 0.15, 5.0
 FROZEN = 0.02
+OWN_BASE = 2.0
 LINE = 5e-3
 REST = 1e-4
 SCALE, LINK, LINK_LENGTH = 0.04, 0.04, 0.025
@@ -423,6 +425,16 @@ def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
     return _check("groups", size, SIZE, False, said)
 
 
+def set_ups(found: Sequence[OwnBase]) -> Check:
+    """Whether a table asks for a base of its own, by points far apart: robot or instrument was moved before it."""
+    wide = [one for one in found if one.wide]
+    worst = max(wide, key=lambda one: one.error / one.moved, default=None)
+    if worst is None:
+        return _check("set-ups", NOTHING, OWN_BASE, True, "No table asks for a base of its own.")
+    times = worst.error / worst.moved
+    return _check("set-ups", times, OWN_BASE, False, worst.sentence)
+
+
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether many rows lie far from the rest."""
     worst, limit, passed, where = 0.0, GROSS, True, ""
@@ -558,7 +570,7 @@ def tool_and_base(fit: Fit) -> Check:
         far = float(np.linalg.norm(fit.machine.frames.tools[:, :3, 3], axis=1).max(initial=0.0))
         found.append((far / reach, f"A tool point is {far:.2g} m from its link"))
     if "base" in free:
-        far = float(np.linalg.norm(fit.machine.frames.base[:3, 3]))
+        far = float(np.linalg.norm(fit.machine.frames.bases[:, :3, 3], axis=1).max())
         found.append((far / FAR_BASE, f"The base is {far:.2g} m from the instrument"))
     share, said = max(found, default=(NOTHING, "Base and tool were given"))
     passed = not share > 1.0

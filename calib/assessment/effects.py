@@ -100,9 +100,9 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     fit = residue.fit
     robot = fit.model.robot
     read = tuple(robot.chain[i].name for j, i in enumerate(robot.moving) if j not in robot.passive)
-    wide = replace(fit.model, offsets=read, placements=(), terms=(), base="pose", tool="pose")
-    tools = fit.measurements[0].tools
-    parameters = wide.parameters(tools)
+    wide = replace(fit.model, offsets=read, placements=(), terms=(), base="pose", tool="pose", setups={})
+    names_of = fit.measurements[0]
+    parameters = wide.parameters(names_of.tools, names_of.setups)
     kinds = np.array([parameter.kind for parameter in parameters])
     names = [parameter.name.removesuffix(".offset") for parameter in parameters if parameter.kind == "offset"]
     readings = [reading.name for reading in robot.readings]
@@ -129,7 +129,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 J,
                 tuple(names[k] for k in own),
                 W[:, :, kinds == "offset"][:, :, own],
-                W[:, :, kinds == "base"],
+                W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
                 tool,
                 part.readings[:, column],
                 rates[rows][:, column],

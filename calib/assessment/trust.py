@@ -15,6 +15,7 @@ from calib.assessment.effects import apart, delay, gains, steps, stretches, wand
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.outliers import Outliers
+from calib.assessment.own_base import OwnBase
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -40,8 +41,9 @@ def verdict(
     sets: Sequence[JudgedSet],
     found: Outliers,
     findings: Sequence[Finding] = (),
+    moved: Sequence[OwnBase] = (),
 ) -> Verdict:
-    """Judge a fit by its own tables and by those held out; ``found``: of its own rows."""
+    """Judge a fit by its own tables and by those held out; ``found``: of its own rows; ``moved``: of all tables."""
     own = [judged for judged in sets if judged.use == "identification"]
     held_out = [judged for judged in sets if judged.use == "validation"]
     decisive = held_out or own
@@ -66,6 +68,7 @@ def verdict(
             checks.redundancy(fit),
             *by_row,
             checks.groups(found, apart(parts, C), fit),
+            checks.set_ups(moved),
             checks.gross_errors(fit, own),
             checks.frozen(own),
             checks.in_line(own),

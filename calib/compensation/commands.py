@@ -116,6 +116,7 @@ def for_joint_targets(
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
+    model = at_tip(model, tool)
     readings = _start(model, readings)
     _refuse_unknown_conditions(model, conditions)
     tools = _tools(model, tool, len(readings))
@@ -152,6 +153,7 @@ def for_poses(
         raise JobError("the poses must be finite numbers.")
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
+    model = at_tip(model, tool)
     _refuse_unknown_conditions(model, conditions)
     what: What = "pose"
     if poses.ndim == 2:
@@ -201,6 +203,16 @@ def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions)
     names = [reading.name for reading in model.robot.readings]
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
+
+
+def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
+    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
+    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
+    tips = {model.of(name).robot.tip: name for name in names}
+    if len(tips) > 1:
+        one, other = list(tips.values())[:2]
+        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
+    return model.of(names[0]) if names else model
 
 
 def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:

@@ -143,6 +143,14 @@ def _not_empty(text: str) -> str:
     return text
 
 
+def camera_place(value: object) -> object:
+    """Accept the words floor and tip, or a section that names a link."""
+    of_link = isinstance(value, dict) and list(value) == ["link"] and isinstance(value["link"], str) and value["link"]
+    if value not in ("floor", "tip") and not of_link:
+        raise ValueError(f'{as_toml(value)} is not "floor", "tip" or a link, like {{ link = "head" }}.')
+    return value
+
+
 def iterations(value: object) -> object:
     """Accept a number of iterations."""
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:

@@ -33,6 +33,7 @@ from calib.job.fields import (
     Sigma,
     SigmaAngle,
     at_most,
+    camera_place,
     iterations,
     list_of,
     orientation_name,
@@ -49,6 +50,10 @@ AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()
 _NOTHING, _DOWN = (quantity("gravity")(text) for text in ("0 m/s2", "-9.80665 m/s2"))
 _GRAVITY = (_NOTHING, _NOTHING, _DOWN)
 _ORIGIN = (quantity("position, station, point")("0 m"),) * 3
+
+
+# The word for what does not move; it wins over a link of that name.
+FLOOR = "floor"
 
 
 class _Section(BaseModel):
@@ -149,22 +154,43 @@ class ErrorModelSection(_Terms):
 
 
 class FrameSection(_Section):
-    """``[base]`` or ``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
+    """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
     position: Position
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
+class BasePriorSection(_Section):
+    """``prior`` of a base: standard deviations of its positions and of its angles."""
+
+    length: Annotated[Quantity, PlainValidator(quantity("prior.length"))]
+    angle: Annotated[Quantity, PlainValidator(quantity("prior.angle"))]
+
+
+class BaseSection(FrameSection):
+    """``[base]``, and ``[setups.NAME]``: where the base stood, exactly, or about where a ``prior`` is given."""
+
+    prior: BasePriorSection | None = None
+
+
 class TargetSection(_Section):
     """``[targets.NAME]``: what is known of a point, a board or camera (position and quaternion), or a plane.
 
-    Of a plane its normal is known, and perhaps its height along it.
+    Of a plane its normal is known, and perhaps its height along it. All of it in the link that the target is ``on``, or
+    in the instrument's frame where it stands on the floor.
     """
+
+    on: Name = FLOOR
 
     position: Position | None = None
     quaternion: Quaternion | None = None
     normal: Direction | None = None
     height: Annotated[Quantity, PlainValidator(quantity("height"))] | None = None
+
+    @property
+    def says_where(self) -> bool:
+        """Whether something is known of the place."""
+        return self.position is not None or self.normal is not None
 
 
 class RelationSection(_Section):
@@ -187,7 +213,7 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor or on the tip, and has OpenCV's numbers.
+    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
@@ -202,7 +228,7 @@ class InstrumentSection(_Section):
     tool: Name | None = None
     point: Position | None = None
     pivot: Name | None = None
-    camera_on: Literal["floor", "tip"] | None = None
+    camera_on: Annotated[Any, BeforeValidator(camera_place)] = None
     fx: FocalLength | None = None
     fy: FocalLength | None = None
     cx: PrincipalPoint | None = None
@@ -257,6 +283,9 @@ class MeasurementsSection(_Section):
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    tip: Name | None = None
+    tool: Name | None = None
+    setup: Name | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
@@ -278,7 +307,8 @@ class Job(_Section):
     error_model: ErrorModelSection = ErrorModelSection()
     accept: tuple[Accepted, ...] = ()
     solver: SolverSection = SolverSection()
-    base: FrameSection | None = None
+    base: BaseSection | None = None
+    setups: Annotated[dict[str, BaseSection], AT_MOST["setups"]] = Field(default_factory=dict)
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
     instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
     targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)

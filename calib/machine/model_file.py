@@ -30,6 +30,7 @@ from calib.machine.grid import SectorGrid, grid_bytes, load_grid
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
+from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
@@ -139,7 +140,11 @@ class TermEntry(_Strict):
 
 
 class ModelFile(_Strict):
-    """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
+    """Schema 1 of ``model.json``. Lengths in m, angles in rad.
+
+    ``base``: in the set-up named ``setup``; ``setups``: the base in the others. ``links``: the tip and other links that
+    the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     urdf: Literal["nominal.urdf"]
@@ -148,13 +153,23 @@ class ModelFile(_Strict):
     joints: tuple[JointEntry, ...]
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
+    setup: str = ONLY_SETUP
+    setups: dict[str, PoseEntry] = Field(default_factory=dict)
     tools: dict[str, PoseEntry]
+    links: tuple[str, ...] = ()
+    tool_tips: dict[str, str] = Field(default_factory=dict)
     residual_model: ResidualFile | None = None
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: Payload | None = None
+
+    @model_validator(mode="after")
+    def _has_each_setup_once(self) -> "ModelFile":
+        if self.setup in self.setups:
+            raise ValueError("a set-up has one pose of the base")
+        return self
 
 
 def residual_file(known: ResidualModel | None) -> ResidualFile | None:
@@ -185,7 +200,11 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         joints=joints,
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.base),
+        setup=machine.setup,
+        setups={name: PoseEntry.of(T) for name, T in machine.others.items()},
         tools={name: PoseEntry.of(T) for name, T in machine.tools.items()},
+        links=robot.links if len(robot.links) > 1 else (),
+        tool_tips=dict(machine.tool_tips),
         residual_model=residual_file(machine.residual_model),
         couplings=robot.couplings,
         loops=robot.closed_loops,
@@ -239,6 +258,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
+            links=model.links,
             couplings=model.couplings,
             loops=model.loops,
             gravity=model.gravity,
@@ -261,10 +281,15 @@ def _loaded(folder: Path) -> CalibratedMachine:
     )
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
-    path = folder / UNCERTAINTY_FILE
-    uncertainty = load_uncertainty(path, equipped, len(tools)) if tools and os.path.lexists(path) else None
+    if alien := [name for name, tip in model.tool_tips.items() if name not in tools or tip not in robot.links]:
+        raise OutputError(f"{path}: the tool {alien[0]!r} is on no link of {NOMINAL_FILE}.")
+    others = {name: read_only(other.placement) for name, other in model.setups.items()}
+    path, counts = folder / UNCERTAINTY_FILE, (1 + len(others), len(tools))
+    uncertainty = load_uncertainty(path, equipped, *counts) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty)
+    return CalibratedMachine(
+        equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips
+    )
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:

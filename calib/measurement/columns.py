@@ -38,23 +38,26 @@ def require(table: Table, names: Iterable[str], what: str) -> None:
         raise HeaderError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
 
 
-def refuse_unknown(table: Table, readings: Iterable[str], unread: Collection[str] = ()) -> None:
+def refuse_unknown(
+    table: Table, readings: Iterable[str], unread: Collection[str] = (), idle: Collection[str] = ()
+) -> None:
     """Refuse a column that would be passed over in silence, and a joint with the name of another column.
 
-    ``unread``: joints of the URDF that no column tells.
+    ``unread``: joints of the URDF that no column tells; ``idle``: such as may have a column that nothing needs.
     """
     joints = frozenset(readings)
     for name in sorted(joints & KNOWN):
         raise HeaderError(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
-    known = joints | KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
+    moving = {*joints, *idle}
+    known = moving | KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in moving}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name in unread:
             raise HeaderError(
-                f"{table.where}: column {name!r} is of a joint that is not read: it is fixed, follows others, or is "
-                "not between base and tip; leave the column out."
+                f"{table.where}: column {name!r} is of a joint that is not read: it is fixed or follows others; leave "
+                "the column out."
             )
         if name not in known and name not in _EULER:
             near = nearest(name, sorted(known - table.columns.keys()))
@@ -64,6 +67,13 @@ def refuse_unknown(table: Table, readings: Iterable[str], unread: Collection[str
 def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
     """Return columns (N, k) in SI units. Raises MeasurementError for one that is not in a unit of its dimension."""
     columns = [numbers(table, name, dimension) for name, dimension in dimensions.items()]
+    return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
+
+
+def filled(table: Table, dimensions: dict[str, Dimension]) -> Array:
+    """Return columns (N, k) in SI units, zeros where there is none. Raises as :func:`stacked` does."""
+    none = np.zeros(len(table))
+    columns = [numbers(table, name, d) if name in table.columns else none for name, d in dimensions.items()]
     return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.arguments import checked
-from calib.measurement.from_table import Sigma, measurements_from_table
+from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
@@ -39,7 +39,8 @@ def read_measurements(
     ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
     length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
     ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``; as
-    :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean.
+    :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean. Of a robot with several tips,
+    the rows are about the one that it looks at, ``robot.with_tip("left_hand")``, and need the joints that move it.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
@@ -58,5 +59,5 @@ def read_measurements(
         instrument=instrument,
         offset=offset,
         in_order=in_order,
-        unread=[joint.name for joint in robot.urdf.joints],
+        joints=Joints.of(robot),
     )

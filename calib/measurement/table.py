@@ -26,7 +26,7 @@ from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.layout import layout, name_and_unit
 from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
-TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
+TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 # The side from which the joint in the name was reached, in words.
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
@@ -369,6 +369,8 @@ def _unit(name: str, symbol: str | None) -> Unit | None:
         if symbol is not None:
             raise HeaderError(f"column {name!r} holds words and takes no unit, but has [{symbol}]")
         return None
+    if name == "point":
+        raise HeaderError("the column 'point' is called 'tool' now; rename it")
     symbol = symbol or "1"
     if symbol not in UNITS:
         raise HeaderError(f"column {name!r}: unit {symbol!r} is not known; allowed are {', '.join(UNITS)}")

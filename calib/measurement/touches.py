@@ -33,7 +33,7 @@ _SIZES: Mapping[TestKind, tuple[str, ...]] = {
     "sphere": ("diameter", "ball"),
     "articulations": ("diameter", "ball"),
 }
-_PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
+_PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

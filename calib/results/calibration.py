@@ -12,6 +12,7 @@ from calib.assessment.choice import Choice
 from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
+from calib.assessment.own_base import tables_with_own_base
 from calib.assessment.trust import remarks, verdict
 from calib.foundations.arguments import checked
 from calib.foundations.errors import MeasurementError
@@ -168,14 +169,15 @@ def assess(
     told = any(finding.code == "not-held-out" for finding in findings)
     findings = (*findings, *([] if told else _not_held_out(own, validation)))
     found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
-    judged_fit = verdict(fit, machine, sets, found, findings)
+    moved = tables_with_own_base(fit.model, sets)
+    judged_fit = verdict(fit, machine, sets, found, findings, moved)
     return Calibration(
         fit,
         machine,
         tuple(sets),
         figures,
         (*stopped, *judged_fit.doubts),
-        (*findings, *remarks(fit)),
+        (*findings, *remarks(fit), *(Finding("warning", "own-base", one.sentence) for one in moved if not one.wide)),
         found,
         lost_in_urdf(
             fit.robot,

@@ -228,6 +228,10 @@ def result(found: Calibration) -> dict[str, Any]:
         ],
         "outliers": _worst(found.outliers),
         "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
+        "setups": {
+            name: PoseEntry.of(base).model_dump()
+            for name, base in zip(fit.measurements[0].setups, fit.machine.frames.bases, strict=True)
+        },
         "tools": {
             name: PoseEntry.of(tool).model_dump()
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
@@ -291,7 +295,7 @@ def residual_table(found: Calibration) -> str:
     whens = ("before", "after")
     # The unit stands last in a title, so that columns of one unit follow one another.
     titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
-    rows: list[Iterable[object]] = [["use", "file", "line", "point", *titles]]
+    rows: list[Iterable[object]] = [["use", "file", "line", "tool", *titles]]
     for judged in found.sets:
         data, own = judged.data, _columns_of(judged.data.kind)
         for n, line in enumerate(data.lines):

@@ -375,7 +375,7 @@ def _shortened(path: Path, rows: int = 14) -> bytes:
 def _tables() -> list[bytes]:
     paths = (path for path in sorted(ROBOTS.glob("*/*.csv")) if not path.name.endswith("_truth.csv"))
     return [_shortened(path, 9) for path in paths] + [
-        b'joint_1 [deg],x [mm],y [mm],z [mm],qw,qx,qy,qz,point,group\n1,2,3,4,1,0,0,0,"a, b",g\n',
+        b'joint_1 [deg],x [mm],y [mm],z [mm],qw,qx,qy,qz,tool,group\n1,2,3,4,1,0,0,0,"a, b",g\n',
         b"target,x [mm],y [mm],z [mm],command_x [mm],command_y [mm],command_z [mm],direction,time [s]\n"
         b"P1,1,2,3,1,2,3,up,0\nP1,1,2,4,1,2,3,up,1\nP2,1,2,3,1,2,3,down,2\nP2,2,2,4,1,2,3,up,3\n",
         b"joint_1 [deg];x [mm];y [mm];z [mm];direction_joint_1\n1,5;2;3;4;+\n-1,5e1;2;3;4;-\n",

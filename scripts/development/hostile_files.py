@@ -636,7 +636,7 @@ HOSTILE: dict[str, Hostile] = {
         )
     ),
     "rows": _rows(lambda _: "", ""),
-    "points": _rows(lambda k: f"p{k}", "point"),
+    "points": _rows(lambda k: f"p{k}", "tool"),
     "groups": _rows(lambda k: f"g{k}", "group"),
     "pairs": _rows(lambda k: f"p{k // 2}", "pair"),
     "pair distances": _rows(lambda k: f"p{k // 2},1", "pair,length [m]", _observed("pair_distance")),

@@ -123,7 +123,7 @@ def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
 def ur10(n: int, misfit: float = 0.0, observes: str = "position") -> tuple[calib.ErrorModel, Setup, Array]:
     name = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     robot, rng = machines.load(*name), np.random.default_rng(0)
-    frames = Frames(machines.anywhere(rng), rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
+    frames = Frames(machines.anywhere(rng)[None], rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
     model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     setup = Setup(frames, observes, 0.05e-3, 0.1e-3, misfit)  # type: ignore[arg-type]
     return model, setup, machines.arm(*name).draw(rng, n)
@@ -182,6 +182,6 @@ def test_poses_bring_six_numbers() -> None:
 
 @pytest.mark.parametrize("field", ["sigma", "misfit"])
 def test_numbers_of_a_setup_are_checked(field: str) -> None:
-    frames = Frames(np.eye(4), np.eye(4)[None])
+    frames = Frames(np.eye(4)[None], np.eye(4)[None])
     with pytest.raises(JobError, match=f"{field}: -1.0 is not a number from"):
         Setup(frames, **{field: -1.0})

@@ -433,11 +433,11 @@ def test_joint_targets_of_a_table() -> None:
     model = model_of(robot_of("ur10"))
     readings = draw(model.robot, 5)
     readings[4] = 7.0
-    wanted = targets.targets(table_from_arrays(panel(model, readings, point=["tool", "other"] * 2 + ["tool"])), model)
+    wanted = targets.targets(table_from_arrays(panel(model, readings, tool=["tool", "other"] * 2 + ["tool"])), model)
     found = targets.corrections(model, wanted)
     lines = list(csv.reader(targets.corrected_csv(model, wanted, found).splitlines()))
     names = [f"{r.name} [deg]" for r in model.robot.readings]
-    assert lines[0] == [*names, "point", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
+    assert lines[0] == [*names, "tool", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
     assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
     assert (
         np.abs(np.radians(np.array([line[:6] for line in lines[1:5]], dtype=float)) - found.readings[:4]).max() < 1e-10
@@ -487,7 +487,7 @@ def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
         ),
         ({"x [mm]": [0.0]}, "there is no column 'y', 'z' of the targets"),
         ({"x [deg]": [0.0], "y [mm]": [0.0], "z [mm]": [0.0]}, "column 'x': unit 'deg' is not a unit of length"),
-        ({"point": ["left"]}, "there is no tool 'left'; the calibrated tools are 'tool', 'other'"),
+        ({"tool": ["left"]}, "there is no tool 'left'; the calibrated tools are 'tool', 'other'"),
         (
             {"x [m]": [0.0], "y [m]": [0.0], "z [m]": [0.0], "qw": [2.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]},
             "the quaternion has the norm 2",

@@ -10,7 +10,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS
 from calib.measurement.table import Columns, Table, read_table, table_from_arrays, table_from_frame
 
-HEADER = "j1 [deg], x [mm], qw, point"
+HEADER = "j1 [deg], x [mm], qw, tool"
 ROWS = "90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n"
 ALLOWED = ", ".join(UNITS)
 
@@ -30,13 +30,13 @@ def same(a: Table, b: Table) -> bool:
 
 def test_values_are_si_read_only_and_know_their_line(tmp_path: Path) -> None:
     table = read_table(write(tmp_path, f"# a robot\n\n{HEADER}\n  # later\n{ROWS}"))
-    assert list(table.columns) == ["j1", "x", "qw", "point"]
+    assert list(table.columns) == ["j1", "x", "qw", "tool"]
     assert len(table) == 2
     assert table.lines.tolist() == [5, 6]
     np.testing.assert_allclose(table.columns["j1"].values, [np.pi / 2, np.deg2rad(-45.25)], rtol=1e-15)
     np.testing.assert_allclose(table.columns["x"].values, [1.5e-3, 2.0], rtol=1e-15)
-    assert table.columns["point"].values == ("tcp", "ball")
-    assert table.columns["point"].unit is None
+    assert table.columns["tool"].values == ("tcp", "ball")
+    assert table.columns["tool"].unit is None
     assert table.columns["qw"].unit.symbol == "1"
     with pytest.raises(ValueError, match="read-only"):
         table.columns["x"].values[0] = 0.0
@@ -119,9 +119,9 @@ def test_frame_arrays_and_file_agree(tmp_path: Path) -> None:
     path = write(tmp_path, PLAIN)
     table = read_table(path)
     frame = pd.read_csv(path, skipinitialspace=True)
-    arrays = {"j1 [deg]": [90, -45.25], "x [mm]": (1.5, 2e3), "qw": np.array([1, 0.5]), "point": ["tcp", "ball"]}
+    arrays = {"j1 [deg]": [90, -45.25], "x [mm]": (1.5, 2e3), "qw": np.array([1, 0.5]), "tool": ["tcp", "ball"]}
     assert same(table_from_frame(frame), table)
-    assert same(table_from_frame(frame.set_index("point", drop=False).astype(object)), table)
+    assert same(table_from_frame(frame.set_index("tool", drop=False).astype(object)), table)
     assert same(table_from_frame(pd.read_csv(path, skipinitialspace=True, dtype=str)), table)
     assert same(table_from_arrays(arrays), table)
     assert table_from_frame(frame).lines.tolist() == [0, 1]
@@ -151,7 +151,7 @@ def test_doubles_survive_the_file(tmp_path: Path) -> None:
 
 def test_renaming_reads_headers_of_somebody_else(tmp_path: Path) -> None:
     path = write(tmp_path, "Joint A1, measurement_x [mm], Q.W, station\n90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n")
-    columns = {"j1 [deg]": "Joint A1", "x": "measurement_x", "qw": "Q.W", "point": "station"}
+    columns = {"j1 [deg]": "Joint A1", "x": "measurement_x", "qw": "Q.W", "tool": "station"}
     assert same(read_table(path, columns), read_table(write(tmp_path, PLAIN)))
     frame = pd.DataFrame({"Tx (mm)": [1.0]})
     assert table_from_frame(frame, columns={"x [mm]": "Tx (mm)"}).columns["x"].values.tolist() == [1e-3]
@@ -185,7 +185,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ("x\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
         ("x []\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
         ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {ALLOWED}."),
-        ("point [mm]\na\n", ":1: column 'point' holds words and takes no unit, but has [mm]."),
+        ("tool [mm]\na\n", ":1: column 'tool' holds words and takes no unit, but has [mm]."),
         ("x [m\n1\n", ":1: the header 'x [m' is not a name with a unit, like 'x [mm]'."),
         ("x [m] [m]\n1\n", ":1: the header 'x [m] [m]' is not a name with a unit, like 'x [mm]'."),
         ("x [m],,y [m]\n1,2,3\n", ":1: a column has no name (is there a comma too many?)."),
@@ -203,7 +203,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
             ":3: the header has 2 cells and this row has 1, and the file ends within this row: it seems truncated.",
         ),
         ("x [m], y [m]\n1,2\n3,\n", ":3: column 'y': the cell is empty."),
-        ("x [m], point\n1,tcp\n3,\n", ":3: column 'point': the cell is empty."),
+        ("x [m], tool\n1,tcp\n3,\n", ":3: column 'tool': the cell is empty."),
         ('x [m], y [m]\n"1,5",2\n', ":2: column 'x': '1,5' has a decimal comma; write a point."),
         ('x [m], y [m]\n"1, 2\n3,4\n', ":2: a quote is not closed, or something follows it."),
         ('x [m], y [m]\n"1"1, 2\n3,4\n', ":2: a quote is not closed, or something follows it."),

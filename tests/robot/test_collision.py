@@ -257,4 +257,4 @@ def test_poses_that_no_arm_can_take_are_given_up_soon() -> None:
     assert found is not None
     judged = replace(found, pairs=((0, 4),))
     with pytest.raises(JobError, match=r"only 0 of 2000 random poses can be measured, .*: 2000 touching itself"):
-        random_candidates(robot, Frames(np.eye(4), np.eye(4)[None]), 1000, collision=judged)
+        random_candidates(robot, Frames(np.eye(4)[None], np.eye(4)[None]), 1000, collision=judged)

@@ -205,7 +205,7 @@ class Machine:
             poses[:, :3, 3] += rng.normal(scale=sigma, size=(len(poses), 3))
             turns = Rotation.from_rotvec(rng.normal(scale=sigma_angle, size=(len(poses), 3))).as_matrix()
             poses[:, :3, :3] = poses[:, :3, :3] @ turns
-        columns = table(self.arm, readings, poses, observes) | ({} if points is None else {"point": points})
+        columns = table(self.arm, readings, poses, observes) | ({} if points is None else {"tool": points})
         s, a = stated or (sigma, sigma_angle)
         return calib.read_measurements(columns, robot, observes, sigma=(s, a if observes == "pose" else None))
 

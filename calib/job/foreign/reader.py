@@ -192,6 +192,6 @@ class Reader(Turns):
         if not all(column.words):
             return False
         if holds_words(column.name):
-            few = column.name in ("point", "target") and len(set(column.words)) > 0.34 * len(column.words)
+            few = column.name in ("tool", "target") and len(set(column.words)) > 0.34 * len(column.words)
             return column.symbol is None and not few
         return column.numbers is not None and column.symbol is not None

@@ -261,13 +261,9 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
 def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
     error = _errors(_of(sets, judged_use(sets)))[0]
-    tools = fit.machine.frames.tools[:, :3, 3]
     tips = [judged.data.tips(fit.robot, fit.deviations) for judged in error.sets]
     points = np.concatenate(
-        [
-            T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
-            for T, judged in zip(tips, error.sets, strict=True)
-        ]
+        [(T @ fit.tools_of(judged.data))[:, :3, 3] for T, judged in zip(tips, error.sets, strict=True)]
     )
     far = np.argsort(np.linalg.norm(points[:, :2], axis=1))
     thirds = [part for part in np.array_split(error.after[far], 3) if part.size]
