@@ -108,13 +108,16 @@ def told_briefly(
     if len(null_space) < _A_FEW or any(data.kind not in ("position", "pose") for data in measurements):
         return tuple(said)
     sets = with_common_names(model, measurements)
+    if len(sets[0].setups) > 1 or len(model.robot.links) > 1:
+        # What one set-up, or one link, does not show, others may.
+        return tuple(said)
     frames = initial_frames(model, sets)
     first = max(sets, key=lambda data: data.sigma.shape[1])
     n = min(len(first), _MOST_ROWS)
     anywhere = replace(
         first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n, None, (), seed=0))
     )
-    J, names = _per_unit(Problem(model, model.parameters(sets[0].tools), frames, (anywhere,)))
+    J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, (anywhere,)))
     never = [not _shown(J, names, [], direction) for direction in null_space]
     if sum(never) < _A_FEW:
         return tuple(said)

@@ -277,8 +277,9 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
 
 
 def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slice) -> Array:
-    """Return the variance (N,) that the parameters bring to positions or turns; nothing for other kinds."""
-    if data.position is None:
+    """Return the variance (N,) that the parameters bring to positions or turns; nothing for what is not known of."""
+    known = machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
+    if data.position is None or not known:
         return np.zeros(len(data))
     return np.asarray(np.sum(common_errors(machine, data)[:, columns] ** 2, axis=(1, 2)))
 
@@ -499,8 +500,13 @@ def joints(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether every joint moved."""
     values = np.concatenate([end.readings for one in own for end in one.data.ends])
     moved = np.ptp(values, axis=0)
-    still = [reading.name for reading, by in zip(fit.robot.readings, moved, strict=True) if by <= REST]
-    least = float(moved.min(initial=np.inf))
+    # Joints of other arms that no table needs are no part of what was measured.
+    absent = set.intersection(*(set(one.data.absent) for one in own)) if own else set()
+    told = [
+        (reading.name, by) for reading, by in zip(fit.robot.readings, moved, strict=True) if reading.name not in absent
+    ]
+    still = [name for name, by in told if by <= REST]
+    least = min((float(by) for _, by in told), default=np.inf)
     said = "Every joint moved." if not still else f"Never moved, or never read: {', '.join(map(repr, still))}."
     return _check("joints", least, REST, not still, said, least=True)
 

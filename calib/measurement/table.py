@@ -317,6 +317,8 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             if name in names:
                 raise HeaderError(f"column {name!r} appears more than once")
             names.add(name)
+            if name == "point":
+                raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
             if not symbol and not (holds_words(name) or name in UNITLESS):
                 unitless.append(name)
             else:
@@ -369,8 +371,6 @@ def _unit(name: str, symbol: str | None) -> Unit | None:
         if symbol is not None:
             raise HeaderError(f"column {name!r} holds words and takes no unit, but has [{symbol}]")
         return None
-    if name == "point":
-        raise HeaderError("the column 'point' is called 'tool' now; rename it")
     symbol = symbol or "1"
     if symbol not in UNITS:
         raise HeaderError(f"column {name!r}: unit {symbol!r} is not known; allowed are {', '.join(UNITS)}")

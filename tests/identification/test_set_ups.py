@@ -215,7 +215,8 @@ def test_the_uncertainty_of_every_set_up_is_its_own(cell: Cell) -> None:
     machine = calib.machine_of(calib.identify(calib.error_model(cell.robot, offsets="all"), sets))
     q = cell.arm.draw(cell.rng, 50)
     left, right = (np.median(calib.tool_uncertainty(machine.at(s), q).position) for s in ("left", "right"))
-    assert right > 1.5 * left
+    # What the model leaves out is most of it, and common to both.
+    assert right > 1.05 * left
     same = [calib.tool_uncertainty(machine.at(s), q, base=False).position for s in ("left", "right")]
     np.testing.assert_allclose(*same, rtol=1e-9)
 

@@ -13,7 +13,7 @@ from calib.identification.initialisation.problem import initial_problem, with_co
 from calib.identification.machine import Frames, Layout
 from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
-from calib.measurement.checks import check
+from calib.measurement.checks import table_findings
 from calib.measuring import Camera
 from tests.support.machines import Array, anywhere, pose
 from tests.support.trees import TIPS, TOOLS, Tree, touching, tree
@@ -255,5 +255,5 @@ def test_a_column_of_a_joint_that_matters_to_nothing_is_remarked() -> None:
     seen = made.link("right_hand", q)[:, :3, 3]
     columns = made.columns(q) | {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, robot, sigma=SIGMA)
-    (finding,) = [f for f in check(data, robot.readings, robot.reach) if f.code == "joint-unused"]
+    (finding,) = [f for f in table_findings(data, robot.readings, robot.reach) if f.code == "joint-unused"]
     assert "'left_elbow'" in finding.sentence and "'neck'" in finding.sentence

@@ -209,7 +209,7 @@ WRONG = {
         "touch.csv: the target 'a' is on 'left_hand', which carries the tool as well",
     ),
     "target on no link": (ON.replace("right_hand", "tail") + TOUCH, "link 'tail' is not a link of the URDF"),
-    "target of nothing": (ON + RIGHT, "targets: 'a' is in no measurement"),
+    "target of nothing": (ON + RIGHT, "targets: 'a' does not appear in the measurements"),
     "one tool on two tips": (
         RIGHT + 'tool = "ball"\n' + LEFT + 'tool = "ball"\n',
         "left.csv: the tool 'ball' is on 'left_hand' here and on 'right_hand' in another table",

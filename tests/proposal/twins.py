@@ -337,7 +337,7 @@ TWINS = [
             orientation=["Rx", "Ry", "Rz"],
             convention="xyz",
             observes="pose",
-            ignore=["user", "tool", "ecoKey"],
+            ignore=["user", "ecoKey"],
         ),
     ),
     # ---- other kinds
