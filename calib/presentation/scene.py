@@ -8,7 +8,7 @@ moves, hides and names things is ``pages/scene.js``.
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -92,7 +92,8 @@ class Scene:
     none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
-    ``judged``: False where the points are the tool's own, and there are no errors to tell.
+    ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
+    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told.
     """
 
     title: str
@@ -110,6 +111,8 @@ class Scene:
     scales: tuple[float, float]
     marks: tuple[Mark, ...] = ()
     judged: bool = True
+    joints: tuple[tuple[str, str], ...] = ()
+    readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,6 +205,8 @@ def render_scene(scene: Scene) -> str:
             if arm is not None
         },
         "rows": [scene.rows[n] for n in rows],
+        "joint_names": scene.joints,
+        "readings": scene.readings[rows].round(4).tolist() if scene.joints else [],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
         "scales": scene.scales,

@@ -106,12 +106,17 @@ const current = new THREE.Mesh(new THREE.SphereGeometry(2.7 * page.radius, 24, 1
   new THREE.MeshBasicMaterial({ color: 0x009e73, opacity: 0.45, transparent: true, depthWrite: false }));
 const MOVE = 700, REST = 500;  // ms from pose to pose, and at each
 let at = 0, playing = 0;
+// Told the joint readings of every pose that is shown; those moved by hand, once the page is served live, follow.
+let follow = () => {};
+const plain = (x, digits) => x.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+const mixed = (a, b, s) => a.map((q, k) => q + s * (b[k] - q));
 
 function show(moment) {
   at = moment;
   const n = Math.min(Math.floor(moment), last), m = Math.min(n + 1, last), t = moment - n;
   const s = t * t * (3 - 2 * t);
-  for (const arm of arms) place(arm, arm.positions[n].map((q, k) => q + s * (arm.positions[m][k] - q)));
+  for (const arm of arms) place(arm, mixed(arm.positions[n], arm.positions[m], s));
+  if (page.readings.length) follow(mixed(page.readings[n], page.readings[m], s));
   const near = t < 0.5 ? n : m, [lengthBefore, lengthAfter] = page.lengths[near];
   viewer.set_property(["current"], "position", measured[near]);
   viewer.set_property(["current"], "visible", wanted("measured"));
@@ -247,30 +252,44 @@ viewer.render = () => { render(); arrange(); };
 // Served by "calib view", the arm also takes any joint readings: the server closes loops and says what it finds.
 if (location.protocol.startsWith("http")) {
   const socket = new WebSocket("ws://" + location.host + "/live"), live = byId("live");
-  let sliders = [], busy = false, waiting = false;
+  let readings = [], busy = false, waiting = false;
   const ask = () => {
     if (busy) { waiting = true; return; }
     busy = true;
-    socket.send(JSON.stringify({ readings: sliders.map(slider => Number(slider.value)), apart: page.apart }));
+    socket.send(JSON.stringify({ readings, apart: page.apart }));
   };
   socket.addEventListener("message", event => {
     const told = JSON.parse(event.data);
     if (told.reload) { location.reload(); return; }
     if (told.readings) {
       live.style.display = "block";
-      sliders = told.readings.map(({ name, unit, lower, upper, value }) => {
+      readings = told.readings.map(({ value }) => value);
+      const sliders = told.readings.map(({ name, unit, lower, upper, value }, k) => {
         const label = live.appendChild(document.createElement("label")), span = document.createElement("span");
         const slider = document.createElement("input"), output = document.createElement("output");
         span.textContent = span.title = name;
-        Object.assign(slider, { type: "range", min: lower, max: upper, step: "any", value });
-        const tell = () => { output.textContent = Number(slider.value).toFixed(unit === "deg" ? 1 : 3) + " " + unit; };
-        slider.addEventListener("input", () => { if (playing) stop(); tell(); ask(); });
-        tell();
+        // A measured pose may lie beyond the limits that the URDF states.
+        const all = page.readings.map(pose => pose[k]);
+        const [min, max] = all.reduce(([a, b], q) => [Math.min(a, q), Math.max(b, q)], [lower, upper]);
+        Object.assign(slider, { type: "range", min, max, step: "any", value });
+        slider.setAttribute("aria-label", name + " in " + unit);
+        const tell = q => { output.textContent = plain(q, unit === "deg" ? 1 : 2) + " " + unit; };
+        slider.addEventListener("input", () => {
+          if (playing) stop();
+          readings[k] = Number(slider.value);
+          tell(readings[k]);
+          ask();
+        });
+        tell(value);
         label.append(span, slider, output);
-        return slider;
+        return q => { slider.value = q; tell(q); };
       });
+      // From any pose that is shown a person goes on with one joint, and the others stay.
+      follow = shown => { readings = shown; sliders.forEach((set, k) => set(shown[k])); };
       const said = live.appendChild(document.createElement("p"));
       said.id = "said";
+      said.setAttribute("aria-live", "polite");
+      if (last >= 0) show(at);
       fit();
       return;
     }
