@@ -108,7 +108,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
     progress("drawing the scene")
     scene = render_scene(scene_of(found))
     progress("writing the report")
-    report = report_of(found)
+    report = report_of(found, (("The scene in 3D", SCENE_FILE),))
     files: dict[str, bytes | str] = {
         **machine,
         RESULT_FILE: result_json(found),

@@ -134,6 +134,20 @@ def test_report_can_be_read_in_light_in_dark_and_on_paper(page: Page, out: Path)
         assert (paper == "rgb(255, 255, 255)") == (scheme == "light" or medium == "print")
 
 
+def test_the_first_page_on_paper_holds_the_certificate_and_nothing_else(page: Page, out: Path) -> None:
+    page.size(718, 1047)  # A4 within margins of 1 cm
+    page.open((out / "report.html").as_uri())
+    bottom = "document.getElementById('certificate').getBoundingClientRect().bottom"
+    assert page.evaluate(bottom) == 0.0  # on a screen it would say all twice
+    page.media("print")
+    assert 300.0 < page.evaluate(bottom) < 1047.0
+    assert page.evaluate("getComputedStyle(document.getElementById('certificate')).breakAfter") == "page"
+    assert page.evaluate("document.documentElement.scrollWidth") == 718
+    hashes = json.loads((out / "result.json").read_text(encoding="utf-8"))["inputs"]
+    said = page.evaluate("document.getElementById('certificate').innerText")
+    assert all(sha in said for sha in hashes.values())
+
+
 def test_marks_of_the_report_have_colours(page: Page, out: Path) -> None:
     page.size(1280, 800)
     page.media(prefers_color_scheme="light")
