@@ -84,17 +84,17 @@ def filled(out: Table, columns: Sequence[str], numbers: Collection[str], rows: S
     room = WIDTH - (3 * n + 1) - sum(needed[1:])
     if room < needed[0]:
         out.collapse_padding = True
-        room = WIDTH - (2 * n + 2) - sum(needed[1:])
+        room = WIDTH - (2 * n + 4) - sum(needed[1:])
     room = max(room, heads[0], _LEAST)
     first = [broken(row[0], room) for row in cells]
     width = max(map(cell_len, [columns[0], *(line for text in first for line in text.split("\n"))]))
+    tight = width + sum(map(max, needed[1:], map(len, columns[1:]))) > WIDTH - (3 * n + 1)
     for k, name in enumerate(columns):
         out.add_column(
             name,
             justify="right" if name in numbers else "left",
             overflow="ellipsis" if k else "fold",
-            width=None if k else min(width, room),
-            min_width=needed[k] if k else None,
+            width=(needed[k] if k else min(width, room)) if tight else None,
         )
     for text, row in zip(first, rows, strict=True):
         out.add_row(text, *row.cells[1:], style="bold" if row.strong else None, end_section=row.ends_group)
