@@ -103,7 +103,7 @@ def test_no_word_and_no_number_of_a_table_is_broken() -> None:
     for k in range(5):
         assert text.count(f"+{k}23.4567") == 3
     words = {word for name in names for word in re.findall(r"[^._]+[._]?", name)}
-    first = [line[2:22].split()[0] for line in text.splitlines() if line.startswith("  ") and line[2] != " "]
+    first = [line[1:22].split()[0] for line in text.splitlines() if line.startswith(" ") and line[1] not in " -"]
     assert "".join(first[1:]) == "".join(names)
     assert all(any(piece.endswith(word) for word in words) for piece in first[1:])
     assert broken("one/two three.four", 7) == "one/two\nthree.\nfour"

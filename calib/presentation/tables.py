@@ -83,8 +83,8 @@ def filled(out: Table, columns: Sequence[str], numbers: Collection[str], rows: S
     n = len(columns)
     room = WIDTH - (3 * n + 1) - sum(needed[1:])
     if room < needed[0]:
-        out.collapse_padding = True
-        room = WIDTH - (2 * n + 4) - sum(needed[1:])
+        out.padding = (0, 1, 0, 0)
+        room = WIDTH - (2 * n + 1) - sum(needed[1:])
     room = max(room, heads[0], _LEAST)
     first = [broken(row[0], room) for row in cells]
     width = max(map(cell_len, [columns[0], *(line for text in first for line in text.split("\n"))]))
@@ -107,7 +107,7 @@ def broken(name: str, room: int) -> str:
     A part that is longer than that stays whole.
     """
     lines = [""]
-    for part in re.findall(r"[^._/ ]*[._/ ]?", name):
+    for part in re.findall(r"[^._/ ]+[._/ ]?|[._/ ]", name):
         if lines[-1] and len(lines[-1]) + len(part.rstrip()) > room:
             lines.append("")
         lines[-1] += part
