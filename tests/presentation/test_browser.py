@@ -14,7 +14,7 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.presentation.arm import link_placements
 from calib.results.calibration import Calibration
-from calib.results.folder import write_results
+from calib.results.folder import report, scene, write_results
 from calib.results.scene import scene_of
 from scripts.development.browser import CHROMIUM, Page, browser
 from tests.support.cases import CASE, JOB
@@ -309,6 +309,23 @@ def test_views_look_along_the_axes_and_a_bar_is_as_long_as_it_says(page: Page, o
         text, width = page.evaluate("[bar.innerText, bar.getBoundingClientRect().width - 4]")
         metres = float(text.split()[0]) * (1.0 if text.endswith(" m") else 1e-3)
         assert (ends[1] - ends[0]) * 640 / 0.1 == pytest.approx(width / metres, rel=0.02)
+
+
+def test_a_notebook_shows_report_and_scene_in_place(page: Page, outcome: Calibration, tmp_path: Path) -> None:
+    page.size(1280, 800)
+    for kind, show in (("report", report), ("scene", scene)):
+        text = show(outcome)
+        assert text.startswith("<!DOCTYPE html>")
+        file = tmp_path / f"{kind}.html"
+        file.write_text(f"<!DOCTYPE html><meta charset=utf-8>{text._repr_html_()}", encoding="utf-8")
+        page.open(file.as_uri())
+        page.evaluate("new Promise(done => setTimeout(done, 1500))")
+        picture = pixels(page, tmp_path / f"{kind}.png")[:640]
+        if kind == "report":  # the green of the verdict
+            assert (np.abs(picture - (20, 113, 63)).max(axis=2) < 12).sum() > 200
+        else:  # the arm
+            orange = (picture[:, :, 0] > 150) & (picture[:, :, 1] < 110) & (picture[:, :, 2] < 60)
+            assert orange[:, 340:].sum() > 0.004 * orange.size
 
 
 def test_every_input_of_the_scene_has_a_name(page: Page, out: Path) -> None:
