@@ -156,6 +156,7 @@ function step(now, since) {
 
 if (last >= 0) {
   viewer.set_object(["current"], current);
+  byId("joints").style.minHeight = 1.45 * Math.ceil(page.joint_names.length / 2) + "em";  // nothing below it jumps
   pose.max = last;
   pose.addEventListener("input", () => { stop(); show(Number(pose.value)); });
   play.addEventListener("click", () => {
@@ -326,6 +327,7 @@ if (location.protocol.startsWith("http")) {
     if (told.reload) { location.reload(); return; }
     if (told.readings) {
       live.style.display = "block";
+      if (last >= 0) byId("joints").style.display = "none";  // the sliders tell them
       readings = told.readings.map(({ value }) => value);
       const sliders = told.readings.map(({ name, unit, lower, upper, value }, k) => {
         const label = live.appendChild(document.createElement("label")), span = document.createElement("span");
