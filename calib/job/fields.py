@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from datetime import date
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, PlainValidator
@@ -18,6 +19,7 @@ from calib.robot.terms.kind import Option
 _NORM_TOLERANCE = 1e-3
 _MOST_ITERATIONS = 1000
 _SHORTEST_NORMAL = 1e-6
+_MOST_WORDS = 500
 
 
 class Quantity(str):
@@ -213,6 +215,22 @@ def _or_learned(check: Callable[[object], Quantity]) -> Callable[[object], Prior
     return checked
 
 
+def _words(text: object) -> str:
+    if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MOST_WORDS:
+        raise ValueError(f"{as_toml(text)} is not one line of text of at most {_MOST_WORDS} characters.")
+    return text
+
+
+def _date(day: object) -> str:
+    """Return a date as ISO 8601 has it; TOML has dates of its own."""
+    try:
+        return (day if type(day) is date else date.fromisoformat(str(day))).isoformat()
+    except ValueError:
+        raise ValueError(f"{as_toml(str(day))} is not a date like 2025-03-31.") from None
+
+
+AboutWords = Annotated[str, BeforeValidator(_words)]
+AboutDate = Annotated[str, BeforeValidator(_date)]
 Name = Annotated[str, AfterValidator(_not_empty)]
 Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
 Place = Annotated[Quantity, PlainValidator(quantity("position, station, point"))]

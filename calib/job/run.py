@@ -50,6 +50,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
             inputs.files,
             inputs.hashes,
             inputs.mesh_roots,
+            {name: said for name, said in inputs.job.about.model_dump().items() if said is not None},
         ),
     )
     if known is not None:

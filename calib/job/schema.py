@@ -9,6 +9,8 @@ from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.job.fields import (
+    AboutDate,
+    AboutWords,
     AnglePrior,
     CompliancePrior,
     CouplingOffset,
@@ -85,6 +87,15 @@ class PayloadSection(_Section):
 
     mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
     position: Position = _ORIGIN
+
+
+class AboutSection(_Section):
+    """``[about]``: what the report says of the calibration besides its figures."""
+
+    date: AboutDate | None = None
+    serial: AboutWords | None = None
+    operator: AboutWords | None = None
+    note: AboutWords | None = None
 
 
 class RobotSection(_Section):
@@ -303,6 +314,7 @@ class Job(_Section):
     """A whole job. ``accept``: checks of the verdict that the user answers for, and that do not count."""
 
     schema_: Annotated[Literal[1], BeforeValidator(this_schema)] = Field(alias="schema")
+    about: AboutSection = AboutSection()
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
     accept: tuple[Accepted, ...] = ()

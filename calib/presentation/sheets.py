@@ -31,6 +31,12 @@ def figure(value: float, unit: str) -> str:
     return f"{value * factor:.4f} {name}"
 
 
+def signed(value: float, digits: int) -> str:
+    """Return a number with its sign; what is rounded to nothing has none."""
+    text = f"{value:+.{digits}f}"
+    return text if text.strip("+-0.") else text[1:]
+
+
 def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> Sheet:
     """Return the before/after table of ``figures[use][when][quantity]``."""
     rows = []
@@ -106,7 +112,7 @@ def parameter_sheet(fit: Fit) -> Sheet:
         factor, unit = SHOWN[parameter.unit]
         known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
         sure = "-" if unidentifiable else f"{sigma * factor:.4f}"
-        rows.append(Row((parameter.name, f"{value * factor:+.4f}", sure, unit, known)))
+        rows.append(Row((parameter.name, signed(value * factor, 4), sure, unit, known)))
     return Sheet(
         "Parameters",
         ("parameter", "value", "sigma", "unit", "identifiable"),

@@ -43,13 +43,17 @@ class LevelReport:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a calibration was made by and from: a command, its settings as JSON, files, and their SHA-256 by name."""
+    """What a calibration was made by and from: a command, its settings as JSON, files, and their SHA-256 by name.
+
+    ``about``: what its job says of date, serial number, operator and the like, in words by name.
+    """
 
     command: str = ""
     settings: str = ""
     files: tuple[Path, ...] = ()
     hashes: Mapping[str, str] = field(default_factory=dict)
     mesh_roots: tuple[Path, ...] = ()
+    about: Mapping[str, str] = field(default_factory=dict)
 
 
 FROM_PYTHON = Origin()

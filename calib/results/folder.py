@@ -32,6 +32,7 @@ from calib.machine.model_file import (
 )
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
+from calib.presentation.inline import Page
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
@@ -108,7 +109,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
     progress("drawing the scene")
     scene = render_scene(scene_of(found))
     progress("writing the report")
-    report = report_of(found)
+    report = report_of(found, (("The scene in 3D", SCENE_FILE),))
     files: dict[str, bytes | str] = {
         **machine,
         RESULT_FILE: result_json(found),
@@ -139,18 +140,18 @@ def save(found: Calibration | Fit, folder: str | Path) -> Path:
 
 
 @checked
-def report(found: Calibration | Fit) -> str:
-    """Return the report of a calibration as one HTML page that needs no other file."""
-    return render_page(report_of(judged(found)))
+def report(found: Calibration | Fit) -> Page:
+    """Return the report of a calibration as one HTML page that needs no other file; a notebook shows it in place."""
+    return Page(render_page(report_of(judged(found))))
 
 
 @checked
-def scene(found: Calibration | Fit) -> str:
-    """Return the 3D scene of a calibration as one HTML page that needs no other file.
+def scene(found: Calibration | Fit) -> Page:
+    """Return the 3D scene of a calibration as one HTML page that needs no other file; a notebook shows it in place.
 
     Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them.
     """
-    return render_scene(scene_of(judged(found)))
+    return Page(render_scene(scene_of(judged(found))))
 
 
 def judged(found: Calibration | Fit) -> Calibration:

@@ -33,11 +33,13 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
 )
 
 
-def report_of(found: Calibration) -> Report:
-    """Return the report of a judged calibration, as plain data."""
+def report_of(found: Calibration, beside: tuple[tuple[str, str], ...] = ()) -> Report:
+    """Return the report of a judged calibration, as plain data. ``beside``: words and URLs of pages in its folder."""
     robot = found.fit.robot
     return Report(
         f"Calibration of {robot.urdf.name or robot.urdf.where}",
         sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings], found.shown),
         tuple(section for make in SECTIONS if (section := make(found)) is not None),
+        tuple(found.origin.about.items()),
+        beside,
     )

@@ -1,4 +1,4 @@
-"""The scene of an found."""
+"""The scene of a calibration."""
 
 from collections.abc import Iterator
 from typing import Literal
@@ -9,6 +9,7 @@ from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
+from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.measurement.kinds import size
 from calib.presentation.arm import Arm, arm_of
@@ -61,6 +62,8 @@ def scene_of(found: Calibration) -> Scene:
         scales=scales,
         marks=tuple(_targets(found, extent)),
         judged=bool(with_points),
+        joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
+        readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
     )
 
 

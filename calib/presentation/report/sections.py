@@ -34,6 +34,7 @@ from calib.presentation.report.charts import (
     matrix,
 )
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
+from calib.presentation.report.drawings import deviation_drawing, deviation_words
 from calib.presentation.sheets import (
     SHOWN,
     budget_sheet,
@@ -48,6 +49,7 @@ from calib.presentation.sheets import (
     parameter_sheet,
     prior_sentences,
     rank_sentences,
+    signed,
 )
 from calib.presentation.sheets import Level as LevelFigures
 
@@ -59,6 +61,7 @@ _FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 # More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
 _MOST_DOTS = 2000
 _BINS = 24
+_MOST_CORRELATED = 20
 # Of so many configurations the budget is told.
 _MOST_CONFIGURATIONS = 200
 _ANGLES = ("rx", "ry", "rz")
@@ -301,7 +304,10 @@ def parameters(fit: Fit) -> Section:
         "others, fit the data as well. Weakly determined ones have a sigma above half their parameter scale."
     )
     sentences = (said,) if fit.unidentifiable.any() or fit.weak.any() else ()
-    return Section("parameters", "Parameters", (parameter_sheet(fit), *([Prose(sentences)] if sentences else [])))
+    blocks: list[Block] = [parameter_sheet(fit)]
+    if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
+        blocks.append(Picture("What the names mean", deviation_drawing(), deviation_words()))
+    return Section("parameters", "Parameters", (*blocks, *([Prose(sentences)] if sentences else [])))
 
 
 def correlations(fit: Fit) -> Section | None:
@@ -316,16 +322,22 @@ def correlations(fit: Fit) -> Section | None:
         "Strongest correlations",
         ("parameter", "and", "correlation"),
         frozenset(("correlation",)),
-        tuple(Row((names[i], names[j], f"{r[i, j]:+.3f}")) for i, j in strongest),
+        tuple(Row((names[i], names[j], signed(r[i, j], 3))) for i, j in strongest),
         "of the uncertainties, not of the values; parameters identifiable only in combination are left out",
     )
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
     i, j = strongest[0]
     said = (
         f"Of {count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is {names[i]} with "
-        f"{names[j]}, {r[i, j]:+.3f}. Blue is positive, orange negative."
+        f"{names[j]}, {signed(r[i, j], 3)}. Blue is positive, orange negative."
     )
-    return Section("correlations", "Correlations", (Picture("Correlations", matrix(r, names), said, wide=True), sheet))
+    # Of sixty parameters nobody reads a square each: those that correlate most, in the order of all.
+    least = np.max(np.abs(r - np.eye(len(r))), axis=1)
+    drawn = np.sort(np.argsort(-least, kind="stable")[:_MOST_CORRELATED])
+    if len(drawn) < len(r):
+        said += f" Drawn are the {len(drawn)} parameters that correlate most, of {len(r)}."
+    svg = matrix(r[np.ix_(drawn, drawn)], [names[k] for k in drawn])
+    return Section("correlations", "Correlations", (Picture("Correlations", svg, said, wide=True), sheet))
 
 
 def seen(fit: Fit) -> Section:
@@ -457,17 +469,19 @@ def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
         for when, values in (("before", before), ("after", after)):
             for k, axis in enumerate(axes):
                 v = values[:, k]
-                cells = (axis, when, f"{v.mean():+.4f}", f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
+                cells = (axis, when, signed(v.mean(), 4), f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
                 rows.append(Row(cells, strong=when == "after", ends_group=k == 2))
         y = Axis("axis", -0.6, len(axes) - 0.4, names=axes)
         drawn = _drawn(np.linalg.norm(after, axis=1))
         # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
         lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
         marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))]
-        biases = ", ".join(f"{axis} {mean:+.4f}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
+        biases = ", ".join(f"{axis} {signed(mean, 4)}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
         title = f"Errors left along {', '.join(axes)}"
         picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)
         pictures.append(Picture(title, picture, f"Means in {shown}: {biases}."))
+    if not rows:  # of pixels and lengths there are no axes
+        return []
     columns = ("axis", "robot", "mean", "spread", "largest", "unit")
     numbers = frozenset(("mean", "spread", "largest"))
     caption = f"{use} data, in the instrument's frame; spread: one standard deviation"
