@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from calib.identification.identify import identify
     from calib.identification.parameters import Priors
     from calib.job.calibrate import calibrate
+    from calib.job.propose import propose
     from calib.machine.calibrated import CalibratedMachine, machine_of
     from calib.machine.model_file import load_machine
     from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
@@ -78,6 +79,7 @@ _HOMES = {
     "identification.identify": "identify",
     "identification.parameters": "Priors",
     "job.calibrate": "calibrate",
+    "job.propose": "propose",
     "machine.calibrated": "CalibratedMachine machine_of",
     "machine.model_file": "load_machine",
     "machine.tool_uncertainty": "outside_identified tool_uncertainty uncertainty_map",
@@ -123,7 +125,7 @@ __all__ = [
     "Payload", "Priors", "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare",
     "data_frame", "dh", "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of",
     "measuring", "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
-    "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
+    "propose", "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
     "write_urdf",
 ]
 # fmt: on

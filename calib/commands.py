@@ -2,7 +2,7 @@
 
 from calib.compensation.cell import CalibratedCell, calibrated_cell
 from calib.compensation.commands import Corrections, for_joint_targets, for_poses
-from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur
+from calib.compensation.controllers import Export, export_dh, export_offsets, export_ros, export_ur, export_xacro
 from calib.compensation.targets import Targets, corrected_csv, corrections, read_targets
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "export_offsets",
     "export_ros",
     "export_ur",
+    "export_xacro",
     "for_joint_targets",
     "for_poses",
     "read_targets",

@@ -1,22 +1,30 @@
 """What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
 
 from calib.identification.relations import Relation
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
+from calib.job.proposal import Proposal, ProposedTable, Question
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
     "Camera",
+    "Columns",
     "Conditions",
     "Finding",
     "LaserTracker",
     "Measurements",
+    "Proposal",
+    "ProposedTable",
+    "Question",
     "Relation",
+    "SetUp",
     "Target",
     "TouchingArm",
     "distances",

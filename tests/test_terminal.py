@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -13,7 +14,9 @@ from calib.job import example
 from calib.job.calibrate import steps_after_loading
 from calib.job.inputs import load
 from calib.job.run import run as identify
-from calib.presentation.console import Steps, progress, time_left
+from calib.presentation.console import Steps, progress, time_left, time_taken
+from calib.presentation.report.document import Row, Sheet
+from calib.presentation.tables import broken, plain, sheet_table
 from calib.results.folder import write_results
 from tests.support.cases import CASE, JOB, ROOT, copy_case, run, tree
 
@@ -85,6 +88,28 @@ def test_time_left_is_what_the_steps_so_far_have_taken(elapsed: float, done: int
     assert time_left(elapsed, done, total) == said
 
 
+def test_time_taken_tells_the_step_that_is_under_way() -> None:
+    assert time_taken(12.4, 3, 9) == "step 4 of 9, 12 s"
+    assert time_taken(2.0, 9, 9) == "step 9 of 9, 2 s"
+
+
+def test_no_word_and_no_number_of_a_table_is_broken() -> None:
+    numbers = ("old", "new", "change", "sigma", "at the tip")
+    names = ("joint_1.tx", "rear_lever_length.tx", "a_name_that_somebody_made_much_too_long.offset")
+    rows = tuple(Row((name, *(f"+{k}23.4567" for k in range(5)), "mm")) for name in names)
+    sheet = Sheet("Changes", ("parameter", *numbers, "unit"), frozenset(numbers), rows)
+    text = plain(sheet_table(sheet))
+    assert max(map(len, text.splitlines())) <= 80
+    for k in range(5):
+        assert text.count(f"+{k}23.4567") == 3
+    words = {word for name in names for word in re.findall(r"[^._]+[._]?", name)}
+    first = [line[1:22].split()[0] for line in text.splitlines() if line.startswith(" ") and line[1] not in " -"]
+    assert "".join(first[1:]) == "".join(names)
+    assert all(any(piece.endswith(word) for word in words) for piece in first[1:])
+    assert broken("one/two three.four", 7) == "one/two\nthree.\nfour"
+    assert broken("indivisible", 4) == "indivisible"
+
+
 def test_steps_count_what_is_done_and_never_run_over() -> None:
     told: list[tuple[str, int, int]] = []
     steps = Steps(lambda *what: told.append(what), 2)
@@ -125,7 +150,8 @@ def test_a_terminal_gets_colours_and_progress_where_they_are_wanted(folder: Path
     assert code == 0
     assert "\x1b[1;32m" in out  # the verdict, green
     assert "drawing the scene" in err
-    assert " left" in err
+    assert re.search(r"step \d+ of \d+, \d+ s", err)
+    assert " left" not in err  # quick steps say nothing of slow ones
     assert colours(folder, "--quiet", FORCE_COLOR="1") == (0, "", "")
     code, out, err = colours(folder, "--json", FORCE_COLOR="1")
     assert (code, err) == (0, "")

@@ -162,7 +162,7 @@ def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurem
     names = tuple(reading.name for reading in machine.robot.readings)
     if data.reading_names != names:
         raise MeasurementError(f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}.")
-    return machine.with_own_tools(data)
+    return machine.with_own_names(data)
 
 
 def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:

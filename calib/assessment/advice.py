@@ -21,6 +21,7 @@ from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import Frames, values_at
 from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
+from calib.robot.sampling import random_readings
 
 Kind = Literal["null space", "weak", "correlated"]
 
@@ -33,6 +34,10 @@ _CORRELATED = 0.95
 _MORE_POINTS = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.05))
 # A base or tool that a direction moves by less of a parameter scale has no part in it.
 _HAS_PART = 0.02
+
+# Fewer directions than these are told one by one.
+_A_FEW = 3
+_NUMBERS = dict(enumerate(["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]))
 
 _REMEDIES = {
     "orientation": "measure orientations as well",
@@ -93,6 +98,44 @@ def null_space_advice(
     return tuple(_of_direction(direction, names) for direction, names in zip(null_space, helpful, strict=True))
 
 
+def told_briefly(
+    model: ErrorModel, measurements: Sequence[Measurements], null_space: Sequence[NullDirection], said: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the sentences ``said`` of a null space, one for all directions that no pose of the arm would show.
+
+    Those are tried at random readings over the whole ranges of the joints, with what these measurements observe.
+    """
+    if len(null_space) < _A_FEW or any(data.kind not in ("position", "pose") for data in measurements):
+        return tuple(said)
+    sets = with_common_names(model, measurements)
+    if len(sets[0].setups) > 1 or len(model.robot.links) > 1:
+        # What one set-up, or one link, does not show, others may.
+        return tuple(said)
+    frames = initial_frames(model, sets)
+    first = max(sets, key=lambda data: data.sigma.shape[1])
+    n = min(len(first), _MOST_ROWS)
+    anywhere = replace(
+        first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n, None, (), seed=0))
+    )
+    J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, (anywhere,)))
+    never = [not _shown(J, names, [], direction) for direction in null_space]
+    if sum(never) < _A_FEW:
+        return tuple(said)
+    several = f"{sum(never)} combinations of parameters no {'pose' if first.kind == 'pose' else 'position'} can show"
+    others = [sentence for sentence, always in zip(said, never, strict=True) if not always]
+    return (f"{several}, normal for {_joints(model)}; no prediction depends on them.", *others)
+
+
+def _joints(model: ErrorModel) -> str:
+    types = [model.robot.moving_types[j] for j in range(len(model.robot.moving))]
+    told = [
+        f"{_NUMBERS.get(types.count(kind), str(types.count(kind)))} {kind} joint{'s' if types.count(kind) > 1 else ''}"
+        for kind in dict.fromkeys(types)
+    ]
+    free = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom != "fixed"]
+    return " and ".join(told) + (f" with a free {' and '.join(free)}" if free else "")
+
+
 def _of_direction(direction: NullDirection, remedies: Sequence[str]) -> Advice:
     if remedies:
         help_ = f"To tell them apart, {' or '.join(_REMEDIES[name] for name in remedies)}."
@@ -109,7 +152,7 @@ def _tried(
     """Return, for every direction, the remedies that show it."""
     frames = initial_frames(model, sets)
     sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
-    names = [parameter.name for parameter in model.parameters(sets[0].tools)]
+    names = [parameter.name for parameter in model.parameters(sets[0].tools, sets[0].setups)]
     found: list[list[str]] = [[] for _ in null_space]
     for remedy in ("orientation", "points"):
         trial = _trial(remedy, model, sets, frames)
@@ -137,24 +180,24 @@ def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames:
             return None
         more = [_with_orientation(model, data, frames) for data in sets]
         wider = replace(model, tool="pose")
-        return Problem(wider, wider.parameters(sets[0].tools), frames, tuple(more))
+        return Problem(wider, wider.parameters(sets[0].tools, sets[0].setups), frames, tuple(more))
     if model.tool == "fixed" or len(sets[0].tools) > 2:
         return None
     tools = (*sets[0].tools, *(f"more_{k}" for k in range(len(_MORE_POINTS))))
     first = frames.tools[0]
     others = np.stack([first] * len(_MORE_POINTS))
     others[:, :3, 3] += np.array(_MORE_POINTS)
-    placed = Frames(frames.base, np.concatenate([frames.tools, others]))
+    placed = Frames(frames.bases, np.concatenate([frames.tools, others]))
     more = [
         replace(data, tools=tools, tool=np.full(len(data), k) if k >= len(sets[0].tools) else data.tool)
         for data in sets
         for k in (0, *range(len(sets[0].tools), len(tools)))
     ]
-    return Problem(model, model.parameters(tools), placed, tuple(more))
+    return Problem(model, model.parameters(tools, sets[0].setups), placed, tuple(more))
 
 
 def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
-    placed = frames.base @ data.tips(model.robot) @ frames.tools[data.tool]
+    placed = frames.bases[data.setup] @ data.tips(model.robot) @ frames.tools[data.tool]
     sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 

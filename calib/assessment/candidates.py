@@ -33,7 +33,7 @@ _BY_CHANCE = 4
 @checked
 def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] = (0.0, 0.0, 0.0)) -> Frames:
     """Return frames for a plan: ``tool`` (3,), a reflector in the tip link, and ``tracker`` (3,) in the base, in m."""
-    return Frames(rigid.translation(-np.asarray(tracker)), rigid.translation(np.asarray(tool))[None])
+    return Frames(rigid.translation(-np.asarray(tracker))[None], rigid.translation(np.asarray(tool))[None])
 
 
 @dataclass(frozen=True, slots=True)

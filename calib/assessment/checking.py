@@ -24,11 +24,22 @@ def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]
     would be meaningless.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    robot = model.urdf_robot
-    found = [finding for data in sets for finding in check_table(data, robot.readings, robot.reach)]
+    found = looks_wrong(model, sets)
     if any(finding.severity == "error" for finding in found):
-        return tuple(found)
+        return found
     try:
-        return (*found, *signatures(model, sets), *undetermined(model, sets))
+        return (*found, *undetermined(model, sets))
     except IdentificationError:  # too few numbers for a fit, which says so
-        return tuple(found)
+        return found
+
+
+def looks_wrong(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return what looks wrong with measurements, and nothing of what they cannot show."""
+    robot = model.urdf_robot
+    found = tuple(finding for data in sets for finding in check_table(data, robot.readings, robot.reach))
+    if any(finding.severity == "error" for finding in found):
+        return found
+    try:
+        return (*found, *signatures(model, sets))
+    except IdentificationError:  # too few numbers for a fit, which says so
+        return found

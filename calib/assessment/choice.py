@@ -7,7 +7,9 @@ geometry being fitted again. Each fold goes its own way without having seen the 
 Tibshirani, J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how
 many steps all rows then take.
 
-A parameter without a prior of its own is held by its weak one, at the geometric fit.
+A parameter without a prior of its own is held by its weak one, at the geometric fit. Of very many rows the choice looks
+at some, whole groups at random: the figures that it goes by are those of ten thousand rows to a percent. Fits, before
+and after it, take them all.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +20,7 @@ import numpy as np
 
 from calib.assessment.validation import HeldOut, folds, groups, held_out, one_standard_error
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.linear import one_thread
@@ -30,7 +32,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.system import Rates, evaluate
+from calib.identification.system import Rates, without_rows
 from calib.identification.weights import sigmas_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
@@ -40,6 +42,8 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
+# Rows that a choice looks at; their groups are whole, so that the last one may add some.
+_ENOUGH_ROWS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,7 @@ class Step:
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
-    ``geometric``: the fit without terms from which they start.
+    ``geometric``: the fit without terms from which they start. ``rows``: how many of its rows the choice looked at.
     """
 
     __repr__ = brief
@@ -80,6 +84,7 @@ class Choice:
     steps: tuple[Step, ...]
     taken: int
     geometric: Fit
+    rows: int
 
     @property
     def model(self) -> ErrorModel:
@@ -133,6 +138,7 @@ def choose_terms(
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
+    Of more than 10 000 rows it looks at about as many, of groups taken at random, the same ones every time.
     ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH table but those of links.
     ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises, and MeasurementError when
     all rows are of one group.
@@ -141,9 +147,11 @@ def choose_terms(
         progress("choosing joint terms: fitting geometry")
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         group = groups(geometric.measurements)
-        fold = folds(group, count)
+        looked_at = _some(group, count)
+        group = group[looked_at]
+        fold = folds(np.unique(group, return_inverse=True)[1], count)
         chosen_from = _offered(model, geometric.measurements) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, losses)
+        system = _System(geometric, chosen_from, losses, looked_at)
         progress("choosing joint terms: linearising")
         grams = system.grams(fold)
         total = np.sum(grams, axis=0)
@@ -159,7 +167,18 @@ def choose_terms(
         Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
         for k, figure in enumerate(figures)
     )
-    return Choice(steps, one_standard_error(figures), geometric)
+    return Choice(steps, one_standard_error(figures), geometric, len(group))
+
+
+def _some(group: IntArray, count: int) -> BoolArray:
+    """Return which rows (N,) are looked at, given their groups (N,): all, or those of enough groups, ``count`` or more.
+
+    Groups are numbered by their poses: which are taken does not depend on the order of the rows.
+    """
+    sizes = np.bincount(group)
+    order = np.random.default_rng(0).permutation(len(sizes))
+    before = np.cumsum(sizes[order]) - sizes[order]
+    return np.isin(group, order[(before < _ENOUGH_ROWS) | (np.arange(len(order)) < count)])
 
 
 def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Candidate, ...]:
@@ -179,7 +198,9 @@ class _Way:
 class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
-    def __init__(self, geometric: Fit, offered: Sequence[Candidate], losses: Sequence[Loss] | None) -> None:
+    def __init__(
+        self, geometric: Fit, offered: Sequence[Candidate], losses: Sequence[Loss] | None, looked_at: BoolArray
+    ) -> None:
         terms = [term for candidate in offered for term in candidate.terms]
         full = with_terms(geometric.model, terms)
         sets = geometric.measurements
@@ -194,9 +215,10 @@ class _System:
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
-        found = evaluate(self._problem, self._sigmas, self._x)
-        rows = np.concatenate([found.relations, np.pad(found.set_up_motions.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
+        related, moving = without_rows(self._problem, self._sigmas, self._x)
+        rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
@@ -209,7 +231,9 @@ class _System:
         """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""
         problem = self._problem
         rates = Rates(problem, problem.machine(self._x), scales(problem.parameters))
-        for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
+        sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
+        for i, (every, sigmas, own) in enumerate(sets):
+            data, sigma = (every, sigmas) if own.all() else (every.subset(own), sigmas[own])
             for block in rates.blocks(data):
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
@@ -255,7 +279,11 @@ class _System:
         start = 0
         for i, _, sigma, rows in self._rows():
             own = fold[start : (start := start + len(rows))]
-            errors = np.einsum("ndp,nsp->snd", rows[:, :, :-1], values[own]) + rows[:, :, -1]
+            errors = np.empty((values.shape[1], *rows.shape[:2]))
+            for k in np.unique(own):
+                here = rows[own == k]
+                changes = here[:, :, :-1].reshape(-1, here.shape[2] - 1) @ values[k].T
+                errors[:, own == k] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
             found.append(np.mean(errors**2, axis=2))
             for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
                 more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
@@ -268,8 +296,7 @@ def _pivot(tableau: Array, block: Sequence[int]) -> None:
     """Eliminate a block of unknowns from a tableau (p, p + 1) of normal equations, in place."""
     columns = np.array(block, dtype=np.intp)
     own = np.linalg.solve(tableau[columns[:, None], columns], tableau[columns])
-    others = np.delete(np.arange(len(tableau)), columns)
-    tableau[others] -= tableau[others[:, None], columns] @ own
+    tableau -= tableau[:, columns] @ own
     tableau[columns] = own
 
 

@@ -17,7 +17,6 @@ from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
-from calib.identification.machine import Layout
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_motions
@@ -215,7 +214,7 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
 
 def _by_entry(machine: CalibratedMachine, readings: Array, count: int) -> Array:
     """Return the rms motion of the tool for each entry of the robot's state, in m per m or rad."""
-    J = tool_motions(machine, np.eye(Layout(machine.robot, len(machine.tools)).size, count), readings, _first(machine))
+    J = tool_motions(machine, np.eye(machine.layout.size, count), readings, _first(machine))
     return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
 
 
@@ -225,7 +224,7 @@ def _first(machine: CalibratedMachine) -> str:
 
 def _stated(machine: CalibratedMachine, readings: Array, tool: str) -> float:
     """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
-    layout, number = Layout(machine.robot), list(machine.tools).index(tool)
+    layout, number = machine.layout, list(machine.tools).index(tool)
     of_robot = machine.known_uncertainty.shown.copy()
     of_robot[layout.base :] = 0.0
     fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]

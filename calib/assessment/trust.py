@@ -1,33 +1,105 @@
-"""May a calibration be trusted? Reasons why not, in sentences."""
+"""May a calibration be trusted? The verdict: a list of checks, each with its number, all of which must pass.
 
-from collections.abc import Mapping
+A finding counts where it is no accident, rows that go together allowed for, and where it is large: on a sound dense
+path a gear that wobbles makes accidents of nothing. Thresholds are set by sound sessions, and shown to tell bad ones in
+docs/verdicts.md, which a script writes.
+"""
 
-from calib.assessment.metrics import Metrics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.assessment import checks
+from calib.assessment.effects import apart, delay, gains, steps, stretches, wandering
+from calib.assessment.influence import Residue
+from calib.assessment.judged import Check, JudgedSet
+from calib.assessment.outliers import Outliers
+from calib.assessment.own_base import OwnBase
+from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
+from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding
 
 
-def doubts(fit: Fit, before: Mapping[str, Metrics], after: Mapping[str, Metrics], *, held_out: bool) -> tuple[str, ...]:
-    """Return why the calibration should not be used; nothing where there is no reason.
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """All checks, and what a reader takes home: ``shown``, for which range, and what would make it more certain."""
 
-    ``before`` and ``after``: metrics by quantity, of data the fit never saw where ``held_out``, else of its own.
-    """
-    found = []
-    if not fit.converged:
-        found.append(f"The solver did not converge: its last step was {fit.step:.2g} parameter scales.")
-    data = "data that the fit never saw" if held_out else "the data it was fitted to"
-    robot_is_free = any(parameter.of_robot for parameter in fit.parameters)
-    for quantity, now in after.items():
-        if robot_is_free and now.rms >= before[quantity].rms:
-            found.append(f"On {data} the {quantity} error is no smaller than before calibration.")
-    return tuple(found)
+    checks: tuple[Check, ...]
+    shown: tuple[str, ...]
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why it should not be used: sentences of the checks that have not passed."""
+        return tuple(check.sentence for check in self.checks if not check.passed)
+
+
+def verdict(
+    fit: Fit,
+    machine: CalibratedMachine,
+    sets: Sequence[JudgedSet],
+    found: Outliers,
+    findings: Sequence[Finding] = (),
+    moved: Sequence[OwnBase] = (),
+) -> Verdict:
+    """Judge a fit by its own tables and by those held out; ``found``: of its own rows; ``moved``: of all tables."""
+    own = [judged for judged in sets if judged.use == "identification"]
+    held_out = [judged for judged in sets if judged.use == "validation"]
+    decisive = held_out or own
+    with one_thread():
+        residue = Residue.of(fit, {})
+        parts = stretches(residue)
+        C = residue.C
+        by_row = (
+            checks.jump(steps(parts, C), found),
+            checks.drift(wandering(parts, C), fit),
+            checks.late(delay(parts, C)),
+            checks.gear(gains(parts, C), fit),
+        )
+        told = (
+            checks.convergence(fit),
+            checks.explained(fit, decisive),
+            checks.improvement(fit, decisive),
+            checks.prediction(fit, machine, held_out),
+            checks.stated_sigma(fit),
+            checks.independent_rows(own, held_out),
+            checks.copies(own, held_out),
+            checks.redundancy(fit),
+            *by_row,
+            checks.groups(found, apart(parts, C), fit),
+            checks.set_ups(moved),
+            checks.gross_errors(fit, own),
+            checks.frozen(own),
+            checks.in_line(own),
+            checks.joints(fit, own),
+            checks.lengths(fit, parts),
+            checks.tool_and_base(fit),
+            checks.warnings(findings),
+        )
+    return Verdict(told, checks.shown(fit, own, held_out))
 
 
 def remarks(fit: Fit) -> tuple[Finding, ...]:
-    """Return what a user should know of the search for a solution that may be trusted."""
+    """Return what a user should know of the search for a solution that may be trusted, and of the noise."""
+    found = []
+    for noise in fit.noise:
+        share = float(np.sqrt(noise.chi_square))
+        told = noise.degrees_of_freedom >= checks.ENOUGH and share * noise.instrument > checks.ROUNDING
+        if told and share < 1.0 / checks.TOO_LARGE:
+            times = 1.0 / share
+            found.append(
+                Finding(
+                    "warning",
+                    "sigma-too-large",
+                    f"{fit.measurements[noise.measurements].where}: sigma seems {times:.0f} times too large: "
+                    f"the {noise.quantity} residuals scatter by so much less.",
+                )
+            )
     if not fit.converged or fit.narrowed == 1.0:
-        return ()
+        return tuple(found)
     return (
+        *found,
         Finding(
             "warning",
             "priors-narrowed",

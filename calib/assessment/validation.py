@@ -188,8 +188,7 @@ def cross_validate(
 ) -> CrossValidation:
     """Identify as often as there are folds, each time without the rows of one, and predict these.
 
-    Options as in :func:`calib.identify`. Raises what it raises, and MeasurementError when all rows are of one group or
-    a tool point is in no other fold.
+    Options as in :func:`calib.identify`. Raises what it raises, and MeasurementError when all rows are of one group.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     group = groups(sets)
@@ -237,14 +236,21 @@ def predict_held_out(
     """Predict the rows of every fold by a fit to all others, which ``find`` makes; ``group``, ``fold``: (N,) of rows.
 
     What ``model`` knows of targets holds for rows held out; other targets that a fit does not know are found from
-    these. Raises what ``find`` raises, and MeasurementError when a tool point is in no other fold.
+    these. Raises what ``find`` raises, and MeasurementError when a tool or a set-up is in no other fold.
     """
     own = np.split(fold, np.cumsum([len(data) for data in sets])[:-1])
     found = tuple(np.empty_like(data.sigma) for data in sets)
     for k in range(int(fold.max()) + 1):
         fit = find(ChosenRows.of(sets, [f != k for f in own]))
-        fit = replace(fit, model=replace(fit.model, targets=model.targets))
+        fit = replace(fit, model=replace(fit.model, targets=model.targets, setups=model.setups))
         left_out = ChosenRows.of(sets, [f == k for f in own])
+        for data in left_out.sets:
+            if not fit.knows(data):
+                known = (*fit.measurements[0].tools, *fit.measurements[0].setups)
+                alien = [name for name in (*data.tools, *data.setups) if name not in known]
+                raise MeasurementError(
+                    f"{data.where}: {alien[0]!r} was not identified without a fold of rows, which cannot judge it then."
+                )
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r
     return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)

@@ -14,12 +14,14 @@ from calib.cli.application import BAD_INPUT, INTERRUPTED, app
 from calib.foundations.errors import CalibError
 
 # In the order in which the help lists their commands.
+from calib.cli import init as init  # isort: skip
 from calib.cli import check as check  # isort: skip
 from calib.cli import calibrate as calibrate  # isort: skip
 from calib.cli import view as view  # isort: skip
 from calib.cli import compensate as compensate  # isort: skip
 from calib.cli import export as export  # isort: skip
 from calib.cli import demo as demo  # isort: skip
+from calib.cli import import_ as import_  # isort: skip
 from calib.cli import plan as plan  # isort: skip
 from calib.cli import models as models  # isort: skip
 from calib.cli import sensitivity as sensitivity  # isort: skip

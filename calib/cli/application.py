@@ -64,11 +64,14 @@ class Telling:
     as_json: bool
     quiet: bool
 
-    def progress(self, steps: int) -> "contextlib.AbstractContextManager[Steps]":
-        """Give what is told every step, shown to a person at a terminal. ``steps``: how many, as far as is known."""
+    def progress(self, steps: int, *, alike: bool = False) -> "contextlib.AbstractContextManager[Steps]":
+        """Give what is told every step, shown to a person at a terminal. ``steps``: how many, as far as is known.
+
+        ``alike``: they take about as long as each other.
+        """
         from calib.presentation.console import progress
 
-        return progress(shown=not (self.quiet or self.as_json), steps=steps)
+        return progress(shown=not (self.quiet or self.as_json), steps=steps, alike=alike)
 
     def tell(self, contents: Callable[[], Mapping[str, Any]], shown: Callable[[], Iterable["Shown"]]) -> None:
         """Print the document, or what is shown to a person."""

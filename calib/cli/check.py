@@ -1,38 +1,97 @@
-"""``calib check``: what is wrong with a job, and what its poses can see."""
+"""``calib check``: what is wrong with a job, or what is in files before there is one."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import JobFile, Json, Quiet
+from calib.cli.options import Json, Quiet
+from calib.cli.proposing import (
+    Angles,
+    ColumnNames,
+    Lengths,
+    Observes,
+    OrientationName,
+    Tip,
+    answers,
+    looked_into,
+    proposed,
+    tell_check,
+)
 from calib_start import loading
+
+_ROBOT = (".urdf", ".xacro")
+_TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc")
+
+Every = Annotated[bool, typer.Option("--all", help="List all that the data do not determine, one by one.")]
 
 
 @command("check", PATH, "calib check calibration.toml")
-def check(job: JobFile, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Check a job and what its poses can see, without solving.
+def check(
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="FILE...", help="A job (TOML); or a URDF, tables, or both.", show_default=False),
+    ],
+    tip: Tip = None,
+    angles: Angles = None,
+    lengths: Lengths = None,
+    orientation: OrientationName = None,
+    observes: Observes = None,
+    column: ColumnNames = None,
+    every: Every = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check a job, or tell what a URDF and tables hold.
 
-    Looks at units, names, limits, duplicates and observability. Exit codes: 0 good, 1 bad input, 2 wrong usage.
+    Nothing is solved or written. Looks at units, names, limits, duplicates and observability.
+    Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
+    robots = [file for file in files if file.lower().endswith(_ROBOT) or file.startswith("example:")]
+    tables = [file for file in files if file not in robots and file.lower().endswith(_TABLE)]
+    jobs = [file for file in files if file not in robots and file not in tables]
+    if len(jobs) > 1 or len(robots) > 1 or (jobs and (robots or tables)):
+        raise typer.BadParameter("take one job; or one URDF, tables, or a URDF and tables.")
+    telling = Telling(as_json, quiet)
+    given = answers(tip, angles, lengths, orientation, observes, column)
+    if jobs:
+        if given:
+            raise typer.BadParameter("a job says this itself.")
+        _check_job(Path(jobs[0]), telling, every=every)
+    elif robots and tables:
+        _check_files(robots[0], [Path(table) for table in tables], given, telling, every=every)
+    else:
+        _tell_one(robots, tables, telling)
+
+
+def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
     with loading():
-        from calib.assessment.advice import null_space_advice
-        from calib.identification.observability import observability
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
-        from calib.presentation.console import printable, warning
-        from calib.presentation.tables import null_space_lines
-    telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("looking at what the poses can see")
-        seen = observability(inputs.model, inputs.identify)
-        advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
-    findings = [finding.sentence for finding in inputs.findings]
+    tell_check(telling, inputs, every=every)
+
+
+def _check_files(urdf: str, tables: list[Path], given: dict[str, object], telling: Telling, *, every: bool) -> None:
+    with loading():
+        from calib.job.calibrate import STEPS_OF_LOADING
+    found = proposed(urdf, tables, given, ask=False)
+    with telling.progress(STEPS_OF_LOADING) as say:
+        inputs = looked_into(found, Path("calibration.toml"), say)
+    tell_check(telling, inputs, found.reasons, {"toml": found.job(Path.cwd())}, every=every)
+
+
+def _tell_one(robots: list[str], tables: list[str], telling: Telling) -> None:
+    """Tell what a URDF alone, or tables alone, hold."""
+    with loading():
+        from calib.job.chains import tips
+        from calib.job.propose import told
+        from calib.presentation.console import printable
+    said = [line for robot in robots for line in tips(robot)] + [line for table in tables for line in told(table)]
+    missing = "measurements: calib check ARM.urdf TABLE.csv" if robots else "the robot: calib check ARM.urdf TABLE.csv"
     telling.tell(
-        lambda: {"findings": findings, **seen.contents(), "advice": advised},
-        lambda: [
-            *(map(warning, findings) if findings else [printable("Units, names, limits and rows: no findings.")]),
-            printable(
-                f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
-                f"parameters (condition number {seen.condition:.3g})."
-            ),
-            *null_space_lines(advised),
-        ],
+        lambda: {"reasons": said}, lambda: [*map(printable, said), printable(f"More can be told with {missing}.")]
     )

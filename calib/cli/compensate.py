@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
 
@@ -27,6 +27,7 @@ def compensate(
     targets: TargetFile,
     out: CommandFile,
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool that is to reach them.")] = "tool",
+    setup: SetupName = None,
     frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
     what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
     clamp: Annotated[
@@ -55,7 +56,7 @@ def compensate(
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
-        model = load_machine(results)
+        model = load_machine(results).at(setup)
         wanted = targets_of.read_targets(targets, model, tool)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)

@@ -34,7 +34,7 @@ def demo(
         show(literal("\n"), printable("$ calib " + shlex.join(map(str, words))))
 
     typed("check", job)
-    check(job)
+    check([str(job)])
     typed("calibrate", job, "-o", results)
     calibrate(job, results)
     typed("compensate", results, targets, "-o", corrected)

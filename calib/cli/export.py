@@ -21,7 +21,7 @@ _WORSE = (
 @command("export", PATH, "calib export out/ --to ur -o kinematics.yaml")
 def export(
     results: ResultFolder,
-    to: Annotated[Target, typer.Option("--to", help="Universal Robots, joint offsets, a DH table, YAML for ROS.")],
+    to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
     as_json: Json = False,
     quiet: Quiet = False,

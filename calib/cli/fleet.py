@@ -50,7 +50,7 @@ def fleet(
     chosen = fleet_jobs(jobs, out)
     try:
         with made_folder(out):
-            with telling.progress(len(chosen)) as say:
+            with telling.progress(len(chosen), alike=True) as say:
                 finished = run_fleet(chosen, workers, dask, say, again=again)
             lines = fleet_lines(finished)
             write_summary(lines, out)

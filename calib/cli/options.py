@@ -15,5 +15,8 @@ ResultFolder = Annotated[
         metavar="FOLDER", help="A folder of results of calib calibrate.", show_default=False, readable=False
     ),
 ]
+SetupName = Annotated[
+    str | None, typer.Option("--setup", metavar="NAME", help="Which set-up, where the calibration had several.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]

@@ -73,7 +73,7 @@ def plan(
     with telling.progress(steps=4) as say:
         say("reading the arm")
         robot, model, roots = given.arm(arm, tip, observes, tuple(mesh_root or ()))
-        frames = Frames(given.base(tracker), rigid.translation(given.point(tool, "tool"))[None])
+        frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
         right = None if working is None else given.table_readings(working, robot)
         noise = (given.parsed_length(sigma, "sigma"), given.parsed_angle(sigma_angle, "sigma_angle"))
         setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right)

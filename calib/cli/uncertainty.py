@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName
 from calib.foundations.choices import MOST_POSES
 from calib_start import loading
 
@@ -20,13 +20,14 @@ def uncertainty(
     ] = None,
     samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
     tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
+    setup: SetupName = None,
     whole: Annotated[
         bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool, and what its doubts come from.
+    """Show how sure a calibrated machine is of its tool, and why.
 
     Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
     """
@@ -42,7 +43,7 @@ def uncertainty(
         refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
-        machine = load_machine(results)
+        machine = load_machine(results).at(setup)
         found = uncertainty_map(
             machine,
             samples,

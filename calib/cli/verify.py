@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import JUDGE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName
 from calib.foundations.choices import Observed
 from calib_start import loading
 
@@ -21,6 +21,8 @@ def verify(
     sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="The instrument's noise.")] = None,
     limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Of every position error.")] = None,
     refit_base: Annotated[bool, typer.Option("--refit-base", help="The instrument was moved: find the base.")] = False,
+    tool: Annotated[str | None, typer.Option("--tool", metavar="NAME", help="The tool that was measured.")] = None,
+    setup: SetupName = None,
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Rows stand as they were measured: so joints were reached from a side.")
     ] = False,
@@ -44,14 +46,15 @@ def verify(
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
-        machine = load_machine(results)
+        machine = load_machine(results).at(setup)
+        machine = machine if tool is None else machine.of(tool)
         data = read_measurements(
             measurements,
             machine.robot,
             observes,
             sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
             in_order=in_order,
-        )
+        ).named(tool=tool, setup=setup)
         say("judging")
         found = judged(
             machine,

@@ -14,6 +14,7 @@ from calib_start import loading
 def view(
     results: ResultFolder,
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+    open_: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
 ) -> None:
     """Serve the scene to this machine alone, live.
 
@@ -22,13 +23,21 @@ def view(
     """
     with loading():
         import asyncio
+        import threading
+        import webbrowser
 
-        from calib.presentation.console import printable, show
+        from calib.presentation.console import printable, show, warning
         from calib.presentation.live import serve
         from calib.results.folder import REPORT_FILE, SCENE_FILE
 
     def started(address: str) -> None:
         show(printable(f"The scene of {results} is at {address} until you press Ctrl-C."))
+        if open_:  # a browser of the terminal would keep the server from answering it
+            threading.Thread(target=opened, args=(address,), daemon=True).start()
+
+    def opened(address: str) -> None:
+        if not webbrowser.open(address):
+            show(warning("no browser could be opened; open the address by hand."))
 
     serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, started)
     # Ctrl-C is how this ends well.

@@ -27,6 +27,15 @@ from calib.robot.transmission import lacking
 
 _MOST_STEPS = 60
 _MOST_REFINEMENTS = 40
+# Steps that are longer, in rad or m, tell little about the next one.
+_TELLING = 0.5
+_MOST_SECANTS = 4
+_ALIKE = 1e-12
+# Least eigenvalue of J J^T, as a share of their sum, for which an inverse by it has ten digits.
+_SOUND = 1e-5
+# How often the machine may be looked at for N targets: a row of positions without a start needs some twenty looks, of a
+# few microseconds each; one that cannot be reached, several hundreds.
+_LOOKS, _LOOKS_PER_ROW = 500_000, 24
 # Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
 _GOAL = 1e-3
 # Longest step of a reading, in rad or m, so that the linear prediction means something.
@@ -107,6 +116,7 @@ def for_joint_targets(
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
+    model = at_tip(model, tool)
     readings = _start(model, readings)
     _refuse_unknown_conditions(model, conditions)
     tools = _tools(model, tool, len(readings))
@@ -143,6 +153,7 @@ def for_poses(
         raise JobError("the poses must be finite numbers.")
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
+    model = at_tip(model, tool)
     _refuse_unknown_conditions(model, conditions)
     what: What = "pose"
     if poses.ndim == 2:
@@ -162,12 +173,13 @@ def for_poses(
         return _solve(model, _Asked(poses, tools, start, ("",) * n, conditions), how)
     found: Corrections | None = None
     refused = _out_of_reach(model, poses, tools)
+    effort = _Effort(n)
     for row in _starting_places(model):
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached & [not text for text in refused])
         if found is not None and not len(left):
             break
         asked = _Asked(poses, tools, np.broadcast_to(row, (n, len(row))), refused, conditions)
-        more = _solve(model, asked.subset(left), how)
+        more = _solve(model, asked.subset(left), how, effort)
         found = more if found is None else _better(found, more, left)
         if found.reached.all():
             break
@@ -191,6 +203,16 @@ def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions)
     names = [reading.name for reading in model.robot.readings]
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
+
+
+def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
+    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
+    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
+    tips = {model.of(name).robot.tip: name for name in names}
+    if len(tips) > 1:
+        one, other = list(tips.values())[:2]
+        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
+    return model.of(names[0]) if names else model
 
 
 def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:
@@ -267,6 +289,9 @@ def _better(found: Corrections, more: Corrections, rows: IntArray) -> Correction
 # ---- the machine as the solver sees it
 
 
+_CUT_SHORT = "; the search was cut short, as many targets took long: give readings to start from, or fewer targets"
+
+
 class _Calls(Protocol):
     def __call__(self, readings: Array, /) -> Array: ...
 
@@ -325,10 +350,34 @@ class _How:
     remarkable: float
 
 
+class _Effort:
+    """Counts how often the machine is looked at for N targets, so that what cannot be reached ends in time.
+
+    ``left`` is what the rows of now may still take; ``reserve`` keeps their share for others that come after them.
+    """
+
+    def __init__(self, targets: int) -> None:
+        self._left, self._reserved = _LOOKS + _LOOKS_PER_ROW * targets, 0
+
+    def reserve(self, targets: int) -> None:
+        """Keep the share of so many targets for later."""
+        self._reserved = min(_LOOKS_PER_ROW * targets, self._left)
+
+    def spend(self, looks: int) -> None:
+        """Count some looks."""
+        self._left -= looks
+
+    @property
+    def spent(self) -> bool:
+        """Whether nothing is left for the rows of now."""
+        return self._left <= self._reserved
+
+
 class _Machine:
     """The calibrated machine at N targets."""
 
-    def __init__(self, model: CalibratedMachine, asked: _Asked, how: _How) -> None:
+    def __init__(self, model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort) -> None:
+        self.effort = effort
         self._tips, self._residuals = TipModel(model.robot, model.deviations), how.residuals
         self._conditions, self._targets, self._tools = asked.conditions, asked.targets, asked.tools
         self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))
@@ -340,6 +389,7 @@ class _Machine:
     def look(self, rows: IntArray, q: Array) -> _Seen:
         """Return what is seen of some rows (n) at readings (n, nr)."""
         size = self._columns
+        self.effort.spend(len(rows))
 
         def flat(numbered: Array) -> Array:
             readings, own = numbered[:, :-1], rows[numbered[:, -1].astype(np.intp)]
@@ -373,7 +423,9 @@ class _Machine:
 # ---- the solver
 
 
-def _solve(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
+def _solve(model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort | None = None) -> Corrections:
+    """Return the corrections of all rows, within an effort, one of as many rows when None."""
+    effort = effort or _Effort(len(asked.start))
     what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
@@ -384,7 +436,10 @@ def _solve(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
         )
     with one_thread():
         rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
-        blocks = [_solve_block(model, asked.subset(block), how) for block in rows]
+        blocks = []
+        for block in rows:
+            effort.reserve(len(asked.start) - int(block[-1]) - 1 if len(block) else 0)
+            blocks.append(_solve_block(model, asked.subset(block), how, effort))
     reached = np.concatenate([block.reached for block in blocks])
     steps = np.concatenate([block.steps for block in blocks])
     return Corrections(
@@ -398,11 +453,13 @@ def _solve(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
     )
 
 
-def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How) -> Corrections:
+def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort) -> Corrections:
     readings, start, tolerances = model.robot.readings, asked.start, how.tolerances
-    machine = _Machine(model, asked, how)
+    machine = _Machine(model, asked, how, effort)
     low, high = _limits(readings)
-    why = [text or _beyond(row, readings) for text, row in zip(asked.refused, start, strict=True)]
+    why = list(asked.refused)
+    for n in map(int, np.flatnonzero(_outside(start, low, high).any(axis=1))):
+        why[n] = why[n] or _beyond(start[n], readings)
     tried = np.flatnonzero([not text for text in why])
     q, steps, free = start.copy(), np.zeros(len(start), dtype=np.intp), np.ones(start.shape)
     rows, passed = tried, dict[int, str]()
@@ -410,7 +467,7 @@ def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How) -> Correcti
     for _ in range(1 + max(0, len(readings) - machine.size)):
         q[rows], taken, hit = _newton(machine, rows, q[rows], start[rows], free[rows], tolerances[0])
         steps[rows] += taken
-        beyond = (q[rows] < low - _LIMIT_SLACK) | (q[rows] > high + _LIMIT_SLACK)
+        beyond = _outside(q[rows], low, high)
         passed |= {int(n): _beyond(q[n], readings) for n in rows[beyond.any(axis=1) & hit] if n not in passed}
         again = beyond.any(axis=1) & ((free[rows] - beyond).sum(axis=1) >= machine.size)
         rows, beyond = rows[again], beyond[again]
@@ -422,11 +479,15 @@ def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How) -> Correcti
     seen = machine.look(np.arange(len(q)), allowed)
     position, angle = machine.errors(seen.gap)
     near = (position <= tolerances[0]) & ~(angle > tolerances[1])
-    for n in map(int, tried):
+    missed = ~near | _outside(q, low, high).any(axis=1) | np.array([bool(text) for text in seen.why], dtype=np.bool_)
+    short = _CUT_SHORT if effort.spent else ""
+    for n in map(int, tried[missed[tried]]):
         if seen.why[n]:
             why[n] = seen.why[n]
-        elif not near[n] or _beyond(q[n], readings):
-            why[n] = f"the corrected {passed[n]}" if n in passed else _far(position[n], angle[n], seen.slope[n])
+        elif n in passed:
+            why[n] = f"the corrected {passed[n]}{short}"
+        else:
+            why[n] = f"{_far(position[n], angle[n], seen.slope[n])}{short}"
     reached = np.array([not text for text in why], dtype=np.bool_) & near
     if how.residuals is not None:
         for n in map(int, np.flatnonzero(reached)):
@@ -440,6 +501,11 @@ def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How) -> Correcti
         why[n] = "; ".join(filter(None, [why[n], f"{readings[j].name} changes by {_said(change[n, j], readings[j])}"]))
     change[~reached] = q[~reached] = np.nan
     return Corrections(q, change, reached, position, angle, tuple(why), steps)
+
+
+def _outside(q: Array, low: Array, high: Array) -> BoolArray:
+    """Return which readings (n, nr) are beyond their limits."""
+    return np.asarray((q < low - _LIMIT_SLACK) | (q > high + _LIMIT_SLACK))
 
 
 def _beyond(row: Array, readings: Sequence[Reading]) -> str:
@@ -478,7 +544,7 @@ def _newton(
     gap, slope, cost = seen.gap.copy(), seen.slope.copy(), seen.cost
     for _ in range(_MOST_STEPS):
         open_ = np.flatnonzero((cost > goal) & np.isfinite(cost) & (damping < _MOST_DAMPING))
-        if not len(open_):
+        if not len(open_) or machine.effort.spent:
             break
         step = _step(slope[open_] * free[open_, None], gap[open_], damping[open_])[0]
         trial = q[open_] + step
@@ -497,8 +563,9 @@ def _newton(
     spare = free.sum(axis=1) > gap.shape[1]
     open_ = np.flatnonzero(spare & (cost <= tolerance) & (np.abs(q - start).max(axis=1, initial=0.0) > 0.0))
     first, hit = q.copy(), cost <= tolerance
+    secants = _Secants(q, gap.shape[1])
     for _ in range(_MOST_REFINEMENTS):
-        if not len(open_):
+        if not len(open_) or machine.effort.spent:
             break
         J = slope[open_] * free[open_, None]
         step, inverse = _step(J, gap[open_], np.zeros(len(open_)))
@@ -506,7 +573,7 @@ def _newton(
         null = away - (inverse @ (J @ away[:, :, None]))[:, :, 0]
         left = (np.abs(null).max(axis=1) > _NEAREST) | (cost[open_] > goal)
         open_, step, null = open_[left], step[left], null[left]
-        trial = q[open_] + step - _capped(null)
+        trial = q[open_] + secants.shortened(open_, q[open_], step - _capped(null))
         seen = machine.look(rows[open_], trial)
         fine = np.isfinite(seen.cost)
         open_ = open_[fine]
@@ -521,14 +588,63 @@ def _newton(
     return q, steps, hit
 
 
+class _Secants:
+    """What the last steps of a search tell about the next one, for every row by itself: Anderson's acceleration.
+
+    Along directions that the targets leave open the plain search is one of steepest descent, which takes tens of steps;
+    as many differences of points and of steps are kept as there are such directions. H. F. Walker, P. Ni, Anderson
+    acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49 (2011), algorithm AA and equation 2.2.
+    """
+
+    def __init__(self, q: Array, known: int) -> None:
+        n, k = q.shape
+        kept = min(max(k - known, 0), _MOST_SECANTS)
+        self._moved, self._changed = np.zeros((n, k, kept)), np.zeros((n, k, kept))
+        self._from, self._step = np.full((n, k), np.nan), np.zeros((n, k))
+
+    def shortened(self, rows: IntArray, q: Array, step: Array) -> Array:
+        """Return the steps (n, nr) to take from q (n, nr) in some rows (n), given the plain ones."""
+        moved, changed = q - self._from[rows], step - self._step[rows]
+        length = np.linalg.norm(step, axis=1)
+        # Where steps grow, or are long, what was learned does not hold.
+        holds = np.isfinite(moved[:, 0]) & (length < np.linalg.norm(self._step[rows], axis=1)) & (length < _TELLING)
+        for kept, new in ((self._moved, moved), (self._changed, changed)):
+            newest_first = np.concatenate([new[:, :, None], kept[rows][:, :, :-1]], axis=2)[:, :, : kept.shape[2]]
+            kept[rows] = np.where(holds[:, None, None], newest_first, 0.0)
+        self._from[rows], self._step[rows] = q, step
+        changes = self._changed[rows]
+        sizes = np.linalg.norm(changes, axis=1)[:, None]
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        unit = changes / sizes
+        turned = np.swapaxes(unit, 1, 2)
+        # The small number keeps differences of one direction, and those that are not there, from being told apart.
+        shares = np.linalg.solve(turned @ unit + _ALIKE * np.eye(unit.shape[2]), turned @ step[:, :, None])
+        return _capped(step - (((self._moved[rows] + changes) / sizes) @ shares)[:, :, 0])
+
+
 def _step(J: Array, gap: Array, damping: Array) -> tuple[Array, Array]:
     """Return damped least steps (n, nr) that close gaps (n, m) by slopes J (n, m, nr), and the inverses (n, nr, m)."""
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
-    largest = np.maximum(s[:, :1], 1e-300)
-    shares = s / largest
-    damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping[:, None]), 0.0) / largest
-    inverse = np.swapaxes(Vt, 1, 2) @ (damped[:, :, None] * np.swapaxes(U, 1, 2))
+    inverse = _inverse(J, damping)
     return _capped((inverse @ gap[:, :, None])[:, :, 0]), inverse
+
+
+def _inverse(J: Array, damping: Array) -> Array:
+    """Return damped inverses (n, nr, m) of slopes J (n, m, nr); ``damping`` (n) is relative to the largest slope."""
+    m, inverse = J.shape[1], np.empty((len(J), J.shape[2], J.shape[1]))
+    # By normal equations, at a third of the price, where these lose no digits that matter: of positive numbers with
+    # the sum 1 none is smaller than their product by what the others can be at most.
+    turned = np.swapaxes(J, 1, 2)
+    square = J @ turned
+    trace = np.maximum(np.trace(square, axis1=1, axis2=2), 1e-300)[:, None, None]
+    square = square / trace
+    sound = (np.linalg.det(square) * float(max(m - 1, 1)) ** (m - 1) > _SOUND) & (damping == 0.0)
+    inverse[sound] = np.swapaxes(np.linalg.solve(square[sound], J[sound]), 1, 2) / trace[sound]
+    U, s, Vt = np.linalg.svd(J[~sound], full_matrices=False)
+    largest = np.maximum(s[:, :1], 1e-300)
+    shares, damping = s / largest, damping[~sound, None]
+    damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping), 0.0) / largest
+    inverse[~sound] = np.swapaxes(Vt, 1, 2) @ (damped[:, :, None] * np.swapaxes(U, 1, 2))
+    return inverse
 
 
 def _capped(step: Array) -> Array:

@@ -1,12 +1,13 @@
 """Targets of a calibrated machine as tables: joint targets, poses or positions in, corrected commands out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from calib.compensation.commands import Corrections, for_joint_targets, for_poses
+from calib.compensation.commands import Corrections, at_tip, for_joint_targets, for_poses
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
@@ -16,7 +17,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.machine.calibrated import CalibratedMachine
-from calib.measurement.columns import orientations, stacked
+from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import Conditions
@@ -54,7 +55,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
     """Return the targets of a table; which kind they are, its columns say.
 
     With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
-    joint targets. A column ``point`` names the tool of every row, else ``tool`` is that of all.
+    joint targets. A column ``tool`` names the tool of every row, else ``tool`` is that of all.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a tool is not known, and when a joint term of the machine needs a column that is not there.
@@ -77,18 +78,20 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
             near = nearest(name, sorted(known - columns.keys()))
             raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
     posed = any(name in columns for name in (*position, *rotation))
+    tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
+    # Joints of other arms need not be there.
+    needed = {*position, *rotation, *_needed(model, tools)}
     wanted = [position] if posed else [joints]
     wanted += [some for some in ([rotation, joints] if posed else []) if any(name in columns for name in some)]
-    if missing := [name for some in wanted for name in some if name not in columns]:
+    if missing := [name for some in wanted for name in some if name in needed and name not in columns]:
         listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
         raise MeasurementError(f"{where}: there is no column {listed} of the targets; the columns are {there}.")
-    start = stacked(table, joints) if joints in wanted else None
+    start = filled(table, joints) if joints in wanted else None
     poses = None
     if posed:
         poses = stacked(table, position)
         if rotation in wanted:
             poses = read_only(rigid.placement(orientations(table), poses))
-    tools = cast(tuple[str, ...], columns["point"].values) if "point" in columns else (tool,) * len(table)
     for n, name in enumerate(tools):
         if name not in model.tools:
             raise MeasurementError(
@@ -146,6 +149,8 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
     """
     table, joints = wanted.table, {reading.name: k for k, reading in enumerate(model.robot.readings)}
     own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
+    needed = _needed(model, wanted.tools)
+    own = {name: unit for name, unit in own.items() if name in needed}
     titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
     titles |= {name: column.unit for name, column in table.columns.items()}
     turned = not np.isnan(found.orientation_error).all()
@@ -168,6 +173,12 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
             cells.append(_cell(found.orientation_error[n] / MRAD, ".6f"))
         rows.append([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
     return csv_text(rows)
+
+
+def _needed(model: CalibratedMachine, tools: Sequence[str]) -> tuple[str, ...]:
+    """Return the joints that move tools, of those that the machine has."""
+    robot = at_tip(model, tools).robot
+    return robot.driving((robot.tip,))
 
 
 def _cell(value: float, how: str) -> str:

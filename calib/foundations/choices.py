@@ -14,7 +14,7 @@ PlacedIn = Literal["arm", "instrument"]
 # How a DH table is written.
 Convention = Literal["standard", "modified"]
 # What files controllers take.
-Target = Literal["ur", "offsets", "dh", "ros"]
+Target = Literal["ur", "offsets", "dh", "ros", "xacro"]
 # Of random poses: what a person waits for, and a memory holds.
 MOST_POSES = 1_000_000
 # Parts that rows are held out in, one after the other.

@@ -118,6 +118,7 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "robot.coupling.drivers": 200,
         "robot.loop": 50,
         "error_model.harmonic_orders": 20,
+        "setups": 100,
         "tools": 100,
         "instruments": 200,
         "targets": 100,
@@ -129,7 +130,8 @@ COUNTS: Mapping[str, int] = MappingProxyType(
     }
 )
 # As many may be in the tables of a calibration: each is three unknowns or more, found with those of the robot.
-MOST_POINTS = COUNTS["tools"]
+MOST_SETUPS = COUNTS["setups"]
+MOST_TOOLS = COUNTS["tools"]
 MOST_TARGETS = COUNTS["targets"]
 # Of names and globs, wherever a list of them may stand.
 MOST_NAMES = 1000

@@ -79,6 +79,33 @@ class Display(NamedTuple):
 DISPLAY = {"m": Display(1.0 / MM, "mm"), "rad": Display(1.0 / DEG, "deg"), "px": Display(1.0, "px")}
 DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"]}
 
+# How others write them. Case is theirs, but for Nm, which is no nanometre.
+_SPELLINGS: dict[str, tuple[str, ...]] = {
+    "m": ("meter", "meters", "metre", "metres"),
+    "cm": ("centimeter", "centimeters", "centimetre", "centimetres"),
+    "mm": ("millimeter", "millimeters", "millimetre", "millimetres"),
+    "um": ("\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometre"),
+    "inch": ("in", "inches", "zoll"),
+    "rad": ("radian", "radians"),
+    "deg": ("\u00b0", "\u00ba", "degree", "degrees"),
+    "s": ("sec", "second", "seconds"),
+    "ms": ("msec", "millisecond", "milliseconds"),
+    "degC": ("\u00b0c", "\u00bac", "celsius", "deg c"),
+    "px": ("pixel", "pixels"),
+    "1": ("-",),
+}
+_SYMBOL_OF = {
+    **{symbol.lower(): symbol for symbol in UNITS if symbol != "Nm"},
+    **{spelling: symbol for symbol, spellings in _SPELLINGS.items() for spelling in spellings},
+}
+
+
+def symbol_of(text: str) -> str | None:
+    """Return the symbol of a unit as others spell it, such as ``"\u00b0"`` or ``"Degrees"``; None where it is none."""
+    text = text.strip()
+    return text if text in UNITS else _SYMBOL_OF.get(text.lower())
+
+
 # The plain decimal and exponent forms only: float() would also take 1_0, nan, inf and full-width digits.
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?", re.ASCII)
 _QUANTITY = re.compile(rf"\s*({NUMBER.pattern})\s*([A-Za-z0-9/]*)\s*", re.ASCII)

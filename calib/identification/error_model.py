@@ -19,8 +19,9 @@ from calib.foundations.selection import Selection, listed_names, select
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Priors, width
 from calib.identification.relations import Relation
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, Measurements
 from calib.robot import deviation
 from calib.robot.dh.frames import DhFrames, Direction, dh_frames, own_motion
 from calib.robot.dh.free import Free
@@ -55,13 +56,15 @@ class Known:
 
     ``base``: its pose (4, 4) in the instrument's frame, where it is fixed. ``tools``: their poses (4, 4), or points
     (3,), in the tip link, by name; the only tool is called "tool". ``targets``: of sockets, anchors, balls and planes,
-    by name; others are found. ``relations``: what is known between targets.
+    by name; others are found. ``relations``: what is known between targets. ``setups``: where the base stood, by name,
+    exactly or about; the only place is called "base".
     """
 
     base: npt.ArrayLike | None = None
     tools: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
     targets: Mapping[str, Target] = field(default_factory=dict)
     relations: Sequence[Relation] = ()
+    setups: Mapping[str, SetUp] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -79,7 +82,7 @@ class ErrorModel:
     then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
     (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
     ``terms``: names of those joint terms of the robot that are free. ``base_pose`` (4, 4) and ``tool_poses`` are the
-    values where base and tools are fixed.
+    values where base and tools are fixed; ``setups``: what is known of the base in single set-ups.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
@@ -97,12 +100,15 @@ class ErrorModel:
     targets: Mapping[str, Target] = field(default_factory=dict)
     relations: tuple[Relation, ...] = ()
     terms: tuple[str, ...] = ()
+    setups: Mapping[str, SetUp] = field(default_factory=dict)
 
     def within(self, sets: Sequence[Measurements]) -> "ErrorModel":
-        """Return the model without what is known of targets that no row of the sets is about."""
+        """Return the model without what is known of targets and set-ups that no row of the sets is about."""
         there = {name for data in sets for name in data.seen_targets}
+        stood = {name for data in sets for name in data.setups}
         return replace(
             self,
+            setups={name: setup for name, setup in self.setups.items() if name in stood},
             targets={name: target for name, target in self.targets.items() if name in there},
             relations=tuple(relation for relation in self.relations if there.issuperset(relation.targets)),
         )
@@ -116,13 +122,31 @@ class ErrorModel:
         """Return the deviations of ``urdf_robot`` that make the same machine as ``deviations`` make of ``robot``."""
         return deviations if self.dh is None else self.dh.in_source(deviations)
 
-    def parameters(self, tools: Sequence[str] = ("tool",)) -> tuple[Parameter, ...]:
-        """Return the free parameters for measurements made with the named tools, in the order of the state."""
-        layout, reach = Layout(self.robot), self.robot.reach
+    def at(self, setup: str) -> "ErrorModel":
+        """Return the model of one set-up, as if there were no other."""
+        known = self.known_base(setup)
+        if known is None:
+            return replace(self, base="pose", setups={})
+        return replace(self, base="fixed" if known.fixed else "pose", base_pose=known.pose, setups={})
+
+    def known_base(self, setup: str) -> SetUp | None:
+        """Return what is known of the base in a set-up, None where it is to be found."""
+        if setup in self.setups or self.base == "pose":
+            return self.setups.get(setup)
+        return SetUp(self.base_pose)
+
+    def parameters(
+        self, tools: Sequence[str] = (ONLY_TOOL,), setups: Sequence[str] = (ONLY_SETUP,)
+    ) -> tuple[Parameter, ...]:
+        """Return the free parameters for measurements with such tools and set-ups, in the order of the state."""
+        layout, reach = Layout(self.robot, len(setups)), self.robot.reach
         found: list[Parameter] = []
 
-        def free(name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool) -> None:
-            prior = (self.priors.length if length else self.priors.angle) if kind in ("offset", "placement") else None
+        def free(
+            name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool, setup: SetUp | None = None
+        ) -> None:
+            priors: Priors | SetUp | None = self.priors if kind in ("offset", "placement") else setup
+            prior = None if priors is None else (priors.length if length else priors.angle)
             group = _GROUPS[kind, length] if prior == "learned" else None
             stated = None if prior == "learned" else prior
             unit: Literal["m", "rad"] = "m" if length else "rad"
@@ -144,11 +168,13 @@ class ErrorModel:
                 stated = None if prior == "learned" else prior
                 direction = ((layout.terms + t, 1.0),)
                 found.append(Parameter(term.name, unit, "term", direction, stated, size, group, weak=TERM_WIDTH * size))
-        if self.base == "pose":
-            for k, component in enumerate(POSE):
-                free(f"base.{component}", "base", (layout.base + k, 1.0), length=k < 3)
+        for s, setup in enumerate(setups):
+            known = self.known_base(setup)
+            prefix = "base" if setup == ONLY_SETUP else f"base.{setup}"
+            for k, component in enumerate(POSE if known is None or not known.fixed else ""):
+                free(f"{prefix}.{component}", "base", (layout.base + 6 * s + k, 1.0), length=k < 3, setup=known)
         for t, tool in enumerate(tools):
-            prefix = "tool" if tool == "tool" else f"tool.{tool}"
+            prefix = "tool" if tool == ONLY_TOOL else f"tool.{tool}"
             for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
                 free(f"{prefix}.{component}", "tool", (layout.tools + 6 * t + k, 1.0), length=k < 3)
         names = [parameter.name for parameter in found]
@@ -165,9 +191,13 @@ class ErrorModel:
             elif self.dh is not None:
                 yield self.dh.directions[joint, component]
 
-    def given_frames(self, tools: Sequence[str]) -> Frames:
+    def given_frames(self, tools: Sequence[str], setups: Sequence[str] = (ONLY_SETUP,)) -> Frames:
         """Return the frames as given: known where fixed, zero or the user's guess where free."""
-        return Frames(self.base_pose, np.stack([self.tool_poses.get(tool, np.eye(4)) for tool in tools]))
+        known = [self.known_base(setup) for setup in setups]
+        return Frames(
+            np.stack([self.base_pose if setup is None else setup.pose for setup in known]),
+            np.stack([self.tool_poses.get(tool, np.eye(4)) for tool in tools]),
+        )
 
 
 @checked
@@ -234,6 +264,10 @@ def error_model(
         frames,
         dict(known.targets),
         tuple(known.relations),
+        setups={
+            name: replace(setup, pose=_given_pose(setup.pose, f"known.setups: {name!r}"))
+            for name, setup in known.setups.items()
+        },
     )
     return with_terms(model, _chosen_terms(robot, terms))
 

@@ -1,5 +1,6 @@
 """The result of an identification, with its own doubts."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -84,6 +85,26 @@ class Fit:
         sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.asarray(~self.unidentifiable & (sigmas > 0.5 * scales(self.parameters)))
 
+    def tools_of(self, data: Measurements) -> Array:
+        """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known."""
+        return _by_name(self.measurements[0].tools, self.machine.frames.tools, data.tools, np.eye(4))[data.tool]
+
+    def bases_of(self, data: Measurements) -> Array:
+        """Return the poses (N, 4, 4) of the base in the set-ups of rows: the first one where one is not known."""
+        bases = self.machine.frames.bases
+        return _by_name(self.measurements[0].setups, bases, data.setups, bases[0])[data.setup]
+
+    @property
+    def tool_tips(self) -> dict[str, str]:
+        """The links that carry tools, by the tools' names, of those that are not on the robot's tip."""
+        tips = {data.tools[k]: data.tip for data in self.measurements for k in np.unique(data.tool)}
+        return {tool: tip for tool, tip in tips.items() if tip not in ("", self.robot.tip)}
+
+    def knows(self, data: Measurements) -> bool:
+        """Return whether the rows are of tools and set-ups that the fit knows."""
+        own = self.measurements[0]
+        return set(data.tools) <= set(own.tools) and set(data.setups) <= set(own.setups)
+
     def value(self, name: str) -> float:
         """Return the value of a parameter in SI units. Raises KeyError for an unknown name."""
         for parameter, value in zip(self.parameters, self.values, strict=True):
@@ -119,3 +140,9 @@ class Fit:
         size = len(self.null_space)
         said = {0: "no null space", 1: "null space of 1 direction"}.get(size, f"null space of {size} directions")
         return f"<Fit of {len(self.parameters)} parameters to {rows} rows: formal rank {self.rank}, {said}>"
+
+
+def _by_name(known: Sequence[str], poses: Array, names: Sequence[str], other: Array) -> Array:
+    """Return the poses (k, 4, 4) of names, ``other`` (4, 4) for those that are not known."""
+    by_name = dict(zip(known, poses, strict=True))
+    return np.stack([by_name.get(name, other) for name in names])

@@ -9,14 +9,14 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only, read_only_view
-from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
 from calib.identification import identifiability
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.frames import is_fit
-from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_targets
+from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
 from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
@@ -174,7 +174,7 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
         return np.array(placed).reshape(new.shape)
 
     return Frames(
-        old.base,
+        taken(frames.bases, names.setups, old.bases, known.setups),
         taken(frames.tools, names.tools, old.tools, known.tools),
         taken(frames.targets, names.targets, old.targets, known.targets),
         taken(frames.lengths, names.offsets, old.lengths, known.offsets),
@@ -198,19 +198,13 @@ def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[N
 def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machine) -> tuple[Array, ...]:
     """Return residuals (N, d) of other measurements, in SI units, for a machine of the fit.
 
-    Targets and lengths that the fit does not know are found from these measurements, the machine staying as it is.
+    Set-ups, tools, targets and lengths that the fit does not know are found from these measurements, the machine
+    staying as it is.
 
-    Raises MeasurementError when they are not of this robot, or made with a tool that the fit does not know;
-    IdentificationError when they are too few to find their targets.
+    Raises MeasurementError when they are not of this robot; IdentificationError when they are too few to find these.
     """
-    tools = fit.measurements[0].tools
-    for data in measurements:
-        for tool in data.tools:
-            if tool not in tools:
-                known = ", ".join(map(repr, tools))
-                raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
     sets = with_common_names(fit.model, (fit.measurements[0], *measurements))[1:]
-    return residuals(fit.model.robot, sets, with_new_targets(fit.model, sets, machine)) if sets else ()
+    return residuals(fit.model.robot, sets, with_new_frames(fit.model, sets, machine)) if sets else ()
 
 
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:

@@ -1,8 +1,9 @@
 """The machine for given values of its parameters.
 
 The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the coefficients of the
-joint terms, six values for the pose of the base in the instrument's frame, six for the pose of every tool in the tip
-link, six for every target in the instrument's frame, one for every unknown length. Parameters are entries of it.
+joint terms, six values for the pose of the base in the instrument's frame at every set-up, six for the pose of every
+tool in the tip link, six for every target in the instrument's frame, one for every unknown length. Parameters are
+entries of it.
 """
 
 from collections.abc import Sequence
@@ -21,23 +22,28 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Base pose (4, 4) in the instrument's frame, and tool poses (k, 4, 4) in the tip link.
+    """Base poses (b, 4, 4) in the instrument's frame, one for every set-up, and tool poses (k, 4, 4) in the tip link.
 
     ``targets`` (m, 4, 4): poses in the instrument's frame of what was touched or seen: a point has its position, a
     plane lies in its frame's x and y. ``lengths`` (s,): what is unknown of measured lengths, in m.
     """
 
-    base: Array
+    bases: Array
     tools: Array
     targets: Array = field(default_factory=lambda: read_only(np.zeros((0, 4, 4))))
     lengths: Array = field(default_factory=lambda: read_only(np.zeros(0)))
+
+    @property
+    def base(self) -> Array:
+        """The base pose (4, 4) of the first set-up."""
+        return np.asarray(self.bases[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Machine:
     """A machine: the robot's deviations, and where its base, its tools and the targets are.
 
-    ``base_twists`` (6, 6), ``tool_twists`` (k, 6, 6) and ``target_twists`` (m, 6, 6) are the local twists of these
+    ``base_twists`` (b, 6, 6), ``tool_twists`` (k, 6, 6) and ``target_twists`` (m, 6, 6) are the local twists of these
     frames for changes of their six values.
     """
 
@@ -49,16 +55,16 @@ class Machine:
 
 
 class Layout:
-    """Where things stand in the state vector: ``targets`` and ``lengths`` behind the ``tools``, of which there are k.
+    """Where things stand in the state vector: ``base`` of the first of the set-ups, behind these the ``tools``, ...
 
     ``size``: of the whole vector.
     """
 
-    def __init__(self, robot: Robot, tools: int = 0, targets: int = 0, lengths: int = 0) -> None:
+    def __init__(self, robot: Robot, setups: int = 1, tools: int = 0, targets: int = 0, lengths: int = 0) -> None:
         self.offsets = 6 * len(robot.chain)
         self.terms = self.offsets + len(robot.moving)
         self.base = self.terms + len(robot.terms)
-        self.tools = self.base + 6
+        self.tools = self.base + 6 * setups
         self.targets = self.tools + 6 * tools
         self.lengths = self.targets + 6 * targets
         self.size = self.lengths + lengths
@@ -66,7 +72,7 @@ class Layout:
     @classmethod
     def of(cls, robot: Robot, frames: Frames) -> "Layout":
         """Return the layout of a machine with such frames."""
-        return cls(robot, len(frames.tools), len(frames.targets), len(frames.lengths))
+        return cls(robot, len(frames.bases), len(frames.tools), len(frames.targets), len(frames.lengths))
 
 
 def machine(
@@ -74,7 +80,7 @@ def machine(
 ) -> Machine:
     """Return the machine at parameter values x (p,) in SI units; deviations that are not free are as ``held``, or zero.
 
-    Base and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from ``reference``. Positions are thus absolute
+    Bases and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from ``reference``. Positions are thus absolute
     where they are free, and angles are small rotations of the reference, far from any gimbal lock. Targets:
     ``R Trans(x, y, z) Rx(rx) Ry(ry) Rz(rz)``, so that z is a plane's height and the plane turns about its middle.
     """
@@ -84,7 +90,8 @@ def machine(
     # Free entries are what the parameters say; the rest stay at the reference.
     state = np.where(np.any(S, axis=1), S @ x, state)
     values = state[layout.base : layout.targets].reshape(-1, 6)
-    references = np.concatenate([reference.base[None], reference.tools])
+    references = np.concatenate([reference.bases, reference.tools])
+    b = len(reference.bases)
     rotations = references[:, :3, :3] @ rigid.rx_ry_rz(values[:, 3:])
     poses = rigid.placement(rotations, values[:, :3])
     twists = deviation.twists(values)
@@ -94,9 +101,9 @@ def machine(
     placements = state[: layout.offsets].reshape(-1, 6)
     return Machine(
         Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
-        Frames(poses[0], poses[1:], targets, state[layout.lengths :]),
-        twists[0],
-        twists[1:],
+        Frames(poses[:b], poses[b:], targets, state[layout.lengths :]),
+        twists[:b],
+        twists[b:],
         deviation.twists(moved),
     )
 
@@ -114,7 +121,7 @@ def _reference_state(layout: Layout, reference: Frames, held: Deviations | None)
     if held is not None:
         state[: layout.base] = np.concatenate([held.placements.ravel(), held.offsets, held.terms])
     frames = state[layout.base : layout.targets].reshape(-1, 6)
-    frames[:, :3] = np.concatenate([reference.base[None], reference.tools])[:, :3, 3]
+    frames[:, :3] = np.concatenate([reference.bases, reference.tools])[:, :3, 3]
     targets = state[layout.targets : layout.lengths].reshape(-1, 6)
     targets[:, :3] = (rigid.inverse(_turns(reference.targets)) @ reference.targets)[:, :3, 3]
     state[layout.lengths :] = reference.lengths

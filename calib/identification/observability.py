@@ -110,7 +110,7 @@ def undetermined(model: ErrorModel, measurements: Sequence[Measurements]) -> tup
                 "diameter, or positions from an instrument.",
             )
         )
-    if problem.model.base != model.base:
+    if len(problem.model.setups) > len(model.setups):
         found.append(
             Finding(
                 "warning",

@@ -100,15 +100,21 @@ class _Trial:
 def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return the typical mistake that explains why the nominal robot misses the measurements; usually nothing.
 
-    A mistake is sought in all sets together, then in every single one. An error names it, and what explains the rows as
-    well; a warning says that the robot misses them by far and no typical mistake explains it. Too few rows to judge
-    give nothing. Raises MeasurementError when the measurements are not of this robot.
+    A mistake is sought in all sets together, then in every single one, and in the rows of one set-up after the other.
+    An error names it, and what explains the rows as well; a warning says that the robot misses them by far and no
+    typical mistake explains it. Too few rows to judge give nothing. Raises MeasurementError when the measurements are
+    not of this robot.
     """
     with linear.one_thread():
-        return _signatures(model, [data for data in measurements if len(data) and data.position is not None])
+        sets = [data for data in measurements if len(data) and data.position is not None]
+        setups = dict.fromkeys(setup for data in sets for setup in data.setups)
+        return tuple(
+            finding for setup in setups for finding in _signatures(model.at(setup), [data.at(setup) for data in sets])
+        )
 
 
-def _signatures(model: ErrorModel, filled: Sequence[Measurements]) -> tuple[Finding, ...]:
+def _signatures(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:
+    filled = [data for data in sets if len(data)]
     if not filled:
         return ()
     sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))

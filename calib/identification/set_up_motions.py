@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.identification import identifiability
 from calib.identification.machine import Machine
 from calib.identification.parameters import Parameter, scales
@@ -35,11 +35,29 @@ _AGREE = 1e-9
 
 
 class Motions(NamedTuple):
-    """Motions of a whole set-up about a point (3,) that no measurement shows: turns (3, m), and whether it grows."""
+    """Motions of a whole set-up about a point (3,) that no measurement shows: turns (3, m), and whether it grows.
+
+    ``on_links``: turns (3, m), about the link's origin, of all that links carry, by link.
+    """
 
     about: Array
     turns: Array
     grows: bool
+    on_links: Mapping[str, Array]
+
+    @property
+    def directions(self) -> int:
+        """How many turns there are, of the floor and of links."""
+        return sum(int(turns.shape[1]) for turns in (self.turns, *self.on_links.values()))
+
+    def of(self, link: str | None) -> tuple[Array, Array]:
+        """Return about which point (3,) all on a link, None being the floor, moves, and its turns (3, k)."""
+        turns, start = np.zeros((3, self.directions)), 0
+        for ground, own in ((None, self.turns), *self.on_links.items()):
+            if ground == link:
+                turns[:, start : start + own.shape[1]] = own
+            start += own.shape[1]
+        return self.about if link is None else np.zeros(3), turns
 
 
 def motions(
@@ -48,22 +66,38 @@ def motions(
     """Return the motions of a whole set-up that must be taken out; None where there are none.
 
     ``measurements`` have common names; ``near`` (3,): where the robot stands. Turns are only taken out where sockets
-    are: a turn changes the three numbers of their residuals, and those of no other kind.
+    are: a turn changes the three numbers of their residuals, and those of no other kind. What a link carries turns by
+    itself, with the joint before it, also where an instrument shows where the robot is.
     """
-    if any(data.kind in IN_INSTRUMENT_FRAME for data in measurements):
+    placed = any(data.kind in IN_INSTRUMENT_FRAME for data in measurements)
+    if placed and not measurements[0].target_links:
         return None
-    found = _centre(measurements, known, relations, near)
-    shape = shapes(measurements)
-    points = [known[name].pose[:3, 3] for name in shape if name in known and shape[name] == "point"]
-    about = (points[0] if points else near) if found is None else found
-    fixed = [point - about for point in points]
-    fixed += [known[name].pose[:3, 2] for name in shape if name in known and shape[name] == "plane"]
-    turns = np.zeros((3, 0))
-    if any(data.kind == "socket" for data in measurements):
+    found = None if placed else _centre(measurements, known, relations, near)
+    shape, links = shapes(measurements), measurements[0].target_links
+    points = {name: known[name].pose[:3, 3] for name in shape if name in known and shape[name] == "point"}
+    floor = [place for name, place in points.items() if name not in links]
+    about = (floor[0] if floor else near) if found is None else found
+
+    def free(link: str | None) -> Array:
+        sockets = [data for data in measurements if data.kind == "socket"]
+        if (placed and link is None) or not any(
+            links.get(name) == link for data in sockets for name in data.seen_targets
+        ):
+            return np.zeros((3, 0))
+        origin = about if link is None else np.zeros(3)
+        fixed = [place - origin for name, place in points.items() if links.get(name) == link]
+        fixed += [
+            known[name].pose[:3, 2]
+            for name in shape
+            if name in known and shape[name] == "plane" and links.get(name) == link
+        ]
         # Turns about an axis leave what lies along it.
         axes, values, _ = np.linalg.svd(np.concatenate([np.zeros((3, 3)), *map(rigid.skew, np.array(fixed))]).T)
-        turns = axes[:, values < _AGREE]
-    return None if found is None and not turns.size else Motions(about, turns, found is not None)
+        return np.asarray(axes[:, values < _AGREE])
+
+    turns, on_links = free(None), {link: free(link) for link in dict.fromkeys(links.values())}
+    every = Motions(about, turns, found is not None, on_links)
+    return None if found is None and not every.directions else every
 
 
 def _centre(
@@ -95,9 +129,13 @@ def _centre(
             target = known.get(name) if t >= 0 else None
             if target is not None and target.height_is_known:
                 axes = target.pose[:3, 2:3].T if data.kind == "plane" else target.pose[:3, :3].T
-                normals.append(axes)
                 # A known plane does not take up the probe's radius.
-                heights.append(axes @ target.pose[:3, 3] + (values[0] if data.kind == "plane" else 0.0))
+                height = axes @ target.pose[:3, 3] + (values[0] if data.kind == "plane" else 0.0)
+                if data.link_of(t) is None:
+                    normals.append(axes)
+                    heights.append(height)
+                elif np.any(height != 0.0):
+                    return None
     A, b = np.concatenate(normals), np.concatenate(heights)
     found = near + np.linalg.lstsq(A, b - A @ near, rcond=_AGREE)[0]
     return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
@@ -133,25 +171,34 @@ class SetUpMotions:
 
     @property
     def _count(self) -> int:
-        return int(self._motions.turns.shape[1]) + self._motions.grows
+        return self._motions.directions + self._motions.grows
 
-    def _moved(self, x: Array) -> Array:
-        """Return how points (n, 3) move (n, 3, k): by every turn, then by growing."""
-        away = x - self._motions.about
-        turned = np.cross(self._motions.turns.T[None], away[:, None]).swapaxes(-1, -2)
+    def _moved(self, x: Array, link: str | None) -> Array:
+        """Return how points (n, 3) on a link, None being the floor, move (n, 3, k): by every turn, then by growing."""
+        about, turns = self._motions.of(link)
+        away = x - about
+        turned = np.cross(turns.T[None], away[:, None]).swapaxes(-1, -2)
         return np.concatenate([turned, *[away[:, :, None]] * self._motions.grows], axis=2)
 
-    def add(self, J: Array, moved: Sequence[tuple[Array, Array]], sigma: Array) -> None:
+    def add(
+        self,
+        J: Array,
+        moved: Sequence[tuple[Array, Array]],
+        sigma: Array,
+        grounds: Sequence[tuple[str | None, IntArray | slice]],
+    ) -> None:
         """Add rows (n, d, p) with their sigmas (n, d).
 
         ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
+        ``grounds``: which rows are told in which link, None being the floor.
         """
         changed = np.zeros((*J.shape[:2], self._count))
-        for twist, placed in moved:
-            back = np.swapaxes(placed[:, :3, :3], -1, -2)
-            changed += twist[:, :, :3] @ back @ self._moved(placed[:, :3, 3])
-            turns = self._motions.turns
-            changed[:, :, : turns.shape[1]] += twist[:, :, 3:] @ back @ turns
+        for link, own in grounds:
+            turns = self._motions.of(link)[1]
+            for twist, placed in moved:
+                back = np.swapaxes(placed[own, :3, :3], -1, -2)
+                changed[own] += twist[own, :, :3] @ back @ self._moved(placed[own, :3, 3], link)
+                changed[own, :, : turns.shape[1]] += twist[own, :, 3:] @ back @ turns
         # What parameters, targets left out, do to a tool.
         rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
@@ -171,7 +218,7 @@ class SetUpMotions:
         imitated = np.linalg.norm(J @ Z - C, axis=0) <= _SAME * np.linalg.norm(C, axis=0)
         # A turn shows in angles, growing in lengths, each of a size that is known.
         sizes = Z * self._scales[:, None]
-        turns = self._motions.turns.shape[1]
+        turns = self._motions.directions
         clear = np.concatenate(
             [
                 np.linalg.norm(sizes[~self._of_targets & ~self._lengths, :turns], axis=0) > _CLEARLY,
@@ -185,7 +232,7 @@ class SetUpMotions:
         self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_lengths: Array
     ) -> Array:
         """Return how the scaled parameters (p, k) of targets and lengths follow the motions."""
-        turns = self._motions.turns.shape[1]
+        turns = self._motions.directions
         Z = np.zeros((len(self._scales), self._count))
         done: set[int] = set()
         for data in measurements:
@@ -193,8 +240,9 @@ class SetUpMotions:
                 done.add(t)
                 R, c = at.frames.targets[t, :3, :3], at.frames.targets[t, :3, 3]
                 twist = np.zeros((6, self._count))
-                twist[:3] = R.T @ self._moved(c[None])[0]
-                twist[3:, :turns] = R.T @ self._motions.turns
+                link = data.link_of(t)
+                twist[:3] = R.T @ self._moved(c[None], link)[0]
+                twist[3:, :turns] = R.T @ self._motions.of(link)[1]
                 rows = _SEEN_OF[shape_of(data) or "point"]
                 if data.kind == "plane":
                     # With the probe's radius it is where the tool is that grows.

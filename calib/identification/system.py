@@ -5,9 +5,10 @@ has the same cost, gradient and Gauss-Newton matrix as the full system. It is ac
 memory does not grow with rows times parameters.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,10 +25,8 @@ from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import Conditions
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
-_Found = TypeVar("_Found")
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
 BLOCK = 384
 
@@ -98,12 +97,14 @@ class Block(NamedTuple):
     """Rows of one set: residuals with derivatives by twists, and their Jacobian (n, d, p).
 
     ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
+    ``grounds``: which of the rows are told in which link, None being the floor.
     """
 
     rows: slice
     observed: Linearised
     J: Array
     moved: tuple[tuple[Array, Array], ...]
+    grounds: tuple[tuple[str | None, IntArray | slice], ...]
 
 
 class Evaluation(NamedTuple):
@@ -144,27 +145,47 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array) -> Evaluation:
     components = list(enumerate(problem.components))
     rates = Rates(problem, at, scales(problem.parameters))
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
-        parts: list[Array] = []
+        left = np.empty(data.sigma.shape)
         own = [(c, component.columns) for c, component in components if component.measurements == i]
         for block in rates.blocks(data):
             residual = block.observed.residual
-            parts.append(residual)
+            left[block.rows] = residual
             whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / sigma[block.rows, :, None]
             if whole is not None:
-                whole.add(block.J, block.moved, sigma[block.rows])
+                whole.add(block.J, block.moved, sigma[block.rows], block.grounds)
             for c, of_quantity in own:
                 rows = whitened[:, of_quantity].reshape(-1, columns)
                 triangles[c] = linear.triangle(np.concatenate([triangles[c], rows]))
-        found.append(np.concatenate(parts))
+        found.append(left)
+    related, set_up_motions = _of_the_whole(problem, at, x, whole)
+    return Evaluation(tuple(found), tuple(triangles), related, set_up_motions)
+
+
+def without_rows(problem: Problem, sigmas: Sequence[Array], x: Array) -> tuple[Array, Array]:
+    """Return the relations (k, p + 1) and set-up motions (p, k) of an :class:`Evaluation`, which no row is needed for.
+
+    Rows are looked at only where the set-up may move, which they tell how to weigh.
+    """
+    at, moving = problem.machine(x), problem.motions
+    whole = None if moving is None else SetUpMotions(problem.parameters, moving, problem.model.robot.reach)
+    if whole is not None:
+        rates = Rates(problem, at, scales(problem.parameters))
+        for data, sigma in zip(problem.measurements, sigmas, strict=True):
+            for block in rates.blocks(data):
+                whole.add(block.J, block.moved, sigma[block.rows], block.grounds)
+    return _of_the_whole(problem, at, x, whole)
+
+
+def _of_the_whole(problem: Problem, at: Machine, x: Array, whole: SetUpMotions | None) -> tuple[Array, Array]:
+    """Return what is known between targets (k, p + 1), and directions (p, k) in which the whole set-up moves."""
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     layout = Layout.of(problem.model.robot, at.frames)
     S = directions(problem.parameters, layout.size) * scales(problem.parameters)
     by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
     related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
-    set_up_motions = np.zeros((len(x), 0))
-    if whole is not None:
-        set_up_motions = whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
-    return Evaluation(tuple(found), tuple(triangles), related, set_up_motions)
+    if whole is None:
+        return related, np.zeros((len(x), 0))
+    return related, whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -180,39 +201,85 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
     """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine."""
-    tip, found = TipModel(robot, at.deviations), []
+    links, found = _Links(robot, at.deviations), []
     for data in measurements:
         residual = np.empty(data.sigma.shape)
-        for rows, tips, others in _block_by_block(tip.tips, data):
-            placed = at.frames.base @ tips @ at.frames.tools[data.tool[rows]]
-            residual[rows] = _observe(data, rows, at.frames, placed, others).residual
+        for rows in _blocks(data):
+            with _naming(data, rows):
+                tips = links[data.tip].tips(data.readings[rows], data.conditions.subset(rows))
+                others = None
+                if data.other is not None:
+                    others = links[data.tip].tips(data.other.readings[rows], data.other.conditions.subset(rows))
+                base = _bases(at.frames, data, rows)
+                for link, own in _on_links(data, rows):
+                    base[own] = rigid.inverse(
+                        links[link].tips(data.readings[rows][own], data.conditions.subset(rows).subset(own))
+                    )
+            placed = base @ tips @ at.frames.tools[data.tool[rows]]
+            residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
         found.append(residual)
     return tuple(found)
 
 
-def _block_by_block(
-    evaluate: Callable[[Array, Conditions], _Found], data: Measurements
-) -> Iterator[tuple[slice, _Found, _Found | None]]:
-    """Yield some rows after others: what is found there, and at their other ends where they have one."""
-    size, other = BLOCK // data.sigma.shape[1], data.other
+class _Links(dict[str, TipModel]):
+    """Models of a robot with deviations, by the link that they look at; "" is the robot's tip."""
+
+    def __init__(self, robot: Robot, deviations: Deviations) -> None:
+        super().__init__()
+        self._robot, self._deviations = robot, deviations
+
+    def __missing__(self, link: str) -> TipModel:
+        found = TipModel(self._robot.with_tip(link or self._robot.tip), self._deviations)
+        self[link] = found
+        return found
+
+
+def _blocks(data: Measurements) -> Iterator[slice]:
+    """Yield the rows of a set, few enough at a time."""
+    size = BLOCK // data.sigma.shape[1]
     for start in range(0, len(data), size):
-        rows = slice(start, start + size)
-        try:
-            own = evaluate(data.readings[rows], data.conditions.subset(rows))
-            end = None if other is None else evaluate(other.readings[rows], other.conditions.subset(rows))
-        except PoseError as e:
-            row = start + e.row
-            line = f"{data.where}:{data.lines[row]}"
-            raise PoseError(row, e.reason, [start + row for row in e.rows], line) from e
-        yield rows, own, end
+        yield slice(start, start + size)
 
 
-def _observe(data: Measurements, rows: slice, frames: Frames, tools: Array, others: Array | None) -> Linearised:
-    """Return what rows leave unexplained: tools (n, 4, 4) in the instrument's frame, other ends' tips in the base."""
+def _bases(frames: Frames, data: Measurements, rows: slice) -> Array:
+    """Return the bases (n, 4, 4) of some rows, or the only one (4, 4)."""
+    if len(frames.bases) == 1 and not data.target_links:
+        return np.asarray(frames.bases[0])
+    return np.asarray(frames.bases[data.setup[rows]])
+
+
+def _on_links(data: Measurements, rows: slice) -> Iterator[tuple[str, IntArray]]:
+    """Yield the links that carry targets of some rows, with the numbers of these among them."""
+    if not data.target_links:
+        return
+    links = [data.link_of(int(t)) for t in data.target[rows]]
+    for link in dict.fromkeys(links):
+        if link is not None:
+            yield link, np.array([n for n, other in enumerate(links) if other == link], dtype=np.intp)
+
+
+@contextmanager
+def _naming(data: Measurements, rows: slice) -> Iterator[None]:
+    """Name the row of a set in which a loop does not close."""
+    try:
+        yield
+    except PoseError as e:
+        row = rows.start + e.row
+        line = f"{data.where}:{data.lines[row]}"
+        raise PoseError(row, e.reason, [rows.start + row for row in e.rows], line) from e
+
+
+def _observe(
+    data: Measurements, rows: slice, frames: Frames, tools: Array, base: Array, others: Array | None
+) -> Linearised:
+    """Return what rows leave unexplained: tools and the base (n, 4, 4) in the observer, other ends' tips in the base.
+
+    The observer is the floor, in whose frame instruments measure, or the link that carries a row's target.
+    """
     targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
     ends = frames.targets[:0]
     if data.other is not None and others is not None:
-        ends = frames.base @ others @ frames.tools[data.other.tool[rows]]
+        ends = base @ others @ frames.tools[data.other.tool[rows]]
     length = float(frames.lengths[data.offset]) if data.offset >= 0 else 0.0
     return observe(data.kind, Seen(data, rows, tools, ends, targets, length))
 
@@ -222,6 +289,19 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
     yield from Rates(problem, at, units).blocks(data)
 
 
+class _Carried(NamedTuple):
+    """How frames on one link follow the parameters: the tools there, and the link itself.
+
+    ``joints`` (b + 1, 6 nj, p): local twists of the joints' placements, those of the base in every set-up with them,
+    and last without a base, for what is told in another link. ``tools`` and ``link`` (6, p): what lies behind the last
+    joint, and of tools their own poses.
+    """
+
+    joints: Array
+    tools: Array
+    link: Array
+
+
 class Rates:
     """How tools and targets follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets."""
 
@@ -229,50 +309,93 @@ class Rates:
         frames = at.frames
         layout = Layout.of(problem.model.robot, frames)
         S = directions(problem.parameters, layout.size) * units
-        self._robot, self._frames, self._tip = problem.model.robot, frames, TipModel(problem.model.robot, at.deviations)
+        self._robot, self._frames, self._links = problem.model.robot, frames, _Links(problem.model.robot, at.deviations)
         self._of_robot, self._of_terms = S[: layout.terms], S[layout.terms : layout.base]
         self._of_lengths = S[layout.lengths :]
-        of_tools = S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
-        self._joints = self._tip.joints @ self._of_robot
-        self._joints[:6] += self._tip.base_column @ at.base_twists @ S[layout.base : layout.tools]
-        # What moves a tool beside the joints: its own pose, and what lies behind the last joint.
+        self._of_tools = at.tool_twists @ S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
+        self._of_bases = at.base_twists @ S[layout.base : layout.tools].reshape(len(frames.bases), 6, len(units))
         self._to_tool = rigid.adjoint(rigid.inverse(frames.tools))
-        self._by_tool = self._to_tool @ (self._tip.tail @ self._of_robot) + at.tool_twists @ of_tools
         of_targets = S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
         self._by_target = at.target_twists @ of_targets
+        self._carried: dict[str, _Carried] = {}
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block."""
-        frames = self._frames
-        for rows, motion, other in _block_by_block(self._tip.motion, data):
+        frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
+        for rows in _blocks(data):
+            base, group, others = _bases(frames, data, rows), data.setup[rows], None
+            with _naming(data, rows):
+                told = data.conditions.subset(rows)
+                motion = tip.motion(data.readings[rows], told)
+                if data.other is not None:
+                    others = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
+                seats = [
+                    (link, own, self._links[link].motion(data.readings[rows][own], told.subset(own)))
+                    for link, own in _on_links(data, rows)
+                ]
+            for _, own, seat in seats:
+                base[own] = rigid.inverse(seat.placement)
+                group = np.array(group)
+                group[own] = none
             tool = self._tool(data.tool[rows])
-            placed = frames.base @ motion.placement @ frames.tools[tool]
-            observed = _observe(data, rows, frames, placed, None if other is None else other.placement)
-            J = self._through_robot(observed.twist, motion, tool)
+            placed = base @ motion.placement @ frames.tools[tool]
+            observed = _observe(data, rows, frames, placed, base, None if others is None else others.placement)
+            J = self._through_robot(data.tip, observed.twist, motion, tool, group)
             moved = [(observed.twist, placed)]
-            if data.other is not None and other is not None and observed.other is not None:
+            if data.other is not None and others is not None and observed.other is not None:
                 tool = self._tool(data.other.tool[rows])
-                moved.append((observed.other, frames.base @ other.placement @ frames.tools[tool]))
-                J += self._through_robot(observed.other, other, tool)
+                moved.append((observed.other, base @ others.placement @ frames.tools[tool]))
+                J += self._through_robot(data.tip, observed.other, others, tool, group)
+            for link, own, seat in seats:
+                # The observer moved by xi: what is seen from it moves by -Ad(T^-1) xi.
+                by_seat = -observed.twist[own] @ rigid.adjoint(rigid.inverse(placed[own]))
+                J[own] += self._through_robot(link, by_seat, seat, None, group[own])
             if observed.target is not None:
                 J += observed.target @ self._by_target[data.target[rows]]
             if data.offset >= 0:
                 J -= self._of_lengths[data.offset]
-            yield Block(rows, observed, J, tuple(moved))
+            on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
+            yield Block(rows, observed, J, tuple(moved), ((None, on_floor), *((link, own) for link, own, _ in seats)))
 
-    def _through_robot(self, twist: Array, motion: TipMotion, tool: IntArray | int) -> Array:
-        # Residual per local twist of the tip link, then per local twist of every joint placement.
-        by_tip = _times(twist, self._to_tool[tool])
-        J = _times(by_tip @ motion.regressor, self._joints)
-        J += _times(twist, self._by_tool[tool])
+    def _through_robot(
+        self, link: str, twist: Array, motion: TipMotion, tool: IntArray | int | None, group: IntArray
+    ) -> Array:
+        """Return derivatives (n, d, p) from those by the local twist of a tool on a link, or of the link itself."""
+        by = self._on(link)
+        # Residual per local twist of the link, then per local twist of every joint placement.
+        by_link = twist if tool is None else _times(twist, self._to_tool[tool])
+        J = _group_by_group(by_link @ motion.regressor, by.joints, group)
+        J += _times(twist, by.link if tool is None else by.tools[tool])
         if self._robot.loops:
-            J += (by_tip @ motion.by_passive) @ (motion.rates @ self._of_robot)
+            J += (by_link @ motion.by_passive) @ (motion.rates @ self._of_robot)
         if self._robot.terms:
-            J += _times(by_tip @ motion.by_terms, self._of_terms)
+            J += _times(by_link @ motion.by_terms, self._of_terms)
         return J
+
+    def _on(self, link: str) -> _Carried:
+        """Return how frames on a link follow the parameters."""
+        if link not in self._carried:
+            tip = self._links[link]
+            joints = np.repeat((tip.joints @ self._of_robot)[None], len(self._frames.bases) + 1, axis=0)
+            if tip.first >= 0:
+                joints[:-1, 6 * tip.first : 6 * tip.first + 6] += tip.base_column @ self._of_bases
+            behind = tip.tail @ self._of_robot
+            self._carried[link] = _Carried(joints, self._to_tool @ behind + self._of_tools, behind)
+        return self._carried[link]
 
     def _tool(self, numbers: IntArray) -> IntArray | int:
         return numbers if len(self._frames.tools) > 1 else 0
+
+
+def _group_by_group(rows: Array, matrices: Array, group: IntArray) -> Array:
+    """Return rows (n, d, a) times that of the matrices (k, a, b) that is of their group (n,)."""
+    if (group == group[0]).all():
+        return _times(rows, matrices[group[0]])
+    used = np.unique(group)
+    found = np.empty((*rows.shape[:2], matrices.shape[2]))
+    for k in used:
+        found[group == k] = _times(rows[group == k], matrices[k])
+    return found
 
 
 def _times(rows: Array, matrix: Array) -> Array:

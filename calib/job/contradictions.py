@@ -5,8 +5,9 @@ from typing import get_args
 
 from calib.foundations.errors import JobError
 from calib.identification.relations import RelationKind
-from calib.job.schema import InstrumentSection, Job, MeasurementsSection, RelationSection
+from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
+from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.terms import KINDS
 
 
@@ -34,7 +35,8 @@ def contradictions(job: Job) -> Iterator[str]:
     if not any(section.use == "identify" for section in job.measurements):
         yield 'measurements: none has use = "identify"; there is nothing to identify from.'
     for name, target in job.targets.items():
-        if (target.position is None) == (target.normal is None):
+        nothing = target.position is None and target.normal is None
+        if (target.position is not None and target.normal is not None) or (nothing and target.on == FLOOR):
             yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
         if target.quaternion is not None and target.position is None:
             yield f"targets.{name}.quaternion: belongs to a position, and there is none."
@@ -42,10 +44,23 @@ def contradictions(job: Job) -> Iterator[str]:
             yield f"targets.{name}.height: belongs to a normal, and there is none."
     for i, relation in enumerate(job.relations):
         yield from _relation_contradictions(f"relations[{i}]", relation)
-    if job.base is not None and job.error_model.base != "fixed":
-        yield 'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there.'
+    yield from _of_bases(job)
     if job.tools and job.error_model.tool != "fixed":
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
+
+
+def _of_bases(job: Job) -> Iterator[str]:
+    """Yield what is wrong with the poses of the base."""
+    fixed = job.error_model.base == "fixed"
+    if job.base is not None and job.base.prior is None and not fixed:
+        yield (
+            'base: a pose is given, and error_model.base leaves it free; write base = "fixed" there, or give a prior.'
+        )
+    if ONLY_SETUP in job.setups:
+        yield f"setups.{ONLY_SETUP}: is the set-up without a name, whose pose is in [base]."
+    for at, section in (("base", job.base), *((dotted(("setups", name)), one) for name, one in job.setups.items())):
+        if section is not None and section.prior is not None and fixed:
+            yield f'{at}.prior: means nothing with error_model.base = "fixed"; leave it out.'
 
 
 def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection) -> Iterator[str]:

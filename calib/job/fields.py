@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from datetime import date
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, PlainValidator
@@ -11,12 +12,14 @@ from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
 from calib.foundations.units import Dimension, parse_quantity
 from calib.foundations.words import shortened
+from calib.measurement.orientations import ORIENTATIONS
 from calib.robot.terms.kind import Option
 
 # Six digits of each component are enough; half a quaternion or another order of magnitude is not.
 _NORM_TOLERANCE = 1e-3
 _MOST_ITERATIONS = 1000
 _SHORTEST_NORMAL = 1e-6
+_MOST_WORDS = 500
 
 
 class Quantity(str):
@@ -142,10 +145,28 @@ def _not_empty(text: str) -> str:
     return text
 
 
+def camera_place(value: object) -> object:
+    """Accept the words floor and tip, or a section that names a link."""
+    of_link = isinstance(value, dict) and list(value) == ["link"] and isinstance(value["link"], str) and value["link"]
+    if value not in ("floor", "tip") and not of_link:
+        raise ValueError(f'{as_toml(value)} is not "floor", "tip" or a link, like {{ link = "head" }}.')
+    return value
+
+
 def iterations(value: object) -> object:
     """Accept a number of iterations."""
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
         raise ValueError(f"{as_toml(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
+    return value
+
+
+def orientation_name(value: object) -> object:
+    """Accept what three angles, or nine numbers, of an orientation are."""
+    if value is not None and value not in ORIENTATIONS:
+        raise ValueError(
+            f"{as_toml(value)} is not one of {', '.join(ORIENTATIONS[:5])}, nor the order of three turns, like "
+            '"ZYX" about axes that turn along, or "xyz" about those that stay.'
+        )
     return value
 
 
@@ -194,6 +215,22 @@ def _or_learned(check: Callable[[object], Quantity]) -> Callable[[object], Prior
     return checked
 
 
+def _words(text: object) -> str:
+    if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MOST_WORDS:
+        raise ValueError(f"{as_toml(text)} is not one line of text of at most {_MOST_WORDS} characters.")
+    return text
+
+
+def _date(day: object) -> str:
+    """Return a date as ISO 8601 has it; TOML has dates of its own."""
+    try:
+        return (day if type(day) is date else date.fromisoformat(str(day))).isoformat()
+    except ValueError:
+        raise ValueError(f"{as_toml(str(day))} is not a date like 2025-03-31.") from None
+
+
+AboutWords = Annotated[str, BeforeValidator(_words)]
+AboutDate = Annotated[str, BeforeValidator(_date)]
 Name = Annotated[str, AfterValidator(_not_empty)]
 Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
 Place = Annotated[Quantity, PlainValidator(quantity("position, station, point"))]

@@ -1,7 +1,7 @@
 """What a job names, read and checked before anything is solved."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -14,17 +14,21 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.foundations.units import Dimension
+from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.fields import Quantity
+from calib.job.propose import reading_that_fits
 from calib.job.read import read_job
 from calib.job.schema import (
+    FLOOR,
     CouplingSection,
     FrameSection,
     InstrumentSection,
@@ -37,34 +41,36 @@ from calib.job.schema import (
 )
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding, table_findings
-from calib.measurement.instruments import Camera, LaserTracker
+from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
 from calib.robot.gravity import Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
-from calib.robot.sources import EXAMPLE, examples_folder, resolve
+from calib.robot.sources import EXAMPLE, examples_folder, find_mesh, mesh_uris, package_folders, resolve
 from calib.robot.urdf import Urdf, read_urdf
 
 Progress = Callable[[str], None]
+_MOST_MESHES = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
     """Everything a job names, read and checked.
 
-    ``model``: with what is known of targets that are identified from; ``targets``: what is known of all. ``hashes``:
-    SHA-256 of every input file by its name in the job.
+    ``model``: with what is known of targets and set-ups that are identified from; ``known``: with what is known of all.
+    ``hashes``: SHA-256 of every input file by its name in the job.
     """
 
     job: Job
     path: Path
     robot: Robot
     model: ErrorModel
-    targets: Mapping[str, Target]
+    known: ErrorModel
     identify: tuple[Measurements, ...]
     validate: tuple[Measurements, ...]
     nodes: tuple[Measurements, ...]
@@ -94,22 +100,23 @@ class JobArm(NamedTuple):
     mesh_roots: tuple[Path, ...]
 
 
-def load_arm(path: Path) -> JobArm:
+def load_arm(path: Path, job: Job | None = None) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
-    job = read_job(path)
+    job = read_job(path) if job is None else job
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
     robot = _robot(job, urdf, path)
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
-def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
+def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None) -> Inputs:
     """Read a job and all it names. Raises CalibError with one sentence for the first thing that is wrong.
 
-    Doubtful but usable things are returned as findings.
+    Doubtful but usable things are returned as findings. ``job``: what would stand in ``path``, which is not there yet.
     """
     progress("reading the job")
     stamps = {path: stamp(path)}
-    arm = load_arm(path)
+    written = job is None
+    arm = load_arm(path, job)
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
@@ -122,10 +129,12 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
     _refuse_levels(job, path)
-    _refuse_unknown_points(job, chosen, held_out, path)
+    _refuse_unknown_names(job, sets, path)
     _refuse_wrong_shapes(job, sets, path)
-    known, model = model.targets, model.within(chosen)
+    known, model = model, model.within(chosen)
+    doubts += _found_from_held_out(known, chosen, held_out)
     _refuse_no_noise(job, sets, path)
+    doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
@@ -135,7 +144,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
     findings += signatures(model, chosen)
     _refuse(findings)
     hashes = {
-        path.name: sha256(read_bytes(path, JobError)),
+        **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
         **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
@@ -150,7 +159,7 @@ def load(path: Path, progress: Progress = lambda _: None) -> Inputs:
         path=path,
         robot=robot,
         model=model,
-        targets=known,
+        known=known,
         identify=chosen,
         validate=held_out,
         nodes=nodes,
@@ -197,15 +206,25 @@ def _refuse_levels(job: Job, path: Path) -> None:
 
 def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
+    tips = [table.tip for table in job.measurements if table.tip is not None]
+    links = [*tips, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    used = {table.instrument for table in job.measurements}
+    links += [link for name, eye in job.instruments.items() if name in used and (link := _carrier(eye)) is not None]
     return load_robot(
         document,
-        section.tip,
+        section.tip or next(iter(tips), None),
         section.base,
+        links=links,
         couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[component.si for component in section.gravity],
         payload=None if section.payload is None else _payload(section.payload),
     )
+
+
+def _carrier(section: InstrumentSection) -> str | None:
+    """Return the link that carries a camera, None for the floor, the tip, and for other instruments."""
+    return section.camera_on["link"] if isinstance(section.camera_on, dict) else None
 
 
 def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
@@ -233,24 +252,48 @@ def _refuse(findings: Sequence[Finding]) -> None:
             raise MeasurementError(finding.sentence)
 
 
-def _refuse_unknown_points(
-    job: Job, chosen: Sequence[Measurements], held_out: Sequence[Measurements], path: Path
-) -> None:
-    """Refuse tools and held-out points that nothing was identified with: they would be passed over or be guessed."""
-    points = tuple(dict.fromkeys(point for data in chosen for point in data.tools))
-    known = ", ".join(map(repr, points))
-    for name in job.tools:
-        if name not in points:
-            raise JobError(f"{path}: tools: {name!r} is not a point of the measurements; they have {known}.")
-    for point in points:
-        if job.tools and point not in job.tools:
-            raise JobError(f"{path}: tools: the point {point!r} of the measurements is missing.")
-    for data in held_out:
-        for point in data.tools:
-            if point not in points:
-                raise MeasurementError(
-                    f"{data.where}: the point {point!r} is in no set to identify from; these have {known}."
+def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse tools and set-ups that no row has, and such of rows that are missing where the others are given."""
+    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
+    for what, given, there in (("tools", job.tools, tools), ("setups", job.setups, setups)):
+        for name in given:
+            if name not in there:
+                raise JobError(
+                    f"{path}: {what}: {name!r} is in no measurement; they have {', '.join(map(repr, there))}."
                 )
+    for tool in tools:
+        if job.tools and tool not in job.tools:
+            raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
+    for setup in setups:
+        if job.error_model.base == "fixed" and setup not in (ONLY_SETUP, *job.setups):
+            raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
+    if job.base is not None and ONLY_SETUP not in setups:
+        raise JobError(
+            f"{path}: base: a pose is given, and every measurement has a named set-up: "
+            f"{', '.join(map(repr, setups))}; give it in [setups.NAME]."
+        )
+
+
+def _found_from_held_out(
+    model: ErrorModel, chosen: Sequence[Measurements], held_out: Sequence[Measurements]
+) -> Iterator[Finding]:
+    """Yield the tools and set-ups that only rows held out have."""
+    tools = {tool for data in chosen for tool in data.tools}
+    setups = {setup for data in chosen for setup in data.setups}
+    for data in held_out:
+        names = [("tool", name) for name in data.tools if name not in tools and model.tool != "fixed"]
+        for name in data.setups:
+            known = model.known_base(name)
+            if name not in setups and (known is None or not known.fixed):
+                names.append(("set-up", name))
+        for what, name in names:
+            yield Finding(
+                "warning",
+                "found-from-held-out",
+                f"{data.where}: the {what} {name!r} is in no table to identify from, and is found from the rows that "
+                "judge; where these are few, that flatters them.",
+            )
 
 
 def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
@@ -260,6 +303,8 @@ def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> 
     for name, target in job.targets.items():
         if name not in found:
             raise JobError(f"{path}: targets: {name!r} does not appear in the measurements; they have {listed}.")
+        if not target.says_where:
+            continue
         said = "point" if target.normal is None else "plane"
         # Boards and cameras have a position as points have.
         if found[name] not in (said, "frame" if said == "point" else said):
@@ -333,7 +378,24 @@ def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
         if not _is_folder(root):
             raise JobError(f"{path}: robot.mesh_roots[{i}]: {text!r} is not a folder.")
     examples = (examples_folder().parents[1],) if job.robot.urdf.startswith(EXAMPLE) else ()
-    return (urdf.parent, *named, *examples)
+    return (urdf.parent, *named, *examples, *package_folders(read_bytes(urdf, JobError), urdf))
+
+
+def _meshes_not_found(source: bytes, roots: Sequence[Path], where: str) -> list[Finding]:
+    """Find meshes that the scene will lack, and say the cure."""
+    uris = mesh_uris(source)
+    lost = [uri for uri in uris[:_MOST_MESHES] if find_mesh(uri, roots) is None]
+    if not lost:
+        return []
+    return [
+        Finding(
+            "warning",
+            "meshes-not-found",
+            f"{where}: {len(lost)} of its {len(uris)} meshes are not found, such as {shown(lost[0])}; the scene shows "
+            "sticks, and nothing else needs them. Name the folder above the package in robot.mesh_roots, or source its "
+            "workspace (AMENT_PREFIX_PATH).",
+        )
+    ]
 
 
 def _is_folder(path: Path) -> bool:
@@ -357,8 +419,9 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
             known=Known(
                 None if job.base is None else _placement(job.base),
                 {name: _placement(tool) for name, tool in job.tools.items()},
-                {name: _target(target) for name, target in job.targets.items()},
+                {name: _target(target) for name, target in job.targets.items() if target.says_where},
                 [_relation(relation) for relation in job.relations],
+                _setups(job),
             ),
         )
         free = model.parameters()
@@ -372,6 +435,19 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
 def _placement(frame: FrameSection) -> Array:
     position = np.array([length.si for length in frame.position])
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
+
+
+def _setups(job: Job) -> dict[str, SetUp]:
+    """Return what is known of where the base stood; of the set-up without a name only with a prior."""
+    known = {ONLY_SETUP: job.base} if job.base is not None and job.base.prior is not None else {}
+    return {
+        name: SetUp(
+            _placement(section),
+            None if section.prior is None else _si(section.prior.length),
+            None if section.prior is None else _si(section.prior.angle),
+        )
+        for name, section in (known | job.setups).items()
+    }
 
 
 def _target(section: TargetSection) -> Target:
@@ -408,19 +484,24 @@ def _measurements(
     doubts: list[Finding],
 ) -> Measurements:
     if section.instrument is not None and section.instrument in arms:
-        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, section.columns)
+        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
-        return data
-    data = read_measurements(
-        folder / section.file,
-        robot,
-        section.observes,
-        sigma=(_si(section.sigma), _si(section.sigma_angle)),
-        instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-        offset=section.length_offset,
-        in_order=section.in_order,
-        columns=section.columns,
-    )
+        return data.named(tool=section.tool, setup=section.setup)
+    seen_from = robot.with_tip(section.tip or robot.tip)
+    try:
+        data = read_measurements(
+            folder / section.file,
+            seen_from,
+            section.observes,
+            sigma=(_si(section.sigma), _si(section.sigma_angle)),
+            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+            offset=section.length_offset,
+            in_order=section.in_order,
+            columns=_columns(section),
+        )
+    except HeaderError as e:
+        ready = reading_that_fits(folder / section.file, seen_from, section.observes)
+        raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
@@ -428,7 +509,18 @@ def _measurements(
     names = tuple(section.targets.get(name, name) for name in data.targets)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")
-    return replace(data, targets=names)
+    on = {name: target.on for name, target in job.targets.items() if target.on != FLOOR}
+    link = None if section.instrument is None else _carrier(job.instruments[section.instrument])
+    if link is not None:
+        # The camera is what the rows are about, and the board or mark is on the tip.
+        for name in names:
+            if on.setdefault(name, link) != link:
+                raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
+    return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+
+
+def _columns(section: MeasurementsSection) -> Columns:
+    return Columns(section.columns, section.ignore, section.orientation)
 
 
 def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
@@ -436,7 +528,8 @@ def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
         assert section.camera_on is not None, "the schema asks where a camera is"
         fx, fy, cx, cy = (pixels.si for pixels in (section.fx, section.fy, section.cx, section.cy) if pixels)
         bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
-        return Camera(section.camera_on, fx, fy, cx, cy, *bent, section.sigma.si)
+        place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
+        return Camera(place, fx, fy, cx, cy, *bent, section.sigma.si)
     x, y, z = (length.si for length in section.station)
     return LaserTracker(section.sigma.si, section.sigma_per_metre.si, (x, y, z))
 

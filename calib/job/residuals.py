@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.assessment.gaussian_choice import bought
 from calib.assessment.validation import groups
-from calib.foundations.errors import JobError
+from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
@@ -33,13 +33,16 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
     if section is None:
         return ResidualLevel(None)
+    if len(fit.robot.links) > 1:
+        raise JobError("levels: a residual_model is of one arm with one tip, and the job has several links.")
     sets = inputs.nodes or tuple(data for data in inputs.identify if data.position is not None)
     if not sets:
         raise JobError("levels: the residual_model needs measurements of positions, and there are none.")
     errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
-    base = fit.machine.frames.base
-    tips = [data.tips(fit.robot, fit.deviations) for data in sets]
-    axes = [axes_of(section.frame, base, T) for T in tips]
+    for data in sets:
+        if not fit.knows(data):
+            raise MeasurementError(f"{data.where}: is of a tool or a set-up that is in no table to identify from.")
+    axes = [axes_of(section.frame, fit.bases_of(data), data.tips(fit.robot, fit.deviations)) for data in sets]
     turned = np.concatenate(
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]
     )

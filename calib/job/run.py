@@ -7,6 +7,7 @@ from glob import escape
 
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
+from calib.assessment.suggestions import suggestions
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
@@ -49,11 +50,14 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
             inputs.files,
             inputs.hashes,
             inputs.mesh_roots,
+            {name: said for name, said in inputs.job.about.model_dump().items() if said is not None},
         ),
     )
     if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
-    return replace(found, levels=reports, choice=choice)
+    if choice is None and not inputs.job.levels and trace is None:
+        found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
+    return replace(found, levels=reports, choice=choice).accepting(inputs.job.accept)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
@@ -122,8 +126,8 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
 
 
 def _knowing(fit: Fit, inputs: Inputs) -> Fit:
-    """Return the fit with what the job knows of all targets, also of those that it was not identified from."""
-    return replace(fit, model=replace(fit.model, targets=inputs.targets))
+    """Return the fit with what the job knows of all targets and set-ups, also of those not identified from."""
+    return replace(fit, model=replace(fit.model, targets=inputs.known.targets, setups=inputs.known.setups))
 
 
 def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:

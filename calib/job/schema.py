@@ -4,10 +4,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, create_model
 
+from calib.assessment.judged import Accepted
 from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.job.fields import (
+    AboutDate,
+    AboutWords,
     AnglePrior,
     CompliancePrior,
     CouplingOffset,
@@ -32,8 +35,10 @@ from calib.job.fields import (
     Sigma,
     SigmaAngle,
     at_most,
+    camera_place,
     iterations,
     list_of,
+    orientation_name,
     quantity,
     selection,
     term_option,
@@ -47,6 +52,10 @@ AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()
 _NOTHING, _DOWN = (quantity("gravity")(text) for text in ("0 m/s2", "-9.80665 m/s2"))
 _GRAVITY = (_NOTHING, _NOTHING, _DOWN)
 _ORIGIN = (quantity("position, station, point")("0 m"),) * 3
+
+
+# The word for what does not move; it wins over a link of that name.
+FLOOR = "floor"
 
 
 class _Section(BaseModel):
@@ -78,6 +87,15 @@ class PayloadSection(_Section):
 
     mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
     position: Position = _ORIGIN
+
+
+class AboutSection(_Section):
+    """``[about]``: what the report says of the calibration besides its figures."""
+
+    date: AboutDate | None = None
+    serial: AboutWords | None = None
+    operator: AboutWords | None = None
+    note: AboutWords | None = None
 
 
 class RobotSection(_Section):
@@ -147,22 +165,43 @@ class ErrorModelSection(_Terms):
 
 
 class FrameSection(_Section):
-    """``[base]`` or ``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
+    """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
     position: Position
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
+class BasePriorSection(_Section):
+    """``prior`` of a base: standard deviations of its positions and of its angles."""
+
+    length: Annotated[Quantity, PlainValidator(quantity("prior.length"))]
+    angle: Annotated[Quantity, PlainValidator(quantity("prior.angle"))]
+
+
+class BaseSection(FrameSection):
+    """``[base]``, and ``[setups.NAME]``: where the base stood, exactly, or about where a ``prior`` is given."""
+
+    prior: BasePriorSection | None = None
+
+
 class TargetSection(_Section):
     """``[targets.NAME]``: what is known of a point, a board or camera (position and quaternion), or a plane.
 
-    Of a plane its normal is known, and perhaps its height along it.
+    Of a plane its normal is known, and perhaps its height along it. All of it in the link that the target is ``on``, or
+    in the instrument's frame where it stands on the floor.
     """
+
+    on: Name = FLOOR
 
     position: Position | None = None
     quaternion: Quaternion | None = None
     normal: Direction | None = None
     height: Annotated[Quantity, PlainValidator(quantity("height"))] | None = None
+
+    @property
+    def says_where(self) -> bool:
+        """Whether something is known of the place."""
+        return self.position is not None or self.normal is not None
 
 
 class RelationSection(_Section):
@@ -185,7 +224,7 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor or on the tip, and has OpenCV's numbers.
+    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
@@ -200,7 +239,7 @@ class InstrumentSection(_Section):
     tool: Name | None = None
     point: Position | None = None
     pivot: Name | None = None
-    camera_on: Literal["floor", "tip"] | None = None
+    camera_on: Annotated[Any, BeforeValidator(camera_place)] = None
     fx: FocalLength | None = None
     fy: FocalLength | None = None
     cx: PrincipalPoint | None = None
@@ -255,6 +294,9 @@ class MeasurementsSection(_Section):
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    tip: Name | None = None
+    tool: Name | None = None
+    setup: Name | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
@@ -263,17 +305,22 @@ class MeasurementsSection(_Section):
     hold_out: Share | None = None
     in_order: bool = False
     columns: Annotated[dict[str, str], AT_MOST["measurements.columns"]] = Field(default_factory=dict)
+    ignore: Names = ()
+    orientation: Annotated[str | None, BeforeValidator(orientation_name)] = None
     targets: Annotated[dict[str, Name], AT_MOST["measurements.targets"]] = Field(default_factory=dict)
 
 
 class Job(_Section):
-    """A whole job."""
+    """A whole job. ``accept``: checks of the verdict that the user answers for, and that do not count."""
 
     schema_: Annotated[Literal[1], BeforeValidator(this_schema)] = Field(alias="schema")
+    about: AboutSection = AboutSection()
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()
+    accept: tuple[Accepted, ...] = ()
     solver: SolverSection = SolverSection()
-    base: FrameSection | None = None
+    base: BaseSection | None = None
+    setups: Annotated[dict[str, BaseSection], AT_MOST["setups"]] = Field(default_factory=dict)
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
     instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
     targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)

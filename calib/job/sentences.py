@@ -10,6 +10,7 @@ from pydantic_core import ErrorDetails
 from calib.foundations.words import near, shortened
 from calib.job.fields import as_toml
 from calib.job.schema import (
+    AboutSection,
     ErrorModelSection,
     FrameSection,
     InstrumentSection,
@@ -26,6 +27,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
 _HEADERS: dict[type[BaseModel], str] = {
     Job: "",
+    AboutSection: "[about]",
     RobotSection: "[robot]",
     ErrorModelSection: "[error_model]",
     PriorSection: "prior of [error_model]",

@@ -1,12 +1,12 @@
 """The calibrated machine: what an identification has found, whole, for all that judges or uses it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
@@ -17,7 +17,7 @@ from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.kinds import UNIT_OF
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 
@@ -30,9 +30,11 @@ class CalibratedMachine:
     """A calibrated machine. Made by :func:`machine_of` from a fit, or read by :func:`calib.load_machine`.
 
     ``robot`` and ``deviations``: in the frames of its URDF. ``base`` (4, 4): the robot's base in the instrument's
-    frame; ``tools``: poses (4, 4) in the tip link, by name. ``residual_model``: errors of tool positions that the rest
-    leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where that is not known.
-    ``in_urdf``: the best machine that its URDF can hold, with base and tools of its own, where that is another one.
+    frame, in the set-up named ``setup``; ``others``: likewise in other set-ups, by name. ``tools``: poses (4, 4) in the
+    tip link, by name; ``tool_tips``: the links of tools that are on another one. ``residual_model``: errors of tool
+    positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where
+    that is not known. ``in_urdf``: the best machine that its URDF can hold, with bases and tools of its own, where
+    that is another one.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -44,7 +46,59 @@ class CalibratedMachine:
     tools: Mapping[str, Array]
     residual_model: ResidualModel | None = None
     uncertainty: Uncertainty | None = None
+    setup: str = ONLY_SETUP
+    others: Mapping[str, Array] = field(default_factory=dict)
+    tool_tips: Mapping[str, str] = field(default_factory=dict)
     in_urdf: "CalibratedMachine | None" = None
+
+    @checked
+    def of(self, tool: str) -> "CalibratedMachine":
+        """Return the same machine, its robot looked at the tip that carries a tool.
+
+        Raises MeasurementError for an unknown one.
+        """
+        tip = self.tool_tips.get(self.tool_named(tool), self.robot.links[0] if self.robot.links else self.robot.tip)
+        if tip == self.robot.tip:
+            return self
+        # What is left over was learned at another tip.
+        in_urdf = None if self.in_urdf is None else self.in_urdf.of(tool)
+        return replace(self, robot=self.robot.with_tip(tip), residual_model=None, in_urdf=in_urdf)
+
+    @property
+    def bases(self) -> dict[str, Array]:
+        """The poses (4, 4) of the base in all set-ups, by name, that of ``setup`` first."""
+        return {self.setup: self.base, **self.others}
+
+    @property
+    def layout(self) -> Layout:
+        """Where things stand in the rows of :attr:`Uncertainty.factor`."""
+        return Layout(self.robot, len(self.bases), len(self.tools))
+
+    @checked
+    def at(self, setup: str | None) -> "CalibratedMachine":
+        """Return the same machine as it stood in a named set-up; as it is for None.
+
+        Raises MeasurementError for an unknown one.
+        """
+        bases = self.bases
+        if setup is None:
+            return self
+        if setup not in bases:
+            known = ", ".join(map(repr, bases))
+            raise MeasurementError(f"there is no set-up {setup!r}; the calibrated ones are {known}.")
+        k, start, end = list(bases).index(setup), self.layout.base, self.layout.tools
+        rows = np.arange(self.layout.size)
+        bases_first = rows[start:end].reshape(-1, 6)
+        rows[start:end] = np.concatenate([bases_first[k : k + 1], bases_first[:k], bases_first[k + 1 :]]).ravel()
+        known_too = None
+        if self.uncertainty is not None:
+            factor, null_basis = (
+                read_only(part[rows]) for part in (self.uncertainty.factor, self.uncertainty.null_basis)
+            )
+            known_too = replace(self.uncertainty, factor=factor, null_basis=null_basis)
+        others = {name: base for name, base in bases.items() if name != setup}
+        in_urdf = None if self.in_urdf is None else self.in_urdf.at(setup)
+        return replace(self, setup=setup, base=bases[setup], others=others, uncertainty=known_too, in_urdf=in_urdf)
 
     @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -62,7 +116,7 @@ class CalibratedMachine:
 
         Raises MeasurementError for an unknown tool, and as :meth:`tips` does.
         """
-        return np.asarray(self.base @ self.tips(readings, conditions) @ self.tools[self.tool_named(tool)])
+        return np.asarray(self.base @ self.of(tool).tips(readings, conditions) @ self.tools[tool])
 
     @checked
     def tool_jacobian(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -72,7 +126,7 @@ class CalibratedMachine:
         rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
         """
         number = list(self.tools).index(self.tool_named(tool))
-        return tool_jacobian(self.robot, self.state, readings, conditions, number)
+        return tool_jacobian(self.of(tool).robot, self.state, readings, conditions, number)
 
     @checked
     def residuals(self, data: Measurements) -> Array:
@@ -82,7 +136,7 @@ class CalibratedMachine:
         """
         if data.position is None:
             raise MeasurementError(f"{data.where}: a machine by itself predicts positions and poses, not {data.kind}.")
-        (r,) = residuals(self.robot, [self.with_own_tools(data)], self.state)
+        (r,) = residuals(self.robot, [self.with_own_names(data)], self.state)
         return self.less_shifts(r, data)
 
     def less_shifts(self, residuals: Array, data: Measurements) -> Array:
@@ -90,18 +144,33 @@ class CalibratedMachine:
         if self.residual_model is None:
             return residuals
         found = np.array(residuals)
-        found[:, :3] -= self.residual_model.shifts(self.base, data.tips(self.robot, self.deviations), data.readings)
+        if data.tip and data.tip != self.robot.tip:
+            return residuals
+        tips = data.tips(self.robot, self.deviations)
+        for name, number in zip(data.setups, range(len(data.setups)), strict=True):
+            rows = data.setup == number
+            if name in self.bases and rows.any():
+                found[rows, :3] -= self.residual_model.shifts(self.bases[name], tips[rows], data.readings[rows])
         return found
 
-    def with_own_tools(self, data: Measurements) -> Measurements:
-        """Return the data with their tools numbered as the machine's. Raises MeasurementError for others."""
-        own = tuple(self.tools)
-        for tool in data.tools:
-            if tool not in own:
-                known = ", ".join(map(repr, own))
-                raise MeasurementError(f"{data.where}: tool point {tool!r} was not identified; known are {known}.")
-        number = np.array([own.index(tool) for tool in data.tools], dtype=np.intp)
-        return replace(data, tools=own, tool=number[data.tool])
+    def with_own_names(self, data: Measurements) -> Measurements:
+        """Return the data with tools and set-ups numbered as the machine's. Raises MeasurementError for others."""
+
+        def numbers(what: str, own: Sequence[str], names: Sequence[str]) -> IntArray:
+            for name in names:
+                if name not in own:
+                    known = ", ".join(map(repr, own))
+                    raise MeasurementError(f"{data.where}: the {what} {name!r} was not identified; known are {known}.")
+            return np.array([own.index(name) for name in names], dtype=np.intp)
+
+        for name in (data.tools[k] for k in np.unique(data.tool)):
+            if name in self.tools and data.tip and (tip := self.of(name).robot.tip) != data.tip:
+                raise MeasurementError(
+                    f"{data.where}: the tool {name!r} is on {tip!r}, and the rows are of {data.tip!r}."
+                )
+        tools, setups = tuple(self.tools), tuple(self.bases)
+        number, place = numbers("tool", tools, data.tools), numbers("set-up", setups, data.setups)
+        return replace(data, tools=tools, tool=number[data.tool], setups=setups, setup=place[data.setup])
 
     @property
     def state(self) -> Machine:
@@ -114,7 +183,9 @@ class CalibratedMachine:
 
         tools = np.array(list(self.tools.values())).reshape(-1, 4, 4)
         by_tool = np.array([twists(T) for T in tools]).reshape(-1, 6, 6)
-        return Machine(self.deviations, Frames(self.base, tools), twists(self.base), by_tool, np.zeros((0, 6, 6)))
+        bases = np.array(list(self.bases.values()))
+        by_base = np.array([twists(T) for T in bases])
+        return Machine(self.deviations, Frames(bases, tools), by_base, by_tool, np.zeros((0, 6, 6)))
 
     @property
     def geometry(self) -> "CalibratedMachine":
@@ -156,19 +227,39 @@ def machine_of(fit: Fit, residual_model: ResidualModel | None = None) -> Calibra
 
     ``residual_model``: what it adds to positions. Raises JobError when the fit has no tool.
     """
-    frames = fit.machine.frames
-    names = fit.measurements[0].tools
-    if not names:
+    if not fit.measurements[0].tools:
         raise JobError("the fit has no tool: a machine has one or more.")
-    tools = {name: read_only(T) for name, T in zip(names, frames.tools, strict=True)}
-    return CalibratedMachine(
-        fit.robot, fit.deviations, read_only(frames.base), tools, residual_model, _uncertainty(fit)
+    found = replace(assembled(fit, as_named=False), residual_model=residual_model, uncertainty=_uncertainty(fit))
+    return _in_default_setup(found)
+
+
+def assembled(fit: Fit, *, as_named: bool = True) -> CalibratedMachine:
+    """Return the machine of a fit without its uncertainty; ``as_named``: in the set-up without a name, if there is one.
+
+    Else it is in the first set-up of the fit, as the rows of its state are.
+    """
+    frames, names = fit.machine.frames, fit.measurements[0]
+    setup, *others = names.setups
+    found = CalibratedMachine(
+        fit.robot,
+        fit.deviations,
+        read_only(frames.bases[0]),
+        {name: read_only(T) for name, T in zip(names.tools, frames.tools, strict=True)},
+        setup=setup,
+        others={name: read_only(T) for name, T in zip(others, frames.bases[1:], strict=True)},
+        tool_tips=fit.tool_tips,
     )
+    return _in_default_setup(found) if as_named else found
+
+
+def _in_default_setup(machine: CalibratedMachine) -> CalibratedMachine:
+    return machine.at(ONLY_SETUP) if ONLY_SETUP in machine.others else machine
 
 
 def _uncertainty(fit: Fit) -> Uncertainty:
-    readings = np.concatenate([end.readings for data in fit.measurements for end in data.ends])
-    identified = np.stack([readings.min(axis=0), readings.max(axis=0)], axis=1)
+    told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
+    readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
+    identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
     doubts = doubts_of(fit, identified)
     state = _to_state(fit, doubts.parameters, doubts.at) * scales(doubts.parameters)
     parts = (doubts.instrument, doubts.unseen, doubts.scatter, doubts.waves)
@@ -197,14 +288,20 @@ def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Ar
     parts = [to_state[: own.offsets], to_state[own.offsets : own.base]]
     if fit.model.dh is not None:
         parts[0] = fit.model.dh.source_rates(machine.deviations) @ parts[0]
-    frames = np.concatenate([machine.frames.base[None], machine.frames.tools])
-    twists = np.concatenate([machine.base_twists[None], machine.tool_twists])
+    frames = np.concatenate([machine.frames.bases, machine.frames.tools])
+    twists = np.concatenate([machine.base_twists, machine.tool_twists])
     for k, (T, W) in enumerate(zip(frames, twists, strict=True)):
         local = W @ to_state[own.base + 6 * k : own.base + 6 * k + 6]
         parts.append(np.concatenate([T[:3, :3] @ local[:3], local[3:]]))
     state = np.concatenate(parts)
-    assert len(state) == Layout(fit.robot, len(machine.frames.tools)).size, "one state of the machine, two ways"
+    counts = len(machine.frames.bases), len(machine.frames.tools)
+    assert len(state) == Layout(fit.robot, *counts).size, "one state of the machine, two ways"
     return state
+
+
+def _told(data: Measurements, readings: Array) -> Array:
+    """Return readings (N, nr), nan where no column told them."""
+    return np.where([name in data.absent for name in data.reading_names], np.nan, readings)
 
 
 def _factor(covariance: Array, s: Array) -> Array:

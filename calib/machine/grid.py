@@ -168,8 +168,11 @@ class SectorGrid:
 
 
 def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
-    """Return the axes (N, 3, 3) of a grid's frame in the instrument's; arguments as for :meth:`SectorGrid.shifts`."""
-    turned = base[:3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
+    """Return the axes (N, 3, 3) of a grid's frame in the instrument's.
+
+    Arguments as for :meth:`SectorGrid.shifts`; ``base`` also (N, 4, 4), of every row.
+    """
+    turned = base[..., :3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
     return np.broadcast_to(turned, (len(tips), 3, 3))
 
 

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from glob import escape
 
-from calib.foundations.arrays import read_only
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
-from calib.machine.calibrated import CalibratedMachine
+from calib.machine.calibrated import CalibratedMachine, assembled
 from calib.measurement.measurements import Measurements
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
@@ -25,16 +24,14 @@ def robot_in_urdf(robot: Robot) -> Robot | None:
 
     None where its joints do not take the same readings.
     """
-    plain = load_robot(robot.urdf, robot.tip, robot.base)
+    plain = load_robot(robot.urdf, robot.tip, robot.base, links=robot.links)
     same = [reading.name for reading in plain.readings] == [reading.name for reading in robot.readings]
     return plain if same else None
 
 
 def machine_in_urdf(fit: Fit) -> CalibratedMachine:
     """Return the machine of what :func:`fit_in_urdf` has found; nothing is said of its uncertainty."""
-    frames, names = fit.machine.frames, fit.measurements[0].tools
-    tools = {name: read_only(T) for name, T in zip(names, frames.tools, strict=True)}
-    return CalibratedMachine(fit.robot, fit.deviations, read_only(frames.base), tools)
+    return assembled(fit)
 
 
 def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit | None:
@@ -66,12 +63,12 @@ def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit |
         null_space="nearest" if fit.policy == "refuse" else fit.policy,
         losses=[losses.get(data.where, "linear") for data in own],
     )
-    return replace(found, model=replace(found.model, targets=fit.model.targets))
+    return replace(found, model=replace(found.model, targets=fit.model.targets, setups=fit.model.setups))
 
 
 def _moved(fit: Fit) -> set[str]:
     """Return the names of parameters that a fit has found, or holds at what an earlier level has found."""
-    known = fit.model.parameters(fit.measurements[0].tools)
+    known = fit.model.parameters(fit.measurements[0].tools, fit.measurements[0].setups)
     values = values_at(fit.model.robot, known, fit.machine.frames, fit.machine.deviations)
     earlier = {parameter.name for parameter, value in zip(known, values, strict=True) if value != 0.0}
     return earlier | {parameter.name for parameter in (*fit.parameters, *fit.held)}

@@ -33,6 +33,7 @@ from calib.machine.in_urdf import robot_in_urdf
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
+from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.gravity import STANDARD_GRAVITY, Payload
 from calib.robot.joint_terms import foreign, with_joint_terms
 from calib.robot.load import load_robot
@@ -148,11 +149,16 @@ class GeometryEntry(_Strict):
 
     joints: tuple[JointEntry, ...]
     base: PoseEntry
+    setups: dict[str, PoseEntry] = {}
     tools: dict[str, PoseEntry]
 
 
 class ModelFile(_Strict):
-    """Schema 1 of ``model.json``. Lengths in m, angles in rad."""
+    """Schema 1 of ``model.json``. Lengths in m, angles in rad.
+
+    ``base``: in the set-up named ``setup``; ``setups``: the base in the others. ``links``: the tip and other links that
+    the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     urdf: Literal["nominal.urdf"]
@@ -161,7 +167,11 @@ class ModelFile(_Strict):
     joints: tuple[JointEntry, ...]
     transmission: tuple[CouplingEntry, ...]
     base: PoseEntry
+    setup: str = ONLY_SETUP
+    setups: dict[str, PoseEntry] = Field(default_factory=dict)
     tools: dict[str, PoseEntry]
+    links: tuple[str, ...] = ()
+    tool_tips: dict[str, str] = Field(default_factory=dict)
     residual_model: ResidualFile | None = None
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
@@ -169,6 +179,12 @@ class ModelFile(_Strict):
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: Payload | None = None
     in_urdf: GeometryEntry | None = None
+
+    @model_validator(mode="after")
+    def _has_each_setup_once(self) -> "ModelFile":
+        if self.setup in self.setups:
+            raise ValueError("a set-up has one pose of the base")
+        return self
 
 
 def residual_file(known: ResidualModel | None) -> ResidualFile | None:
@@ -189,7 +205,11 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         joints=_joints(machine),
         transmission=_transmission(robot),
         base=PoseEntry.of(machine.base),
+        setup=machine.setup,
+        setups={name: PoseEntry.of(T) for name, T in machine.others.items()},
         tools=_tools(machine),
+        links=robot.links if len(robot.links) > 1 else (),
+        tool_tips=dict(machine.tool_tips),
         residual_model=residual_file(machine.residual_model),
         couplings=robot.couplings,
         loops=robot.closed_loops,
@@ -203,7 +223,12 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         payload=robot.payload,
         in_urdf=None
         if geometry is None
-        else GeometryEntry(joints=_joints(geometry), base=PoseEntry.of(geometry.base), tools=_tools(geometry)),
+        else GeometryEntry(
+            joints=_joints(geometry),
+            base=PoseEntry.of(geometry.base),
+            setups={name: PoseEntry.of(T) for name, T in geometry.others.items()},
+            tools=_tools(geometry),
+        ),
     )
 
 
@@ -263,6 +288,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
             model.tip,
             model.base_link,
+            links=model.links,
             couplings=model.couplings,
             loops=model.loops,
             gravity=model.gravity,
@@ -280,11 +306,16 @@ def _loaded(folder: Path) -> CalibratedMachine:
     deviations = replace(_deviations(model.joints), terms=read_only([term.coefficient for term in model.terms]))
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
-    in_urdf = None if model.in_urdf is None else _geometry(robot, model.in_urdf, path)
-    path = folder / UNCERTAINTY_FILE
-    uncertainty = load_uncertainty(path, equipped, len(tools)) if tools and os.path.lexists(path) else None
+    if alien := [name for name, tip in model.tool_tips.items() if name not in tools or tip not in robot.links]:
+        raise OutputError(f"{path}: the tool {alien[0]!r} is on no link of {NOMINAL_FILE}.")
+    others = {name: read_only(other.placement) for name, other in model.setups.items()}
+    in_urdf = None if model.in_urdf is None else _geometry(robot, model, model.in_urdf, path)
+    path, counts = folder / UNCERTAINTY_FILE, (1 + len(others), len(tools))
+    uncertainty = load_uncertainty(path, equipped, *counts) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
-    return CalibratedMachine(equipped, deviations, base, tools, residuals, uncertainty, in_urdf=in_urdf)
+    return CalibratedMachine(
+        equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips, in_urdf
+    )
 
 
 def _refuse_other_joints(robot: Robot, joints: Sequence[JointEntry], path: Path) -> None:
@@ -297,12 +328,22 @@ def _deviations(joints: Sequence[JointEntry]) -> Deviations:
     return Deviations(read_only([joint.deviation for joint in joints]), read_only(offsets))
 
 
-def _geometry(robot: Robot, entry: GeometryEntry, path: Path) -> CalibratedMachine:
+def _geometry(robot: Robot, model: ModelFile, entry: GeometryEntry, path: Path) -> CalibratedMachine:
     """Return the machine of the calibrated URDF; ``robot`` is the whole one, without its terms."""
     held = (robot_in_urdf(robot) if robot.loops or robot.couplings else None) or robot
     _refuse_other_joints(held, entry.joints, path)
     tools = {name: read_only(tool.placement) for name, tool in entry.tools.items()}
-    return CalibratedMachine(held, _deviations(entry.joints), read_only(entry.base.placement), tools)
+    if tools.keys() != model.tools.keys() or entry.setups.keys() != model.setups.keys():
+        raise OutputError(f"{path}: in_urdf has other tools or set-ups than the machine.")
+    return CalibratedMachine(
+        held,
+        _deviations(entry.joints),
+        read_only(entry.base.placement),
+        tools,
+        setup=model.setup,
+        others={name: read_only(other.placement) for name, other in entry.setups.items()},
+        tool_tips=model.tool_tips,
+    )
 
 
 def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> SectorGrid | GaussianResiduals | None:

@@ -23,7 +23,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.identification.machine import Machine
-from calib.identification.system import Problem, blocks
+from calib.identification.system import Block, Problem, blocks
 from calib.machine.uncertainty import Waves
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions
@@ -59,7 +59,7 @@ class Systematic:
 
     def __init__(self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array) -> None:
         self._problem, self._at, self._sigmas, self._waves, self._units = problem, at, sigmas, waves, units
-        self._tip = TipModel(problem.model.robot, at.deviations)
+        self._tips: dict[str, TipModel] = {}
         self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
 
     @property
@@ -74,7 +74,7 @@ class Systematic:
         for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
             own = [(c, component.columns) for c, component in components if component.measurements == i]
             for block in blocks(problem, data, self._at, self._units):
-                B = np.concatenate([self._waved(data, block.rows, block.moved), self._drifted(i, block.rows)], axis=2)
+                B = np.concatenate([self._waved(data, block), self._drifted(i, block.rows)], axis=2)
                 B[:, :, : self._waves.many] /= sigma[block.rows, :, None]
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 whole /= sigma[block.rows, :, None]
@@ -82,14 +82,26 @@ class Systematic:
                 for c, columns in own:
                     yield SystematicRows(c, whole[:, columns].reshape(-1, whole.shape[2]))
 
-    def _waved(self, data: Measurements, rows: slice, moved: Sequence[tuple[Array, Array]]) -> Array:
-        frames = self._at.frames
-        found = np.zeros((len(moved[0][0]), data.sigma.shape[1], self._waves.many))
-        for end, (twist, _) in zip(data.ends, moved, strict=True):
-            readings = end.readings[rows]
-            by_reading = twist @ driven(self._tip, frames.tools[end.tool[rows]], readings, end.conditions.subset(rows))
-            found += self._waves.at(readings, by_reading)
+    def _waved(self, data: Measurements, block: Block) -> Array:
+        frames, rows = self._at.frames, block.rows
+        found = np.zeros((len(block.J), data.sigma.shape[1], self._waves.many))
+        for end, (twist, placed) in zip(data.ends, block.moved, strict=True):
+            readings, told = end.readings[rows], end.conditions.subset(rows)
+            by_reading = driven(self._tip(data.tip), frames.tools[end.tool[rows]], readings, told)
+            for link, own in block.grounds:
+                if link is not None:
+                    # The observer moves as well: what is seen from it moves the other way.
+                    _, seat = self._tip(link).driven(readings[own], told.subset(own))
+                    by_reading[own] -= rigid.adjoint(rigid.inverse(placed[own])) @ seat
+            found += self._waves.at(readings, twist @ by_reading)
         return found
+
+    def _tip(self, link: str) -> TipModel:
+        """Return the model of a link's motion; "" is the robot's tip."""
+        if link not in self._tips:
+            robot = self._problem.model.robot
+            self._tips[link] = TipModel(robot.with_tip(link or robot.tip), self._at.deviations)
+        return self._tips[link]
 
     def _drifted(self, i: int, rows: slice) -> Array:
         N, d = self._problem.measurements[i].sigma.shape

@@ -29,7 +29,8 @@ def tool_jacobian(robot: Robot, at: Machine, readings: Array, conditions: Condit
     J[:, :, : layout.terms] = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
     J[:, :, layout.terms : layout.base] = motion.by_terms
     J[:, :, : layout.base] = rigid.adjoint(rigid.inverse(T_tool)) @ J[:, :, : layout.base]
-    J[:, :, layout.base : layout.tools] = rigid.adjoint(rigid.inverse(placed)) @ at.base_twists
+    # The first set-up is the one that is looked at.
+    J[:, :, layout.base : layout.base + 6] = rigid.adjoint(rigid.inverse(placed)) @ at.base_twists[0]
     J[:, :, layout.tools + 6 * tool : layout.tools + 6 * tool + 6] = at.tool_twists[tool]
     J[:, :3] = (at.frames.base @ placed)[:, :3, :3] @ J[:, :3]
     return J

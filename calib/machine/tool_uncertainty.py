@@ -18,7 +18,6 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.foundations.units import DISPLAY_OF
-from calib.identification.machine import Layout
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
@@ -54,7 +53,7 @@ def tool_uncertainty(
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
     told = conditions or ordinary(found)
-    view = _View(machine, tool, base, tool_pose)
+    view = _View(machine.of(tool), tool, base, tool_pose)
     parts = []
     with one_thread():
         for start in range(0, len(found), _BLOCK):
@@ -77,21 +76,26 @@ def tool_errors(
     """
     found, known = _readings(machine, readings), machine.known_uncertainty
     told = conditions or ordinary(found)
-    view = _View(machine, tool, base=True, tool_pose=True)
+    view = _View(machine.of(tool), tool, base=True, tool_pose=True)
     with one_thread():
         blocks = [slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)]
         return np.concatenate([_errors(view, known, found[rows], told.subset(rows)) for rows in blocks])
 
 
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
-    """Return :func:`tool_errors` (N, 3 or 6, r) at the rows of ``data``, of whose tools each was measured with."""
+    """Return :func:`tool_errors` (N, 3 or 6, r) at the rows of ``data``, each with its own tool and set-up.
+
+    Raises MeasurementError for a tool or a set-up that was not identified.
+    """
     size, known = data.sigma.shape[1], machine.known_uncertainty
     found = np.zeros((len(data), size, known.factor.shape[1]))
-    for k, tool in enumerate(data.tools):
-        rows = np.flatnonzero(data.tool == k)
-        if len(rows):
-            own = data.conditions.subset(rows)
-            found[rows] = tool_errors(machine, data.readings[rows], tool, conditions=own)[:, :size]
+    for s, setup in enumerate(data.setups):
+        there = machine.at(setup) if np.any(data.setup == s) else machine
+        for k, tool in enumerate(data.tools):
+            rows = np.flatnonzero((data.tool == k) & (data.setup == s))
+            if len(rows):
+                own = data.conditions.subset(rows)
+                found[rows] = tool_errors(there, data.readings[rows], tool, conditions=own)[:, :size]
     return found
 
 
@@ -232,7 +236,7 @@ def tool_motions(
 
     Other arguments and axes as of :func:`tool_uncertainty`.
     """
-    layout, changes = Layout(machine.robot), np.array(columns)
+    layout, changes = machine.layout, np.array(columns)
     if not base:
         changes[layout.base : layout.tools] = 0.0
     if not tool_pose:

@@ -19,9 +19,9 @@ from calib.measurement.checks import Finding, table_findings
 from calib.measurement.columns import stacked
 from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.conditions import refuse_lacking
-from calib.measurement.from_table import measurements_from_table
+from calib.measurement.from_table import Joints, measurements_from_table
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, read_table
+from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, Columns, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Robot
 
@@ -51,7 +51,7 @@ class TouchingArm:
 
 @checked
 def touched(
-    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] = AS_WRITTEN
+    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] | Columns = AS_WRITTEN
 ) -> tuple[Measurements, tuple[Finding, ...]]:
     """Return what a table of touched points says of ``robot``, and what looks wrong with the arm's readings.
 
@@ -92,6 +92,12 @@ def touched(
     )
     rest = {name: column for name, column in table.columns.items() if name not in own and name not in told}
     return (
-        measurements_from_table(replace(table, columns=rest | position), robot.readings, "position", sigma=arm.sigma),
+        measurements_from_table(
+            replace(table, columns=rest | position),
+            robot.readings,
+            "position",
+            sigma=arm.sigma,
+            joints=Joints.of(robot),
+        ),
         tuple(finding for finding in doubts if finding.code in _OF_READINGS),
     )

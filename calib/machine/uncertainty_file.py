@@ -68,7 +68,7 @@ class UncertaintyFile(_Strict):
 
     Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor``
     and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move, then x, y, z, rx,
-    ry, rz of the base and of every tool.
+    ry, rz of the base, of the base in every other set-up, and of every tool.
     """
 
     schema_: Literal[1, 2] = Field(alias="schema")
@@ -121,8 +121,8 @@ def _are_of(waves: WavesEntry, names: Sequence[str]) -> bool:
     return list(waves.period) == list(waves.width) == list(names)
 
 
-def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
-    """Read the uncertainty of the machine of ``model.json``, which has so many tools.
+def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncertainty:
+    """Read the uncertainty of the machine of ``model.json``, which has so many set-ups and tools.
 
     Raises OutputError when the file does not belong to it.
     """
@@ -131,7 +131,7 @@ def load_uncertainty(path: Path, robot: Robot, tools: int) -> Uncertainty:
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
-    size = Layout(robot, tools).size
+    size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
     waves = None

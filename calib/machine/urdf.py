@@ -56,14 +56,17 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
 def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     """Return the calibrated document: only origins differ from the nominal one, byte for byte.
 
-    Before it is returned it is read back and compared with the calibrated machine, joint terms left out, at the tip;
+    Before it is returned it is read back and compared with the calibrated machine, joint terms left out, at its tips;
     raises OutputError if they differ.
     """
     document = splice_origins(robot.urdf.source, calibrated_origins(robot, deviations), robot.urdf.where)
     again = with_document(robot, parse_urdf(document, "the calibrated URDF"))
     readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
     plain = replace(deviations, terms=np.zeros_like(deviations.terms))
-    difference = float(np.max(np.abs(again.tips(readings) - robot.tips(readings, plain))))
+    difference = max(
+        float(np.max(np.abs(again.with_tip(link).tips(readings) - robot.with_tip(link).tips(readings, plain))))
+        for link in robot.links or (robot.tip,)
+    )
     if not difference < _ROUNDING:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
     return document

@@ -109,7 +109,7 @@ def _columns(
         p = _rows(xyz, 3, "xyz")
         columns |= {f"{axis} [m]": p[:, k] for k, axis in enumerate("xyz")}
     if tool is not None:
-        columns["point"] = _names(tool, len(q), "tool")
+        columns["tool"] = _names(tool, len(q), "tool")
     return columns
 
 

@@ -10,6 +10,8 @@ from calib.foundations.errors import MeasurementError
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+# What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
+_COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
 _LINE_END = re.compile(rb"\r\n?|\n")
 
 
@@ -22,35 +24,64 @@ class Line(NamedTuple):
 
 
 def lines(data: bytes, where: str) -> Iterator[list[Line]]:
-    """Yield the lines of UTF-8 text that are neither blank nor comments, in blocks of one or more.
+    """Yield the lines of a text that are neither blank nor comments, in blocks of one or more.
 
-    Raises MeasurementError where the text is none, or a line is longer than 100 000 characters.
+    ``data`` is what :func:`in_bytes` returned. Raises MeasurementError where the text is none, or a line is longer than
+    100 000 characters.
     """
-    if data.startswith(_UTF16_MARKS):
-        raise MeasurementError(f"{where}: is UTF-16 text; save it as UTF-8.")
+    for every in _blocks(data, where):
+        if found := [line for line in every if not is_comment(line.text)]:
+            yield found
+
+
+def is_comment(line: str) -> bool:
+    """Return whether a line is a comment: it begins with ``#`` or, as exporters have it, with ``//`` or ``%``."""
+    return _COMMENT.match(line) is not None
+
+
+def in_bytes(data: bytes, where: str) -> bytes:
+    """Return a text in bytes of which a line end is one: UTF-16 with its mark as UTF-8, all else as it is."""
+    if not data.startswith(_UTF16_MARKS):
+        return data
+    try:
+        return data.decode("utf-16").encode()
+    except UnicodeError as e:
+        raise MeasurementError(f"{where}: is not whole UTF-16 text; save it as UTF-8.") from e
+
+
+def beginning(data: bytes, where: str) -> list[Line]:
+    """Return the first lines, comments among them, that are not blank: those of the first block that has any."""
+    return next(_blocks(data, where), [])
+
+
+def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
     start, number = len(b"\xef\xbb\xbf") if data.startswith(b"\xef\xbb\xbf") else 0, 1
     while start < len(data):
         end = _end_of_block(data, start)
-        try:
-            text = data[start:end].decode()
-        except UnicodeDecodeError as e:
-            at = _line_at(data, start + e.start)
-            raise MeasurementError(f"{where}:{at}: is not UTF-8 text; save it as UTF-8.") from e
+        text = _decoded(data[start:end], data, start, where)
         # splitlines() would also split at form feeds and the like, and number the lines as no editor does.
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        found = [
-            Line(number + k, line, k < len(every) - 1)
-            for k, line in enumerate(every)
-            if line.strip() and not line.lstrip().startswith("#")
-        ]
+        found = [Line(number + k, line, k < len(every) - 1) for k, line in enumerate(every) if line.strip()]
         for k, line, _ in found:
             if len(line) > LONGEST_LINE:
                 raise MeasurementError(f"{where}:{k}: is longer than the {LONGEST_LINE} characters that are allowed.")
         if found:
             yield found
         start, number = end, number + len(every) - 1
+
+
+def _decoded(block: bytes, data: bytes, start: int, where: str) -> str:
+    """Return UTF-8 text; or, where a block is none, what a spreadsheet of western Europe writes (cp1252)."""
+    try:
+        return block.decode()
+    except UnicodeDecodeError as e:
+        try:
+            return block.decode("cp1252")
+        except UnicodeDecodeError:
+            at = _line_at(data, start + e.start)
+            raise MeasurementError(f"{where}:{at}: is not UTF-8 text; save it as UTF-8.") from e
 
 
 def _end_of_block(data: bytes, start: int) -> int:
@@ -69,17 +100,13 @@ def _line_at(data: bytes, offset: int) -> int:
     return data.count(b"\n", 0, offset) + data.count(b"\r", 0, offset) - data.count(b"\r\n", 0, offset) + 1
 
 
-def separator_of(titles: str, at: str) -> str:
-    """Return what separates the cells below a header line: commas, or semicolons where a header has no comma."""
-    if "\t" in titles and "," not in titles and ";" not in titles:
-        raise MeasurementError(f"{at}: the cells are separated by tabs; separate them by commas.")
-    return ";" if ";" in titles and "," not in titles else ","
-
-
 def cells(line: str, separator: str, at: str) -> list[str]:
-    """Return the cells of one line. A row never goes over several, so that an open quote is found where it stands."""
+    """Return the cells of one line. A row never goes over several, so that an open quote is found where it stands.
+
+    Where a blank is the separator, several of them, and tabs, are one.
+    """
     if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
+        return line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
     try:
         (found,) = csv.reader((line,), delimiter=separator, strict=True, skipinitialspace=True)
     except csv.Error as e:

@@ -5,7 +5,7 @@ below with their reasons; all are far from what real data show.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -52,16 +52,41 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     """
     if len(measurements) == 0:
         return ()
+    told = [k for k, name in enumerate(measurements.reading_names) if name not in measurements.absent]
     return (
-        *_beyond_limits(measurements, readings),
-        *_radians_as_degrees(measurements, readings),
-        *_at_rest(measurements),
-        *_spread(measurements, reach),
+        *_of_readings(_only(measurements, told), [readings[k] for k in told]),
+        *_unused(measurements),
+        *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
         *_repeated(measurements),
     )
 
 
 # ---- readings
+
+
+def _of_readings(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
+    yield from _beyond_limits(m, readings)
+    yield from _radians_as_degrees(m, readings)
+    yield from _at_rest(m)
+
+
+def _only(m: Measurements, told: Sequence[int]) -> Measurements:
+    """Return the rows with those readings alone that columns tell."""
+    if len(told) == len(m.reading_names):
+        return m
+    other = None if m.other is None else replace(m.other, readings=m.other.readings[:, told])
+    names = tuple(m.reading_names[k] for k in told)
+    return replace(m, reading_names=names, readings=m.readings[:, told], other=other)
+
+
+def _unused(m: Measurements) -> Iterable[Finding]:
+    if m.unused:
+        names = ", ".join(map(repr, m.unused))
+        yield Finding(
+            "warning",
+            "joint-unused",
+            f"{m.where}: joints that move nothing that was measured, and are left out: {names}.",
+        )
 
 
 def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
@@ -142,7 +167,7 @@ def _excess(values: Array, readings: Sequence[Reading]) -> Array:
 
 
 def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
-    if m.position is None:
+    if m.position is None or not len(m):
         return
     # The median row stands for all of them, so that one wild row is not taken for a wrong unit.
     distance = np.linalg.norm(m.position - np.median(m.position, axis=0), axis=-1)
@@ -176,7 +201,16 @@ def _repeated(m: Measurements) -> Iterable[Finding]:
     position = none if m.position is None else m.position
     orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
     other = none if m.other is None else np.hstack([m.other.readings, m.other.tool[:, None]])
-    rows = np.hstack([m.readings, position, orientation, m.value, other, m.tool[:, None], m.target[:, None]])
+    rows = np.hstack(
+        [
+            m.readings,
+            position,
+            orientation,
+            m.value,
+            other,
+            *(number[:, None] for number in (m.tool, m.setup, m.target)),
+        ]
+    )
     _, first = np.unique(rows, axis=0, return_index=True)
     again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
     if again.size:

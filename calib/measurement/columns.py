@@ -9,7 +9,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.rigid import rotation_of_quaternion
 from calib.foundations.units import Dimension, Unit, unit_of
-from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, HeaderError, Table, nearest
 
 # Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
 _NORM_TOLERANCE = 1e-3
@@ -19,7 +19,7 @@ BOARD = ("board_x", "board_y", "board_z")
 _EULER = ("rx", "ry", "rz")
 SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
-_KNOWN = frozenset(
+KNOWN = frozenset(
     (
         *POSITION,
         *QUATERNION_COLUMNS,
@@ -35,35 +35,45 @@ def require(table: Table, names: Iterable[str], what: str) -> None:
     missing = [name for name in names if name not in table.columns]
     if missing:
         listed, there = (", ".join(map(repr, some)) for some in (missing, table.columns))
-        raise MeasurementError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
+        raise HeaderError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
 
 
-def refuse_unknown(table: Table, readings: Iterable[str], unread: Collection[str] = ()) -> None:
+def refuse_unknown(
+    table: Table, readings: Iterable[str], unread: Collection[str] = (), idle: Collection[str] = ()
+) -> None:
     """Refuse a column that would be passed over in silence, and a joint with the name of another column.
 
-    ``unread``: joints of the URDF that no column tells.
+    ``unread``: joints of the URDF that no column tells; ``idle``: such as may have a column that nothing needs.
     """
     joints = frozenset(readings)
-    for name in sorted(joints & _KNOWN):
-        raise MeasurementError(
+    for name in sorted(joints & KNOWN):
+        raise HeaderError(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
-    known = joints | _KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in joints}
+    moving = {*joints, *idle}
+    known = moving | KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in moving}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name in unread:
-            raise MeasurementError(
-                f"{table.where}: column {name!r} is of a joint that is not read: it is fixed, follows others, or is "
-                "not between base and tip; leave the column out."
+            raise HeaderError(
+                f"{table.where}: column {name!r} is of a joint that is not read: it is fixed or follows others; leave "
+                "the column out."
             )
         if name not in known and name not in _EULER:
             near = nearest(name, sorted(known - table.columns.keys()))
-            raise MeasurementError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
+            raise HeaderError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
 
 
 def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
     """Return columns (N, k) in SI units. Raises MeasurementError for one that is not in a unit of its dimension."""
     columns = [numbers(table, name, dimension) for name, dimension in dimensions.items()]
+    return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
+
+
+def filled(table: Table, dimensions: dict[str, Dimension]) -> Array:
+    """Return columns (N, k) in SI units, zeros where there is none. Raises as :func:`stacked` does."""
+    none = np.zeros(len(table))
+    columns = [numbers(table, name, d) if name in table.columns else none for name, d in dimensions.items()]
     return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
 
 
@@ -88,9 +98,9 @@ def orientations(table: Table) -> Array:
     Raises MeasurementError when one is missing, or a quaternion is not of unit length.
     """
     if any(name in table.columns for name in _EULER) and "qw" not in table.columns:
-        raise MeasurementError(
-            f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; "
-            "convert them to quaternions qw, qx, qy, qz."
+        raise HeaderError(
+            f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; give orientation, "
+            "or convert them to quaternions qw, qx, qy, qz."
         )
     require(table, QUATERNION_COLUMNS, "of the measured pose")
     quaternion = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))

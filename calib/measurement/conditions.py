@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
-from calib.measurement.columns import numbers, stacked, words
+from calib.measurement.columns import filled, numbers, stacked, words
 from calib.measurement.table import APPROACH, TORQUE, Table
 from calib.robot.conditions import Conditions
 from calib.robot.conditions import in_order as sides_in_order
@@ -32,7 +32,7 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
         )
     approach = None
     if in_order:
-        approach = sides_in_order(stacked(table, {reading.name: reading.dimension for reading in readings}))
+        approach = sides_in_order(filled(table, {reading.name: reading.dimension for reading in readings}))
     elif said:
         unsaid = np.full(len(table), np.nan)
         columns = {name: _sides(table, name) for name in said}

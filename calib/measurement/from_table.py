@@ -1,14 +1,14 @@
 """From a table to measurements: a table's columns as readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS, RANGES, Range, refuse_beyond
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.measurement.columns import (
     BOARD,
@@ -16,6 +16,7 @@ from calib.measurement.columns import (
     POSITION,
     SIGMA_ANGLES,
     SIGMAS,
+    filled,
     orientations,
     refuse_unknown,
     require,
@@ -25,13 +26,48 @@ from calib.measurement.columns import (
 from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.measurements import End, Measurements
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
 from calib.measurement.projection import undistort
 from calib.measurement.table import Table
-from calib.robot.robot import Reading
+from calib.robot.robot import Reading, Robot
 
 # Of a coordinate, in m; of poses also a pair, in m and rad. None: not known here.
 Sigma = float | tuple[float | None, float | None] | None
+# Joints of a URDF that take a reading.
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+class Joints(NamedTuple):
+    """Which joints a table may tell, and whose tool it is about.
+
+    ``spare``: readings that do not move the ``tip``, so that there may be no column. ``idle``: joints that move nothing
+    that is asked for. ``unread``: joints without a reading. ``tool``: what the tip's only tool is called.
+    """
+
+    tip: str = ""
+    tool: str = ONLY_TOOL
+    spare: tuple[str, ...] = ()
+    idle: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Joints":
+        """Return what is asked of a table of a robot's tip."""
+        needed = robot.driving((robot.tip,))
+        read = [reading.name for reading in robot.readings]
+        on_chain = {joint.name for joint in robot.chain}
+        moving = [joint for joint in robot.urdf.joints if joint.name not in read and joint.name not in on_chain]
+        idle = [joint.name for joint in moving if joint.type in MOVING and joint.mimic is None]
+        return cls(
+            robot.tip,
+            ONLY_TOOL if robot.tip == robot.links[0] else robot.tip,
+            tuple(name for name in read if name not in needed),
+            tuple(idle),
+            tuple(joint.name for joint in robot.urdf.joints if joint.name not in idle),
+        )
+
+
+ALL_READ = Joints()
 
 
 def measurements_from_table(
@@ -43,9 +79,9 @@ def measurements_from_table(
     instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
-    unread: Collection[str] = (),
+    joints: Joints = ALL_READ,
 ) -> Measurements:
-    """Return what a table says of a robot with these ``readings``; ``unread``: its joints that have none.
+    """Return what a table says of a robot with these ``readings``; ``joints``: which of the URDF's are needed.
 
     The noise comes from one place: ``sigma`` in m, ``instrument``, or the table's columns ``sigma`` or ``sigma_x,
     sigma_y, sigma_z``; that of poses likewise from a pair ``sigma`` in m and rad, or the columns ``sigma_angle`` or
@@ -60,8 +96,9 @@ def measurements_from_table(
     if kind not in get_args(Kind):
         raise JobError(f"observes: {kind!r} is not one of {', '.join(get_args(Kind))}.")
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
-    require(table, dimensions, "of a joint")
-    refuse_unknown(table, dimensions, unread)
+    absent = tuple(name for name in joints.spare if name in dimensions and name not in table.columns)
+    require(table, [name for name in dimensions if name not in absent], "of a joint")
+    refuse_unknown(table, dimensions, joints.unread, joints.idle)
     length, angle = sigma if isinstance(sigma, tuple) else (sigma, None)
     _refuse_useless(table, kind, sigma=length, sigma_angle=angle, instrument=instrument, offset=offset)
     seen = "position" if kind in ("position", "pose") else None
@@ -83,9 +120,14 @@ def measurements_from_table(
     noise = _noise(table, ways, dimension, {"sigma": length, "the instrument": promised}, width)
     if kind == "pose":
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": angle}, 3)])
-    tools, tool = _numbered(words(table, "point"), "tool", len(table))
+    tools, tool = _numbered(words(table, "tool"), joints.tool, len(table))
+    setups, setup = _numbered(words(table, "setup"), ONLY_SETUP, len(table))
     targets, target = _numbered(words(table, "target"), "target", len(table))
-    for names, column, most in ((tools, "point", MOST_POINTS), (targets, "target", MOST_TARGETS)):
+    for names, column, most in (
+        (tools, "tool", MOST_TOOLS),
+        (setups, "setup", MOST_SETUPS),
+        (targets, "target", MOST_TARGETS),
+    ):
         if len(names) > most:
             raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
     if kind not in WITH_TARGET:
@@ -93,13 +135,15 @@ def measurements_from_table(
     found = Measurements(
         kind=kind,
         reading_names=tuple(dimensions),
-        readings=stacked(table, dimensions),
+        readings=filled(table, dimensions),
         position=position,
         orientation=orientations(table) if kind == "pose" else None,
         value=_value(table, kind, radius_is_known=offset is None) if camera is None else _pixels(table, camera),
         sigma=read_only(noise),
         tools=tools,
         tool=read_only_view(tool),
+        setups=setups,
+        setup=read_only_view(setup),
         targets=targets,
         target=read_only_view(target),
         other=None,
@@ -110,6 +154,9 @@ def measurements_from_table(
         lines=table.lines,
         conditions=conditions(table, readings, in_order=in_order),
         camera=camera,
+        tip=joints.tip,
+        absent=absent,
+        unused=tuple(name for name in joints.idle if name in table.columns),
     )
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
@@ -208,6 +255,10 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
         if rows.value[found[0], 0] != rows.value[found[1], 0]:
             raise MeasurementError(
                 f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
+            )
+        if rows.setup[found[0]] != rows.setup[found[1]]:
+            raise MeasurementError(
+                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} is of two set-ups; a pair is of one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
     other = End(

@@ -1,7 +1,7 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
+
+# What the only tool of the robot's tip is called, and the only place where the robot stood.
+ONLY_TOOL, ONLY_SETUP = "tool", "base"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +39,8 @@ class Measurements:
     ``pixels`` have u and v in px, then where the mark is on its board (x, y, z).
     ``sigma`` (N, d), with d numbers in a row's residual: the instrument's standard deviations, 0 where unknown, to be
     estimated from the residuals.
-    ``tool`` (N): which of ``tools``, the points on the flange that were measured, in order of appearance. ``target``
+    ``tool`` (N): which of ``tools``, the tools on the tip link that were measured, in order of appearance. ``setup``
+    (N): which of ``setups``, the places where the robot's base stood. ``target``
     (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
     kinds that have none.
     ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
@@ -45,6 +49,9 @@ class Measurements:
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
     ``camera``: by which ``pixels`` were seen.
+    ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
+    that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
+    since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
     """
 
     __repr__ = brief
@@ -58,6 +65,8 @@ class Measurements:
     sigma: Array
     tools: tuple[str, ...]
     tool: IntArray
+    setups: tuple[str, ...]
+    setup: IntArray
     targets: tuple[str, ...]
     target: IntArray
     other: End | None
@@ -68,6 +77,10 @@ class Measurements:
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
     camera: Camera | None = None
+    tip: str = ""
+    target_links: Mapping[str, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -80,12 +93,16 @@ class Measurements:
 
     @checked
     def tips(self, robot: Robot, deviations: Deviations | None = None) -> Array:
-        """Return the tip placements (N, 4, 4) of a robot in its base link, under the conditions of the rows.
+        """Return the placements (N, 4, 4) of the link with the tools in the base link, under the rows' conditions.
 
         Raises as :meth:`calib.Robot.tips` does.
         """
         with naming_rows(self.where, self.lines):
-            return robot.tips(self.readings, deviations, self.conditions)
+            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, self.conditions)
+
+    def link_of(self, target: int) -> str | None:
+        """Return the link that carries a target, by its number; None where it stands on the floor."""
+        return self.target_links.get(self.targets[target]) if target >= 0 else None
 
     @property
     def seen_targets(self) -> tuple[str, ...]:
@@ -97,18 +114,60 @@ class Measurements:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
 
+    def named(
+        self, *, tool: str | None = None, setup: str | None = None, on: Mapping[str, str] | None = None
+    ) -> "Measurements":
+        """Return the rows as measured with one named tool, with the robot in one named place, of targets on links.
+
+            left = calib.read_measurements("from_the_left.csv", robot).named(setup="left")
+            touched = calib.read_measurements("touched.csv", robot, "socket").named(on={"cone": "right_hand"})
+
+        ``on``: links of the robot that carry targets. Raises MeasurementError when columns of the table say tool or
+        set-up already, and for a target on the link that carries the tool.
+        """
+        links = {**self.target_links, **{name: link for name, link in (on or {}).items() if name in self.targets}}
+        for target, carrier in links.items():
+            if carrier == self.tip:
+                raise MeasurementError(
+                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row is "
+                    "about two frames that move against each other."
+                )
+        for what, name, own, only in (
+            ("tool", tool, self.tools, self.tools[0] if self.tools == (self.tip,) else ONLY_TOOL),
+            ("setup", setup, self.setups, ONLY_SETUP),
+        ):
+            if name is not None and own != (only,):
+                raise MeasurementError(
+                    f"{self.where}: the {what} is given twice, as {name!r} and by column {what!r}; keep one."
+                )
+        return replace(
+            self,
+            tools=self.tools if tool is None else (tool,),
+            setups=self.setups if setup is None else (setup,),
+            target_links=links,
+        )
+
+    def at(self, setup: str) -> "Measurements":
+        """Return the rows of one set-up, as if there were no other; there may be none."""
+        rows = np.isin(self.setup, [k for k, name in enumerate(self.setups) if name == setup])
+        found = self.subset(rows)
+        return replace(found, setups=(ONLY_SETUP,), setup=np.zeros(len(found), dtype=np.intp))
+
     def with_own_names(self) -> "Measurements":
-        """Return the measurements with those of ``tools`` and ``targets`` alone that some row has.
+        """Return the measurements with those of ``tools``, ``setups`` and ``targets`` alone that some row has.
 
         Nothing is then known, or looked for, of the others.
         """
         tools, number = _used(self.tools, *(end.tool for end in self.ends))
+        setups, setup = _used(self.setups, self.setup)
         targets, target = _used(self.targets, self.target)
         other = self.other
         return replace(
             self,
             tools=tools,
             tool=read_only_view(number[self.tool]),
+            setups=setups,
+            setup=read_only_view(setup[self.setup]),
             targets=targets,
             target=read_only_view(target[self.target]),
             other=None if other is None else replace(other, tool=read_only_view(number[other.tool])),
@@ -116,7 +175,7 @@ class Measurements:
 
     @checked
     def subset(self, rows: IntArray | BoolArray | Sequence[int]) -> "Measurements":
-        """Return the measurements of some rows, by position or by mask (N); ``tools`` and ``targets`` stay.
+        """Return the measurements of some rows, by position or by mask (N); the names stay.
 
         Raises MeasurementError when there are no such rows.
         """
@@ -133,6 +192,7 @@ class Measurements:
             value=read_only_view(self.value[index]),
             sigma=read_only_view(self.sigma[index]),
             tool=read_only_view(self.tool[index]),
+            setup=read_only_view(self.setup[index]),
             target=read_only_view(self.target[index]),
             other=None
             if other is None

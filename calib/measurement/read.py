@@ -5,11 +5,18 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.arguments import checked
-from calib.measurement.from_table import Sigma, measurements_from_table
+from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import DataFrameLike, read_table, table_from_arrays, table_from_frame
+from calib.measurement.table import (
+    AS_WRITTEN,
+    Columns,
+    DataFrameLike,
+    read_table,
+    table_from_arrays,
+    table_from_frame,
+)
 from calib.robot.robot import Robot
 
 
@@ -23,7 +30,7 @@ def read_measurements(
     instrument: LaserTracker | Camera | None = None,
     offset: str | None = None,
     in_order: bool = False,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | Columns | None = None,
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
@@ -31,11 +38,13 @@ def read_measurements(
     instrument's standard deviation of each coordinate in m, of poses a pair, in m and rad, when no column and no
     ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them. ``offset`` names an unknown
     length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
-    ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``.
+    ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``; as
+    :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean. Of a robot with several tips,
+    the rows are about the one that it looks at, ``robot.with_tip("left_hand")``, and need the joints that move it.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
-    renamed = columns or {}
+    renamed = AS_WRITTEN if columns is None else columns
     if isinstance(source, str | Path):
         table = read_table(source, renamed)
     elif isinstance(source, Mapping):
@@ -50,5 +59,5 @@ def read_measurements(
         instrument=instrument,
         offset=offset,
         in_order=in_order,
-        unread=[joint.name for joint in robot.urdf.joints],
+        joints=Joints.of(robot),
     )

@@ -7,7 +7,7 @@ here on; which joints and tools they belong to is decided in :mod:`calib.measure
 import itertools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
 from types import MappingProxyType
@@ -20,20 +20,25 @@ from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
-from calib.foundations.units import NUMBER, UNITS, Unit
+from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
-from calib.measurement.cells import Line, cells, lines, refuse_ragged, separator_of
+from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.layout import layout, name_and_unit
+from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
-TEXT_COLUMNS = ("point", "target", "group", "pair", "direction")
+TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 # The side from which the joint in the name was reached, in words.
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
 TORQUE = "tau_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
-AS_WRITTEN: Mapping[str, str] = MappingProxyType({})
+# Numbers that need no unit.
+UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))
+NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 _MOST_COLUMNS = 1000
 _LONGEST_WORD = 200
+_LISTED = 12
 # What a plain number is made of; of these, float() takes only plain numbers.
 _PLAIN = b"0123456789.+-eE"
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
@@ -78,43 +83,67 @@ class DataFrameLike(Protocol):
         """Return the column with this label; it has ``to_numpy()``."""
 
 
+class HeaderError(MeasurementError):
+    """The header of a table, not its rows, cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """How a table of others is read: our names for its columns, what is passed over, and what its angles mean.
+
+    ``names``: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
+    ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file
+    has them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
+    (:mod:`calib.measurement.orientations`); they become a quaternion.
+    """
+
+    names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES)
+    ignore: tuple[str, ...] = ()
+    orientation: str | None = None
+
+
+AS_WRITTEN = Columns()
+
+
+def as_columns(columns: Mapping[str, str] | Columns) -> Columns:
+    """Return columns, of which a mapping is the names."""
+    return columns if isinstance(columns, Columns) else Columns(columns)
+
+
 class _Heading(NamedTuple):
     name: str
     unit: Unit | None
+    read: bool = True
 
 
 _Place = Callable[[int], str]  # the place of a row, for the start of a sentence: "panda.csv:12"
 
 
-def read_table(path: str | Path, columns: Mapping[str, str] = AS_WRITTEN) -> Table:
-    """Read a comma-separated UTF-8 table: a header line, then a line per row; ``#`` comments and blank lines anywhere.
+def read_table(path: str | Path, columns: Mapping[str, str] | Columns = AS_WRITTEN) -> Table:
+    """Read a table of text: a header line, then a line per row; comments and blank lines anywhere.
 
-    Cells may as well be separated by semicolons, as spreadsheets do where decimals have a comma; decimals then have
-    commas or points, the same in the whole file. Memory: the file and its numbers, 8 bytes each.
+    Cells are separated by commas, or by semicolons, tabs, bars or blanks; decimals then have commas or points, the same
+    in the whole file. The text is UTF-8, UTF-16 with its mark, or cp1252. Memory: the file and its numbers, 8 bytes
+    each.
 
-    ``columns`` renames: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
-    ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out.
+    ``columns``: how it is read where its header is not ours; a mapping of names alone will do.
 
     Raises MeasurementError with the file, the line, the column, the value and what is allowed.
     """
     where = str(path)
-    data = read_bytes(Path(path), MeasurementError)
-    blocks = lines(data, where)
-    first = next(blocks, None)
-    if first is None:
-        raise MeasurementError(f"{where}: is empty; a table starts with a header line.")
-    (header_line, titles, _), *rest = first
-    at_header = f"{where}:{header_line}"
-    separator = separator_of(titles, at_header)
-    header = _header(cells(titles, separator, at_header), columns, at_header)
-    reader = _BlockReader(header, where, separator)
-    parts = [reader(block) for block in itertools.chain([rest], blocks) if block]
+    data = in_bytes(read_bytes(Path(path), MeasurementError), where)
+    form = layout(data, where)
+    header = _header(form.titles, as_columns(columns), f"{where}:{form.line}", form.units)
+    reader = _BlockReader(header, where, form.separator)
+    rows = ([line for line in block if line.number > form.last] for block in lines(data, where))
+    parts = [reader(block) for block in rows if block]
     if not parts:
         raise MeasurementError(f"{where}: has a header and no rows.")
-    del data, first, rest
+    del data
+    header = [heading for heading in header if heading.read]
     # Column by column, and what is joined is let go: all columns are in memory once, one of them twice.
     values = [_joined([part.values.pop() for part in parts]) for _ in header][::-1]
-    return _whole(header, values, np.concatenate([part.numbers for part in parts]), where)
+    return _whole(header, values, np.concatenate([part.numbers for part in parts]), where, as_columns(columns))
 
 
 class _Part(NamedTuple):
@@ -139,12 +168,14 @@ class _BlockReader:
         rows = [cells(text, self._separator, f"{self._where}:{number}") for number, text, _ in block]
         refuse_ragged(rows, len(self._header), block, self._where)
         values: list[Array | tuple[str, ...]] = []
-        for (name, unit), column in zip(self._header, zip(*rows, strict=True), strict=True):
+        for (name, unit, read), column in zip(self._header, zip(*rows, strict=True), strict=True):
+            if not read:
+                continue
             if unit is None:
                 # Words come again and again: one of each is kept.
                 values.append(tuple(self._known.setdefault(word, word) for word in _words(column, name, place)))
             else:
-                decimals = self._with_points(column, name, place) if self._separator == ";" else column
+                decimals = self._with_points(column, name, place) if self._separator != "," else column
                 values.append(_si(decimals, unit, name, place))
         return _Part(np.array(numbers, dtype=np.intp), values)
 
@@ -170,7 +201,9 @@ def _joined(parts: Sequence[Array | tuple[str, ...]]) -> Array | tuple[str, ...]
     return read_only_view(np.concatenate(cast(Sequence[Array], parts)))
 
 
-def table_from_frame(frame: DataFrameLike, where: str = "DataFrame", columns: Mapping[str, str] = AS_WRITTEN) -> Table:
+def table_from_frame(
+    frame: DataFrameLike, where: str = "DataFrame", columns: Mapping[str, str] | Columns = AS_WRITTEN
+) -> Table:
     """Return the table of a pandas DataFrame whose labels are written as in a file; ``columns`` renames them.
 
     Raises MeasurementError as :func:`read_table` does, with the position of the row, counted from 0, as the line.
@@ -185,7 +218,7 @@ def table_from_frame(frame: DataFrameLike, where: str = "DataFrame", columns: Ma
 
 
 def table_from_arrays(
-    arrays: Mapping[str, npt.ArrayLike], where: str = "arrays", columns: Mapping[str, str] = AS_WRITTEN
+    arrays: Mapping[str, npt.ArrayLike], where: str = "arrays", columns: Mapping[str, str] | Columns = AS_WRITTEN
 ) -> Table:
     """Return the table of equally long one-dimensional arrays, keyed by headers written as in a file.
 
@@ -196,10 +229,13 @@ def table_from_arrays(
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         listed = ", ".join(f"{title!r} {values.shape}" for title, values in zip(arrays, data, strict=True))
         raise MeasurementError(f"{where}: the columns are not one-dimensional and equally long: {listed}.")
-    return _table(_header(list(arrays), columns, where), data, range(data[0].size if data else 0), where)
+    chosen = as_columns(columns)
+    return _table(_header(list(arrays), chosen, where), data, range(data[0].size if data else 0), where, chosen)
 
 
-def _table(header: Sequence[_Heading], data: Sequence[npt.NDArray[Any]], rows: Sequence[int], where: str) -> Table:
+def _table(
+    header: Sequence[_Heading], data: Sequence[npt.NDArray[Any]], rows: Sequence[int], where: str, chosen: Columns
+) -> Table:
     if not rows:
         raise MeasurementError(f"{where}: has a header and no rows.")
 
@@ -208,41 +244,102 @@ def _table(header: Sequence[_Heading], data: Sequence[npt.NDArray[Any]], rows: S
 
     values = [
         _words(column, name, place) if unit is None else _si(column, unit, name, place)
-        for (name, unit), column in zip(header, data, strict=True)
+        for (name, unit, read), column in zip(header, data, strict=True)
+        if read
     ]
-    return _whole(header, values, np.array(rows, dtype=np.intp), where)
+    return _whole([heading for heading in header if heading.read], values, np.array(rows, dtype=np.intp), where, chosen)
 
 
 def _whole(
-    header: Sequence[_Heading], values: Sequence[Array | tuple[str, ...]], numbers: IntArray, where: str
+    header: Sequence[_Heading],
+    values: Sequence[Array | tuple[str, ...]],
+    numbers: IntArray,
+    where: str,
+    chosen: Columns,
 ) -> Table:
-    columns = {name: Column(name, unit, column) for (name, unit), column in zip(header, values, strict=True)}
+    columns = {name: Column(name, unit, column) for (name, unit, _), column in zip(header, values, strict=True)}
+    if chosen.orientation is not None:
+        columns = _turned(columns, chosen.orientation, numbers, where)
     return Table(MappingProxyType(columns), read_only_view(numbers), where)
+
+
+def _turned(columns: dict[str, Column], orientation: str, lines: IntArray, where: str) -> dict[str, Column]:
+    """Return the columns with a quaternion in the place of the angles, or the matrix, that ``orientation`` names."""
+    names = MATRIX if orientation == "matrix" else ANGLES
+    dimension = "number" if orientation == "matrix" else "angle"
+    if missing := [name for name in names if name not in columns]:
+        raise HeaderError(
+            f"{where}: orientation is {orientation!r}, and there is no column {', '.join(map(repr, missing))}."
+        )
+    for name in names:
+        unit = columns[name].unit
+        if unit is None or unit.dimension != dimension:
+            raise HeaderError(f"{where}: column {name!r}: is not of {dimension}s, which an orientation needs.")
+    given = np.stack([cast(Array, columns[name].values) for name in names], axis=-1)
+    found = quaternions_of(given, orientation, where, lines)
+    rest = {name: column for name, column in columns.items() if name not in names}
+    if both := [name for name in QUATERNION_COLUMNS if name in rest]:
+        raise HeaderError(f"{where}: column {both[0]!r} is there, and {names[0]!r} says it as well; keep one.")
+    return rest | {
+        name: Column(name, UNITS["1"], read_only_view(np.ascontiguousarray(found[:, k])))
+        for k, name in enumerate(QUATERNION_COLUMNS)
+    }
 
 
 # ---- header
 
 
-def _header(titles: Sequence[str], columns: Mapping[str, str], at: str) -> list[_Heading]:
-    ours = {theirs: name for name, theirs in columns.items()}
-    if len(ours) < len(columns):
-        raise MeasurementError(f"{at}: the renaming gives one column two names: {dict(columns)}.")
+def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[str] = ()) -> list[_Heading]:
+    """Return what each title stands for; raise HeaderError with all that is wrong, in one sentence."""
+    ours = {theirs: name for name, theirs in columns.names.items()}
+    if len(ours) < len(columns.names):
+        raise HeaderError(f"{at}: the renaming gives one column two names: {dict(columns.names)}.")
     if len(titles) > _MOST_COLUMNS:
-        raise MeasurementError(f"{at}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
-    header: dict[str, _Heading] = {}
-    for title in titles:
-        name, symbol = _split(title, at)
-        if (new := ours.pop(title.strip(), None) or ours.pop(name, None)) is not None:
-            name, given = _split(new, at)
-            if symbol and given and symbol != given:
-                raise MeasurementError(f"{at}: column {title!r} is renamed to {new!r}, which has another unit.")
-            symbol = given or symbol
-        if name in header:
-            raise MeasurementError(f"{at}: column {name!r} appears more than once.")
-        header[name] = _Heading(name, _unit(name, symbol, at))
-    for theirs, name in ours.items():
-        raise MeasurementError(f"{at}: there is no column {theirs!r} to read as {name!r}{nearest(theirs, titles)}.")
-    return list(header.values())
+        raise HeaderError(f"{at}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
+    left = dict.fromkeys(columns.ignore)
+    header: list[_Heading] = []
+    names: set[str] = set()
+    wrong: list[str] = []
+    unitless: list[str] = []
+    for k, title in enumerate(titles):
+        try:
+            name, symbol = _split(title)
+            symbol = symbol or (units[k] if units else "") or symbol
+            if title.strip() in left or name in left:
+                left.pop(title.strip() if title.strip() in left else name)
+                header.append(_Heading(name, None, read=False))
+                continue
+            if (new := ours.pop(title.strip(), None) or ours.pop(name, None)) is not None:
+                name, given = _split(new)
+                if symbol and given and symbol != given:
+                    raise HeaderError(f"column {title!r} is renamed to {new!r}, which has another unit")
+                symbol = given or symbol
+            if name in names:
+                raise HeaderError(f"column {name!r} appears more than once")
+            names.add(name)
+            if name == "point":
+                raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
+            if not symbol and not (holds_words(name) or name in UNITLESS):
+                unitless.append(name)
+            else:
+                header.append(_Heading(name, _unit(name, symbol)))
+        except HeaderError as e:
+            wrong.append(str(e))
+    if unitless:
+        wrong.insert(0, _no_unit(unitless))
+    wrong += [f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours]
+    wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
+    if wrong:
+        raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.")
+    return header
+
+
+def _no_unit(names: Sequence[str]) -> str:
+    one, other = ("deg", "mm") if names[0][-1:].isdigit() else ("mm", "deg")
+    if len(names) == 1:
+        return f"column {names[0]!r} has no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
+    listed = ", ".join(map(repr, names[:_LISTED])) + (", ..." if len(names) > _LISTED else "")
+    return f"columns {listed} have no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -251,30 +348,32 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; near is {found[0]!r}" if found else ""
 
 
-def _split(title: str, at: str) -> tuple[str, str | None]:
+def _split(title: str) -> tuple[str, str | None]:
     match = _TITLE.fullmatch(title)
     if match is None:
-        raise MeasurementError(f"{at}: the header {shown(title)} is not a name with a unit, like 'x [mm]'.")
+        raise HeaderError(f"the header {shown(title)} is not a name with a unit, like 'x [mm]'")
     if not match[1]:
-        raise MeasurementError(f"{at}: a column has no name (is there a comma too many?).")
+        raise HeaderError("a column has no name (is there a comma too many?)")
     if len(title) > _LONGEST_WORD:
-        raise MeasurementError(f"{at}: the header {shown(title)} is longer than {_LONGEST_WORD} characters.")
-    return match[1], match[2]
+        raise HeaderError(f"the header {shown(title)} is longer than {_LONGEST_WORD} characters")
+    if match[2] is None and not holds_words(match[1]):
+        return name_and_unit(match[1])
+    return match[1], match[2] and (symbol_of(match[2]) or match[2])
 
 
-def _unit(name: str, symbol: str | None, at: str) -> Unit | None:
-    if name in TEXT_COLUMNS or name.startswith(APPROACH):
+def holds_words(name: str) -> bool:
+    """Return whether a column of ours with this name holds words, not numbers."""
+    return name in TEXT_COLUMNS or name.startswith(APPROACH)
+
+
+def _unit(name: str, symbol: str | None) -> Unit | None:
+    if holds_words(name):
         if symbol is not None:
-            raise MeasurementError(f"{at}: column {name!r} holds words and takes no unit, but has [{symbol}].")
+            raise HeaderError(f"column {name!r} holds words and takes no unit, but has [{symbol}]")
         return None
-    if name in QUATERNION_COLUMNS and symbol is None:
-        return UNITS["1"]
-    if not symbol:
-        raise MeasurementError(
-            f"{at}: column {name!r} has no unit; write one in brackets, like '{name} [mm]': {', '.join(UNITS)}."
-        )
+    symbol = symbol or "1"
     if symbol not in UNITS:
-        raise MeasurementError(f"{at}: column {name!r}: unit {symbol!r} is not known; allowed are {', '.join(UNITS)}.")
+        raise HeaderError(f"column {name!r}: unit {symbol!r} is not known; allowed are {', '.join(UNITS)}")
     return UNITS[symbol]
 
 

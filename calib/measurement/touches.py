@@ -8,11 +8,11 @@ from typing import Literal, cast
 import numpy as np
 
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
-from calib.measurement.columns import numbers
+from calib.measurement.columns import numbers, stacked
 from calib.measurement.conditions import conditions
 from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -33,7 +33,7 @@ _SIZES: Mapping[TestKind, tuple[str, ...]] = {
     "sphere": ("diameter", "ball"),
     "articulations": ("diameter", "ball"),
 }
-_PASSED_OVER = frozenset({"time", "temperature", "point", "sigma"})
+_PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,27 +78,26 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     elif "diameter" in columns:
         kind = "articulations" if "group" in columns else "sphere"
     words, sizes = _WORDS[kind], _SIZES[kind]
-    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
-    dimensions |= dict.fromkeys(sizes, "length")
-    if missing := [name for name in (*dimensions, *words) if name not in columns]:
+    joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
+    if missing := [name for name in (*joints, *sizes, *words) if name not in columns]:
         listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
         raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
-    known = {*dimensions, *words, "group", "direction"} | _PASSED_OVER
+    known = {*joints, *sizes, *words, "group", "direction"} | _PASSED_OVER
     known |= {f"{what}{reading.name}" for what in (APPROACH, TORQUE) for reading in readings}
     for name in columns:
         if name not in known:
             near = nearest(name, sorted(known - columns.keys()))
             raise MeasurementError(f"{table.where}: column {name!r} is not one of a {kind} test{near}.")
-    found = {name: numbers(table, name, dimension) for name, dimension in dimensions.items()}
-    for name in sizes:
-        if (found[name] <= 0.0).any():
-            row = int(np.argmin(found[name]))
+    of_shapes = {name: numbers(table, name, "length") for name in sizes}
+    for name, values in of_shapes.items():
+        if (values <= 0.0).any():
+            row = int(np.argmin(values))
             raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
     return Touches(
         kind,
-        read_only(np.stack([found[reading.name] for reading in readings], axis=-1)),
+        stacked(table, joints),
         {name: cast(tuple[str, ...], columns[name].values) for name in words},
-        {name: found[name] for name in sizes},
+        of_shapes,
         table.where,
         table.lines,
         conditions(table, readings),

@@ -66,7 +66,7 @@ def axes_model(robot: Robot) -> ErrorModel:
     """Return the error model whose unknowns are the lines of all axes of ``robot``, and the marks on its table.
 
     The base's pose places the first moving joint, the placements of the others place them after it, and the marks are
-    points on the tip link (column ``point`` of the measurements). These are more names than numbers: the rank is 4 for
+    points on the tip link (column ``tool`` of the measurements). These are more names than numbers: the rank is 4 for
     a revolute axis, 2 for a prismatic one, and 3 for every mark. The rest are the freedoms of the frames (origins slide
     and turn on their axes); policy "nearest" leaves those nearest to the nominal machine, "minimal" frees as many
     parameters as the rank. No predicted point depends on the choice.

@@ -14,6 +14,9 @@ from calib.foundations.arrays import BoolArray
 from calib.foundations.csv_text import csv_text
 from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
 from calib.machine.uncertainty import UncertaintyMap
+from calib.presentation.report.document import Row
+from calib.presentation.sheets import signed
+from calib.presentation.tables import filled
 from calib.robot.robot import Reading
 
 
@@ -68,25 +71,16 @@ def _tested(test: ChiSquare) -> str:
 
 def change_table(found: Comparison) -> Table:
     """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
-    out = _table("Changes", "at the tip: rms of what the change alone does")
-    out.add_column("parameter", overflow="fold")
-    for name in ("old", "new", "change", "sigma", "at the tip"):
-        out.add_column(name, justify="right")
-    out.add_column("unit")
-    out.add_column("moved")
+    out = _table("Changes", "tip: rms of what the change alone does there")
+    numbers = ("old", "new", "change", "sigma", "tip [mm]")
+    rows = []
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
         factor, unit = DISPLAY[change.unit]
         values = (change.old, change.new, change.new - change.old, change.sigma)
-        shown = (f"{value * factor:+.4f}" for value in values[:3])
-        out.add_row(
-            change.name,
-            *shown,
-            f"{change.sigma * factor:.4f}",
-            f"{change.at_tip / MM:.3f} mm",
-            unit,
-            "yes" if change.moved else "no",
-        )
-    return out
+        shown = (signed(value * factor, 4) for value in values[:3])
+        told = f"{change.sigma * factor:.4f}", f"{change.at_tip / MM:.3f}", unit, "yes" if change.moved else "no"
+        rows.append(Row((change.name, *shown, *told)))
+    return filled(out, ("parameter", *numbers, "unit", "moved"), numbers, rows)
 
 
 def comparison_lines(found: Comparison) -> list[Text]:

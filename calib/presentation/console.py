@@ -98,10 +98,11 @@ class Steps:
 
 
 @contextlib.contextmanager
-def progress(*, shown: bool, steps: int) -> Iterator[Steps]:
-    """Give what is told every step; it shows the step and the time left, on a terminal only, while the block runs.
+def progress(*, shown: bool, steps: int, alike: bool = False) -> Iterator[Steps]:
+    """Give what is told every step; it shows the step and the time, on a terminal only, while the block runs.
 
-    ``steps``: how many there will be, as far as is known.
+    ``steps``: how many there will be, as far as is known. ``alike``: they take about as long as each other, and the
+    time left is told; else that of three quick steps says nothing of a long one, and the time taken is told.
     """
     console = Console(stderr=True)
     if not (shown and console.is_terminal):
@@ -111,7 +112,8 @@ def progress(*, shown: bool, steps: int) -> Iterator[Steps]:
 
     class Left(ProgressColumn):
         def render(self, task: Task) -> Text:
-            return Text(time_left(task.elapsed or 0.0, task.completed, task.total or 1.0))
+            elapsed, done, total = task.elapsed or 0.0, task.completed, task.total or 1.0
+            return Text(time_left(elapsed, done, total) if alike else time_taken(elapsed, done, total))
 
     with Progress(TextColumn("{task.description}"), BarColumn(), Left(), console=console, transient=True) as bar:
         task = bar.add_task("starting")
@@ -128,6 +130,11 @@ def time_left(elapsed: float, done: float, total: float) -> str:
         return ""
     seconds = elapsed * (total - done) / done
     return f"about {seconds:.0f} s left" if seconds < 100.0 else f"about {seconds / MINUTE:.0f} min left"
+
+
+def time_taken(elapsed: float, done: float, total: float) -> str:
+    """Return which step is under way, of how many, and how long all have taken."""
+    return f"step {min(done + 1.0, total):.0f} of {total:.0f}, {elapsed:.0f} s"
 
 
 def _printable(text: str) -> str:

@@ -8,7 +8,7 @@ moves, hides and names things is ``pages/scene.js``.
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -53,6 +53,8 @@ MARK: Rgb = (0.0, 0.52, 0.39)
 AXES: tuple[Rgb, Rgb, Rgb] = ((0.80, 0.15, 0.15), (0.13, 0.58, 0.23), (0.15, 0.30, 0.80))
 # matplotlib's "plasma" without its yellow end, which white paper swallows: in order for every kind of colour vision.
 _SCALE = ("0d0887", "46039f", "7201a8", "9c179e", "bd3786", "d8576b", "ed7953", "fb9f3a")
+# The same on dark paper, which swallows the other end.
+_SCALE_DARK = ("7d6cf0", "9a5fe6", "b656d6", "cf55bb", "e3659a", "f0807a", "f9a35c", "f6d84f")
 SCALE: tuple[Rgb, ...] = tuple((int(h[:2], 16) / 255, int(h[2:4], 16) / 255, int(h[4:], 16) / 255) for h in _SCALE)
 _METAL: Rgb = (0.72, 0.74, 0.76)
 _JOINT: Rgb = (0.45, 0.48, 0.52)
@@ -92,7 +94,8 @@ class Scene:
     none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
-    ``judged``: False where the points are the tool's own, and there are no errors to tell.
+    ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
+    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told.
     """
 
     title: str
@@ -110,6 +113,8 @@ class Scene:
     scales: tuple[float, float]
     marks: tuple[Mark, ...] = ()
     judged: bool = True
+    joints: tuple[tuple[str, str], ...] = ()
+    readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,9 +207,12 @@ def render_scene(scene: Scene) -> str:
             if arm is not None
         },
         "rows": [scene.rows[n] for n in rows],
+        "joint_names": scene.joints,
+        "readings": scene.readings[rows].round(4).tolist() if scene.joints else [],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
         "scales": scene.scales,
+        "factors": _factors(scene.scales),
         "radius": 0.004 * extent,
     }
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -344,8 +352,8 @@ def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array
         "measured": measured.round(6).tolist(),
         "before": {"errors": (before - measured).round(9).tolist(), "kinds": kinds(errors[0])},
         "after": {"errors": (after - measured).round(9).tolist(), "kinds": kinds(errors[1])},
-        "colours": [_hex(rgb) for rgb in SCALE],
-        "black": _hex(MEASURED),
+        "light": {"scale": [_hex(rgb) for rgb in SCALE], "measured": _hex(MEASURED), "grid": _hex(_GRID)},
+        "dark": {"scale": [int(h, 16) for h in _SCALE_DARK], "measured": 0xE6EAED, "grid": 0x3A444D},
     }
 
 
@@ -441,11 +449,13 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         "judged": scene.judged,
         "figures": figures,
         "scales": [f"{scale:g}" for scale in scene.scales],
+        "factors": len(_factors(scene.scales)),
+        "drawn": _factors(scene.scales).index(scene.scales[0]),
         "apart": None if scene.nominal is None else f"{scene.apart:g}",
         "colours": [_css(rgb) for rgb in SCALE],
         "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
         "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],
-        "dots": {"measured": _css(MEASURED), "nominal": _css(NOMINAL), "marks": _css(MARK)},
+        "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK)},
         "marks": [(_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks)],
         "cell": f"{cell:g}",
         "notes": notes,
@@ -461,6 +471,13 @@ def _round_number(x: float) -> float:
     power = math.floor(math.log10(x))
     rounds = [float(f"{m}e{p}") for p in (power, power + 1) for m in (1, 2, 5)]
     return min(rounds, key=lambda r: abs(math.log(r / x)))
+
+
+def _factors(scales: tuple[float, float]) -> list[float]:
+    """Return by which round factors the errors may be drawn: from as they are to twice the larger scale."""
+    highest = 2.0 * max(scales)
+    rounds = [m * 10.0**p for p in range(math.ceil(math.log10(highest)) + 1) for m in (1, 2, 5)]
+    return sorted({scales[0], *(r for r in rounds if r <= highest)})
 
 
 def _two_digits(x: float) -> str:

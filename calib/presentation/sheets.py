@@ -31,6 +31,12 @@ def figure(value: float, unit: str) -> str:
     return f"{value * factor:.4f} {name}"
 
 
+def signed(value: float, digits: int) -> str:
+    """Return a number with its sign; what is rounded to nothing has none."""
+    text = f"{value:+.{digits}f}"
+    return text if text.strip("+-0.") else text[1:]
+
+
 def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> Sheet:
     """Return the before/after table of ``figures[use][when][quantity]``."""
     rows = []
@@ -75,6 +81,8 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
 def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
+    every = sum(map(len, choice.geometric.measurements))
+    some = f"; by {choice.rows} of {every} rows, of groups taken at random" if choice.rows < every else ""
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
@@ -90,7 +98,7 @@ def choice_sheet(choice: Choice) -> Sheet:
         ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
         frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
         tuple(rows),
-        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone",
+        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone{some}",
         brief=True,
     )
 
@@ -104,7 +112,7 @@ def parameter_sheet(fit: Fit) -> Sheet:
         factor, unit = SHOWN[parameter.unit]
         known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
         sure = "-" if unidentifiable else f"{sigma * factor:.4f}"
-        rows.append(Row((parameter.name, f"{value * factor:+.4f}", sure, unit, known)))
+        rows.append(Row((parameter.name, signed(value * factor, 4), sure, unit, known)))
     return Sheet(
         "Parameters",
         ("parameter", "value", "sigma", "unit", "identifiable"),

@@ -1,9 +1,11 @@
 """Tables on the terminal and in plain text, at most 80 columns wide."""
 
 import io
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -12,7 +14,7 @@ from calib.assessment.metrics import metrics
 from calib.foundations.arguments import checked
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
-from calib.presentation.report.document import Sheet
+from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import (
     count,
     error_sheet,
@@ -23,6 +25,8 @@ from calib.presentation.sheets import (
 )
 
 WIDTH = 80
+# A first column narrower than this is no help: such a table is then wider than the terminal.
+_LEAST = 8
 
 
 @checked
@@ -64,15 +68,59 @@ def sheet_table(sheet: Sheet) -> Table:
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
-    for k, name in enumerate(sheet.columns):
-        out.add_column(name, justify="right" if name in sheet.numbers else "left", overflow="ellipsis" if k else "fold")
-    for row in sheet.rows:
-        out.add_row(*row.cells, style="bold" if row.strong else None, end_section=row.ends_group)
+    return filled(out, sheet.columns, sheet.numbers, sheet.rows)
+
+
+def filled(out: Table, columns: Sequence[str], numbers: Collection[str], rows: Sequence[Row]) -> Table:
+    """Return a table with these columns and rows, in which no number is cut and no name is broken within a word.
+
+    Where there is no room, first the gaps get narrower, then the first cells go on in another line after a dot, an
+    underscore, a slash or a blank.
+    """
+    cells = [row.cells for row in rows]
+    heads = [max(map(len, name.split()), default=0) for name in columns]
+    needed = [max([head, *(cell_len(row[k]) for row in cells)]) for k, head in enumerate(heads)]
+    n = len(columns)
+    room = WIDTH - (3 * n + 1) - sum(needed[1:])
+    if room < needed[0]:
+        out.padding = (0, 1, 0, 0)
+        room = WIDTH - (2 * n + 1) - sum(needed[1:])
+    room = max(room, heads[0], _LEAST)
+    first = [broken(row[0], room) for row in cells]
+    width = max(map(cell_len, [columns[0], *(line for text in first for line in text.split("\n"))]))
+    tight = width + sum(map(max, needed[1:], map(len, columns[1:]))) > WIDTH - (3 * n + 1)
+    for k, name in enumerate(columns):
+        out.add_column(
+            name,
+            justify="right" if name in numbers else "left",
+            overflow="ellipsis" if k else "fold",
+            width=(needed[k] if k else min(width, room)) if tight else None,
+        )
+    for text, row in zip(first, rows, strict=True):
+        out.add_row(text, *row.cells[1:], style="bold" if row.strong else None, end_section=row.ends_group)
     return out
 
 
-def null_space_lines(null_space: Sequence[NullDirection | str], most: int | None = None) -> list[RenderableType]:
-    """Return the directions of the null space, under their number; nothing where there are none."""
+def broken(name: str, room: int) -> str:
+    """Return a name in lines of at most ``room`` letters, broken after dots, underscores, slashes and blanks only.
+
+    A part that is longer than that stays whole.
+    """
+    lines = [""]
+    for part in re.findall(r"[^._/ ]+[._/ ]?|[._/ ]", name):
+        if lines[-1] and len(lines[-1]) + len(part.rstrip()) > room:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def null_space_lines(
+    null_space: Sequence[NullDirection | str], most: int | None = None, *, directions: int | None = None
+) -> list[RenderableType]:
+    """Return the directions of the null space, under their number; nothing where there are none.
+
+    ``directions``: how many there are, where one line stands for several.
+    """
     if not null_space:
         return []
     lines = Table.grid(padding=(0, 1))
@@ -82,4 +130,4 @@ def null_space_lines(null_space: Sequence[NullDirection | str], most: int | None
         lines.add_row(" -", Text(str(direction)))
     if most is not None and len(null_space) > most:
         lines.add_row(" -", Text(f"and {len(null_space) - most} more"))
-    return [Text(f"The null space has {count(len(null_space), 'direction', 'directions')}:"), lines]
+    return [Text(f"The null space has {count(directions or len(null_space), 'direction', 'directions')}:"), lines]

@@ -1,18 +1,20 @@
 """A fit, judged: its machine, its errors before and after, whether it may be trusted, which rows lie off."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.assessment.checking import looks_wrong
+from calib.assessment.checks import answered
 from calib.assessment.choice import Choice
+from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
-from calib.assessment.trust import doubts, remarks
+from calib.assessment.own_base import tables_with_own_base
+from calib.assessment.trust import remarks, verdict
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY, MM
 from calib.identification.fit import Fit
@@ -24,18 +26,6 @@ from calib.machine.residual_model import ResidualModel
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 from calib.results.in_urdf import InUrdf, judged_in_urdf
-
-Use = Literal["identification", "validation"]
-
-
-class JudgedSet(NamedTuple):
-    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
-
-    use: Use
-    file: str
-    data: Measurements
-    before: Array
-    after: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +43,17 @@ class LevelReport:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a calibration was made by and from: a command, its settings as JSON, files, and their SHA-256 by name."""
+    """What a calibration was made by and from: a command, its settings as JSON, files, and their SHA-256 by name.
+
+    ``about``: what its job says of date, serial number, operator and the like, in words by name.
+    """
 
     command: str = ""
     settings: str = ""
     files: tuple[Path, ...] = ()
     hashes: Mapping[str, str] = field(default_factory=dict)
     mesh_roots: tuple[Path, ...] = ()
+    about: Mapping[str, str] = field(default_factory=dict)
 
 
 FROM_PYTHON = Origin()
@@ -71,10 +65,11 @@ class Calibration:
 
     ``machine``: the calibrated machine of ``fit``. ``metrics[use][when][quantity]``: use is identification or
     validation, when is before or after. ``sets``: residuals of every table; those after are left by ``machine``, with
-    its residual model where that has values. ``doubts``: why it should not be trusted. ``findings``: what was doubtful,
-    but usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches,
-    where it cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``:
-    on the way to the fit. ``origin``: what it was made from.
+    its residual model where that has values. ``doubts``: why it should not be trusted; ``checks``: all that was asked
+    before it was, ``shown``: for which range, and what would make it more certain. ``findings``: what was doubtful, but
+    usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches, where it
+    cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``: on the way
+    to the fit. ``origin``: what it was made from.
     """
 
     fit: Fit
@@ -89,6 +84,8 @@ class Calibration:
     trace: Trace | None = None
     choice: Choice | None = None
     origin: Origin = FROM_PYTHON
+    checks: tuple[Check, ...] = ()
+    shown: tuple[str, ...] = ()
 
     @property
     def trusted(self) -> bool:
@@ -99,6 +96,15 @@ class Calibration:
     def judged_by(self) -> Mapping[str, Mapping[str, Metrics]]:
         """The metrics that count, by when and quantity: of the data held out, else of those identified from."""
         return self.metrics["validation" if "validation" in self.metrics else "identification"]
+
+    def accepting(self, names: Collection[Accepted]) -> "Calibration":
+        """Return the calibration with checks of the verdict that the user answers for, and that do not count."""
+        if not names:
+            return self
+        now = [(check, answered(check) if check.name in names and not check.passed else check) for check in self.checks]
+        gone = {old.sentence for old, new in now if new.passed}
+        doubts = tuple(doubt for doubt in self.doubts if doubt not in gone)
+        return replace(self, doubts=doubts, checks=tuple(new for _, new in now))
 
     def __repr__(self) -> str:
         by = "held out" if "validation" in self.metrics else "identified from"
@@ -123,7 +129,7 @@ def assess(
     data: Sequence[Measurements] | None = None,
     residual_model: ResidualModel | None = None,
     names: Sequence[str] | None = None,
-    findings: Sequence[Finding] = (),
+    findings: Sequence[Finding] | None = None,
     trace: Trace | None = None,
     origin: Origin = FROM_PYTHON,
 ) -> Calibration:
@@ -134,8 +140,9 @@ def assess(
 
     ``data``: the tables to identify from, where the fit is a level that took some of them. ``residual_model``: what the
     machine adds to positions. ``names``: of the tables, first those to identify from; by default where they come from.
-    ``findings``: what was doubtful in the data. ``trace``: of a total differential that has led to the fit. Raises
-    MeasurementError when data held out are of tools or targets that the fit does not know.
+    ``findings``: what was doubtful in the data; when None, what looks wrong with them by themselves. ``trace``: of a
+    total differential that has led to the fit. Raises MeasurementError when data held out are of tools or targets that
+    the fit does not know.
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
@@ -163,20 +170,26 @@ def assess(
         }
         for use, _ in uses
     }
-    decisive = figures["validation" if validation else "identification"]
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
+    findings = looks_wrong(fit.model, own) if findings is None else findings
     told = any(finding.code == "not-held-out" for finding in findings)
+    findings = (*findings, *([] if told else _not_held_out(own, validation)))
+    found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
+    moved = tables_with_own_base(fit.model, sets)
+    judged_fit = verdict(fit, machine, sets, found, findings, moved)
     return Calibration(
         fit,
         machine,
         tuple(sets),
         figures,
-        (*stopped, *doubts(fit, decisive["before"], decisive["after"], held_out=bool(validation))),
-        (*findings, *([] if told else _not_held_out(own, validation)), *remarks(fit)),
-        outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)}),
+        (*stopped, *judged_fit.doubts),
+        (*findings, *remarks(fit), *(Finding("warning", "own-base", one.sentence) for one in moved if not one.wide)),
+        found,
         in_urdf,
         trace=trace,
         origin=origin,
+        checks=judged_fit.checks,
+        shown=judged_fit.shown,
     )
 
 

@@ -31,6 +31,7 @@ from calib.machine.model_file import (
 )
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
+from calib.presentation.inline import Page
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
@@ -108,7 +109,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
     progress("drawing the scene")
     scene = render_scene(scene_of(found))
     progress("writing the report")
-    report = report_of(found)
+    report = report_of(found, (("The scene in 3D", SCENE_FILE),))
     files: dict[str, bytes | str] = {
         **machine,
         RESULT_FILE: result_json(found),
@@ -139,18 +140,18 @@ def save(found: Calibration | Fit, folder: str | Path) -> Path:
 
 
 @checked
-def report(found: Calibration | Fit) -> str:
-    """Return the report of a calibration as one HTML page that needs no other file."""
-    return render_page(report_of(judged(found)))
+def report(found: Calibration | Fit) -> Page:
+    """Return the report of a calibration as one HTML page that needs no other file; a notebook shows it in place."""
+    return Page(render_page(report_of(judged(found))))
 
 
 @checked
-def scene(found: Calibration | Fit) -> str:
-    """Return the 3D scene of a calibration as one HTML page that needs no other file.
+def scene(found: Calibration | Fit) -> Page:
+    """Return the 3D scene of a calibration as one HTML page that needs no other file; a notebook shows it in place.
 
     Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them.
     """
-    return render_scene(scene_of(judged(found)))
+    return Page(render_scene(scene_of(judged(found))))
 
 
 def judged(found: Calibration | Fit) -> Calibration:
@@ -192,6 +193,8 @@ def result(found: Calibration) -> dict[str, Any]:
     contents: dict[str, Any] = {
         "trusted": not found.doubts,
         "doubts": list(found.doubts),
+        "checks": [asdict(check) for check in found.checks],
+        "shown": list(found.shown),
         "findings": [finding.sentence for finding in found.findings],
         "metrics": {
             use: {when: _by_quantity(figures) for when, figures in by_when.items()}
@@ -226,6 +229,10 @@ def result(found: Calibration) -> dict[str, Any]:
         ],
         "outliers": _worst(found.outliers),
         "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
+        "setups": {
+            name: PoseEntry.of(base).model_dump()
+            for name, base in zip(fit.measurements[0].setups, fit.machine.frames.bases, strict=True)
+        },
         "tools": {
             name: PoseEntry.of(tool).model_dump()
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
@@ -296,7 +303,7 @@ def residual_table(found: Calibration) -> str:
     whens = ("before", "after")
     # The unit stands last in a title, so that columns of one unit follow one another.
     titles = [f"{when}_{title}" for unit in ("mm", "deg", "px") for when in whens for title in columns if unit in title]
-    rows: list[Iterable[object]] = [["use", "file", "line", "point", *titles]]
+    rows: list[Iterable[object]] = [["use", "file", "line", "tool", *titles]]
     for judged in found.sets:
         data, own = judged.data, _columns_of(judged.data.kind)
         for n, line in enumerate(data.lines):

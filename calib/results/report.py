@@ -14,6 +14,7 @@ from calib.results.versions import versions
 
 SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.errors(c.metrics, None if c.in_urdf is None else (c.in_urdf.metrics, c.in_urdf.fit.converged)),
+    lambda c: sections.checks(c.checks),
     lambda c: None if c.trace is None else sections.trace(c.trace),
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),
@@ -32,11 +33,13 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
 )
 
 
-def report_of(found: Calibration) -> Report:
-    """Return the report of a judged calibration, as plain data."""
+def report_of(found: Calibration, beside: tuple[tuple[str, str], ...] = ()) -> Report:
+    """Return the report of a judged calibration, as plain data. ``beside``: words and URLs of pages in its folder."""
     robot = found.fit.robot
     return Report(
         f"Calibration of {robot.urdf.name or robot.urdf.where}",
-        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings]),
+        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings], found.shown),
         tuple(section for make in SECTIONS if (section := make(found)) is not None),
+        tuple(found.origin.about.items()),
+        beside,
     )

@@ -8,6 +8,7 @@ is left out, and said.
 import itertools
 import re
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from calib.foundations.files import read_bytes
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
-from calib.robot.urdf import Urdf, read_document
+from calib.robot.urdf import LARGEST_NUMBER, Urdf, read_document
 
 _LARGEST_MESH = 200_000_000
 _FORMATS = {".dae", ".stl", ".obj", ".ply"}
@@ -35,8 +36,10 @@ MOST_SHAPES = 1000
 # a pose.
 _LEAST_TESTS = 300_000
 _TESTS_OF_A_POSE = 100
-# What a test of a mesh counts; of one that winds into another without touching it, it should be more.
+# What a test of a mesh counts at least; of one that winds into another without touching it, as many tests as the
+# processor could have done meanwhile, at this many seconds each: ordinary ones are far from that on slow machines, too.
 _OF_MESHES = 4.0
+_OF_TIME = 2e-5
 # Two balls, in numbers of three coordinates, as a part of such a test.
 _OF_BALLS = 1.0 / 1000.0
 _BLOCK = 200  # poses at a time
@@ -159,10 +162,13 @@ class _Poses:
         return found
 
     def _touch(self, a: int, b: int, pose: int) -> bool:
-        self._effort.spend(max(self._shapes[a].effort, self._shapes[b].effort))
+        least = max(self._shapes[a].effort, self._shapes[b].effort)
         where = (self._at(a, pose), self._at(b, pose))
         shapes = (self._shapes[a].geometry, self._shapes[b].geometry)
+        start = time.process_time()
         count: int = coal.collide(shapes[0], where[0], shapes[1], where[1], _REQUEST, coal.CollisionResult())
+        meshes = self._shapes[a].effort > 1.0 and self._shapes[b].effort > 1.0
+        self._effort.spend(max(least, (time.process_time() - start) / _OF_TIME) if meshes else least)
         return count > 0
 
     def _at(self, shape: int, pose: int) -> object:
@@ -270,7 +276,11 @@ def _read_mesh(path: Path, scale: Array, what: str) -> object:
         with tempfile.TemporaryDirectory() as folder:
             alone = Path(folder) / f"mesh{path.suffix.lower()}"
             alone.write_bytes(_without_materials(data) if alone.suffix == ".obj" else data)
-            return coal.MeshLoader().load(str(alone), scale)
+            mesh = coal.MeshLoader().load(str(alone), scale)
+        # Corners may be anything, and what is compared with no number is never near.
+        if not np.abs(mesh.vertices()).max(initial=0.0) <= LARGEST_NUMBER:
+            raise ValueError
+        return mesh
     except (RobotError, RuntimeError, ValueError, OSError) as e:
         raise RobotError(f"{what}, which cannot be read, and is not judged.") from e
 
@@ -288,6 +298,8 @@ def _numbers(text: str, count: int, at: str) -> Array:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():
         raise RobotError(f"{at} has {text[:60]!r} where {count} numbers are needed, and is not judged.")
+    if np.abs(values).max() > LARGEST_NUMBER:
+        raise RobotError(f"{at} has {text[:60]!r}; allowed are numbers up to {LARGEST_NUMBER:g}. It is not judged.")
     return values
 
 

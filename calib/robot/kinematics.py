@@ -96,6 +96,20 @@ class Kinematics:
             for T, M in zip(placements, matrices, strict=True)
         )
 
+    def jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Return placements (N, 4, 4) of the first frame, and its local twists (N, 6, nj) for the joints' positions.
+
+        At N configurations q (N, nj): columns of the regressor, without the others.
+        """
+        model, data, local, frame = self._model, self._data, pin.ReferenceFrame.LOCAL, self._frames[0]
+        placements, jacobians = np.empty((len(q), 4, 4)), np.empty((len(q), 6, model.nv))
+        compute, placed = pin.computeFrameJacobian, data.iMf
+        for n, q_n in enumerate(np.ascontiguousarray(q)):
+            jacobians[n] = compute(model, data, q_n, frame, local)
+            # On its way to the root the computation leaves the frame's placement there.
+            placements[n] = placed[0].homogeneous
+        return placements, jacobians
+
     def placements(self, q: Array) -> tuple[Array, ...]:
         """Return the placements (N, 4, 4) of every frame at N configurations q (N, nj)."""
         model, data = self._model, self._data

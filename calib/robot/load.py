@@ -30,6 +30,7 @@ def load_robot(
     tip: str | None = None,
     base: str | None = None,
     *,
+    links: Sequence[str] = (),
     couplings: Sequence[Coupling] = (),
     loops: Sequence[ClosedLoop] = (),
     gravity: Sequence[float] = STANDARD_GRAVITY,
@@ -37,6 +38,10 @@ def load_robot(
 ) -> Robot:
     """Load the arm from link ``base`` (default: the root link) to link ``tip`` (default: the only leaf link).
 
+        robot = calib.load_robot("humanoid.urdf", "right_hand", links=["left_hand", "head"])
+
+    ``links``: others whose places matter, such as the tips of other arms on the same base: the robot is then all that
+    is between the base and any of them, and :meth:`calib.Robot.with_tip` looks at one of them.
     ``urdf`` is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data.
     ``couplings`` replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is
     a tree, leaves open; the passive joints start their search where they would be by mimicry. ``gravity`` (3,), in
@@ -49,7 +54,9 @@ def load_robot(
     path = list(_path(document, base, tip, "tip"))
     if all(joint.type == "fixed" for joint in path):
         raise RobotError(f"{document.where}: no joint moves between {base!r} and {tip!r}; choose another tip.")
-    joints = path + [
+    others = [_known_link(document, link, "link") for link in dict.fromkeys(links) if link not in (tip, base)]
+    joints = path + [joint for link in others for joint in _path(document, base, link, "link")]
+    joints += [
         joint
         for loop in loops
         for link in loop.frames
@@ -91,6 +98,7 @@ def load_robot(
         tuple(loops),
         gravity=_gravity(document, gravity),
         payload=_checked(document, payload),
+        links=tuple(dict.fromkeys((tip, *others, *(link for link in links if link == base)))),
     )
 
 
@@ -115,6 +123,7 @@ def with_document(
         document,
         link(robot.tip),
         link(robot.base),
+        links=[link(name) for name in robot.links],
         couplings=[
             Coupling(joint(c.joint), {joint(driver): multiple for driver, multiple in c.drivers.items()}, c.offset)
             for c in robot.couplings

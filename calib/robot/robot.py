@@ -5,8 +5,8 @@ carries a deviation; the readings of the encoders become joint positions through
 follow from closed loops.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,9 +19,9 @@ from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
-from calib.robot.kinematics import Kinematics, MovingType, Regressor
+from calib.robot.kinematics import Kinematics, MovingType
 from calib.robot.loops import Closure, Loop, passive_joints
-from calib.robot.skeleton import Segment, derivative, end_frame, skeleton
+from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
 from calib.robot.terms import JointTerm
 from calib.robot.transmission import Flexures, Transmission, flexures
 from calib.robot.urdf import Urdf
@@ -124,10 +124,11 @@ class TipMotion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Robot:
-    """An arm, as its URDF designed it. Made by :func:`calib.load_robot`.
+    """An arm, or several on one base, as the URDF designed them. Made by :func:`calib.load_robot`.
 
-    ``chain``: the joints, parents first: those from base to tip, then the branches that loops need. ``tip_joint``:
-    index of the last one before the tip. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
+    ``chain``: the joints, parents first: those from base to tip, then the branches that other links and loops need.
+    ``tip_joint``: index of the last one before the tip. ``links``: the tip, and other links whose places are told;
+    :meth:`with_tip` looks at one of these. ``coupling`` (nj, nr) and ``coupling_offset`` (nj): positions of the moving
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
     ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
@@ -152,6 +153,44 @@ class Robot:
     weights: Weights | None = None
     gravity: tuple[float, float, float] = STANDARD_GRAVITY
     payload: Payload | None = None
+    links: tuple[str, ...] = ()
+
+    @checked
+    def with_tip(self, link: str) -> "Robot":
+        """Return the same robot, looked at another one of its ``links``. Raises RobotError for any other link.
+
+        left = robot.with_tip("left_hand")
+        """
+        if link == self.tip:
+            return self
+        if link not in self.links:
+            raise RobotError(
+                f"{self.urdf.where}: {link!r} is not one of the links that the robot was loaded with: "
+                f"{', '.join(map(repr, self.links))}."
+            )
+        return replace(self, tip=link, tip_joint=self._carrier(link))
+
+    def driving(self, links: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of the readings that say where links are; those of closed loops always do."""
+        names = {joint.name for loop in self.closed_loops for link in loop.frames for joint in self._path(link)}
+        names |= {joint.name for link in links for joint in self._path(link)}
+        moving = [self.chain[i].name in names for i in self.moving]
+        used = np.any(self.coupling[moving] != 0.0, axis=0)
+        return tuple(reading.name for reading, is_used in zip(self.readings, used, strict=True) if is_used)
+
+    def _path(self, link: str) -> Iterator[ChainJoint]:
+        """Yield the joints from a link back to the base."""
+        joint = self.tip_joint if link == self.tip else self._carrier(link)
+        while joint >= 0:
+            yield self.chain[joint]
+            joint = self.chain[joint].parent
+
+    def _carrier(self, link: str) -> int:
+        """Return the index of the joint that carries a link of the URDF, -1 for the base link."""
+        if link == self.base:
+            return -1
+        carriers = {self.urdf.joint(joint.name).child: i for i, joint in enumerate(self.chain)}
+        return carriers[link]
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -248,8 +287,8 @@ class TipModel:
     """A robot with given deviations, ready to be evaluated at many readings. Not to be shared by threads.
 
     ``joints`` (6 nj, n) and ``tail`` (6, n): as in :class:`TipMotion`. ``base_column`` (6, 6): carries a local twist of
-    the base link to the placement of moving joint 0, the first one on the way to the tip; nothing that loops determine
-    depends on where the base is.
+    the base link to the placement of moving joint ``first``, the first one on the way to the tip; nothing that loops
+    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base.
     """
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
@@ -275,7 +314,8 @@ class TipModel:
                 by_offset[6 * j + (5 if kind == "revolute" else 2)] = m.offset_coupling[j]
         self.joints = np.hstack([joints, by_offset])
         self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
-        self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[0]))
+        self.first = first_moving(s, end)
+        self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[self.first]))
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -297,7 +337,8 @@ class TipModel:
             rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
         by_terms = np.zeros((len(q), 6, 0))
         if self._terms is not None:
-            by_terms = self._terms.by_terms(self._by_coordinate(q, tip), readings, conditions)
+            every = tip.by_joint(self._types, range(len(self._types)))
+            by_terms = self._terms.by_terms(self._by_coordinate(q, every), readings, conditions)
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
@@ -307,11 +348,11 @@ class TipModel:
         joint_positions does.
         """
         q = self._positions(readings, conditions)
-        (tip,) = self._kinematics.regressors(q)
-        by_reading = self._by_coordinate(q, tip)[:, :, : readings.shape[1]]
+        placement, by_joint = self._kinematics.jacobian(q)
+        by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
-        return tip.placement, by_reading
+        return placement, by_reading
 
     def _positions(self, readings: Array, conditions: Conditions) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
@@ -319,10 +360,12 @@ class TipModel:
         q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
-    def _by_coordinate(self, q: Array, tip: Regressor) -> Array:
-        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj)."""
+    def _by_coordinate(self, q: Array, by_joint: Array) -> Array:
+        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj).
+
+        ``by_joint`` (N, 6, nj): per change of the joints.
+        """
         coupling, passive = self._mechanism.coupling, self._passive
-        by_joint = tip.by_joint(self._types, range(len(self._types)))
         if self._closure is None:
             return np.asarray(by_joint @ coupling)
         active = coupling.copy()

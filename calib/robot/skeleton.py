@@ -66,6 +66,15 @@ def end_frame(s: Skeleton, joint: int) -> Frame:
     return Frame(carrier, T @ rigid.inverse(s.segments[joint].frame))
 
 
+def first_moving(s: Skeleton, joint: int) -> int:
+    """Return the number of the first moving joint on the way from the base to the end of a joint; -1 for none."""
+    first = -1
+    while joint >= 0:
+        number = s.segments[joint].number
+        first, joint = first if number is None else number, s.segments[joint].parent
+    return first
+
+
 def derivative(s: Skeleton, joint: int) -> tuple[Array, Array]:
     """Return how the frame at the end of a joint follows the deviations: ``joints`` (6 nj, 6 n) and ``tail`` (6, 6 n).
 

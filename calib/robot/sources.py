@@ -1,6 +1,8 @@
 """Where a robot description and its meshes come from: paths of the user, and ``example:`` for example-robot-data."""
 
 import contextlib
+import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -14,6 +16,9 @@ EXAMPLE = "example:"
 
 _DISTRIBUTION = "example-robot-data"
 _FOLDER = f"share/{_DISTRIBUTION}/robots"
+_MESH = re.compile(rb"""<mesh\b[^>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
+_PACKAGE_NAME = re.compile(rb"<name>\s*([A-Za-z0-9_.-]{1,100})\s*</name>")
+_LARGEST_MANIFEST = 100_000
 
 
 def resolve(path: str | Path) -> Path:
@@ -73,7 +78,9 @@ def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
     else:
         return None
     for root in roots:
-        for name in names:
+        # The folder of a package is no place for meshes of another one that have the same path there.
+        other = len(names) > 1 and _package_name(root) not in (None, rest.partition("/")[0])
+        for name in names[:1] if other else names:
             try:
                 path = (root / name).resolve()
                 if path.is_relative_to(root.resolve()) and path.is_file():
@@ -82,6 +89,41 @@ def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
                 # A loop of links, a name too long, a zero byte: no file of that name.
                 continue
     return None
+
+
+def mesh_uris(source: bytes) -> tuple[str, ...]:
+    """Return what the ``<mesh filename>`` of a URDF name, each once."""
+    found = (match[1].decode(errors="replace") for match in _MESH.finditer(source))
+    return tuple(dict.fromkeys(found))
+
+
+def package_folders(source: bytes, urdf: Path) -> tuple[Path, ...]:
+    """Return the folders of the packages that the meshes of a URDF name by ``package://``, as far as they are found.
+
+    A package is a folder with a ``package.xml`` that says its name: one that the URDF is in, one beside it, or, in
+    ``AMENT_PREFIX_PATH``, ``share/NAME``.
+    """
+    names = {uri.split("/")[2] for uri in mesh_uris(source) if uri.startswith("package://") and uri.count("/") > 2}
+    above = [folder for folder in urdf.absolute().parents if _package_name(folder) is not None][:1]
+    candidates = [*above, *(folder.parent / name for folder in above for name in sorted(names))]
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        candidates += [Path(prefix) / "share" / name for name in sorted(names) if prefix]
+    found: dict[str, Path] = {}
+    for folder in candidates:
+        name = _package_name(folder)
+        if name in names:
+            found.setdefault(str(name), folder)
+    return tuple(found.values())
+
+
+def _package_name(folder: Path) -> str | None:
+    """Return the name that a folder's ``package.xml`` states; None where it has none."""
+    try:
+        with (folder / "package.xml").open("rb") as file:
+            match = _PACKAGE_NAME.search(file.read(_LARGEST_MANIFEST)) if (folder / "package.xml").is_file() else None
+    except (OSError, ValueError):
+        return None
+    return None if match is None else match[1].decode()
 
 
 def _hint(inside: str) -> str:

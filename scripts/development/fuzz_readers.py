@@ -12,6 +12,7 @@ import random
 import re
 import shutil
 import tempfile
+import tomllib
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from calib.assessment.iso9283 import figures
+from calib.compensation.controllers.ur_own import with_ur_kinematics
 from calib.compensation.targets import targets
 from calib.foundations.errors import CalibError
 from calib.foundations.json_text import document
@@ -29,7 +31,8 @@ from calib.job.calibrate import calibrate
 from calib.job.fleet import Done, FleetJob
 from calib.job.fleet_summary import fleet_lines, summary, summary_csv
 from calib.job.inputs import load
-from calib.job.read import read_job
+from calib.job.propose import propose, told
+from calib.job.read import parse_job, read_job
 from calib.job.run import run
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
@@ -38,6 +41,7 @@ from calib.machine.model_file import load_machine, model_json
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty_file import uncertainty_json
 from calib.measurement.cycles import cycles
+from calib.measurement.formats.sheet import joined, read_sheet
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -54,7 +58,7 @@ from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Reading
-from calib.robot.urdf import inertials, parse_urdf
+from calib.robot.urdf import Urdf, inertials, parse_urdf, read_urdf
 from calib.robot.urdf_writer import splice_origins
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
@@ -199,6 +203,36 @@ def _table(data: bytes) -> None:
             assert len(str(e)) <= LONGEST_SENTENCE, f"a sentence of {len(str(e))} characters"
 
 
+def _proposal(data: bytes) -> None:
+    file = _file("proposed.csv", data)
+    found = propose(ROBOTS / "arm_cmm" / "arm_cmm.urdf", [file], tip="probe")
+    told(file)
+    if not found.questions:
+        parse_job(tomllib.loads(found.job(file.parent)), "proposed.toml")
+    for question in found.questions:
+        assert len(question.sentence) <= LONGEST_SENTENCE, f"a question of {len(question.sentence)} characters"
+
+
+_SHEETS = (".jsonl", ".json", ".yaml", ".xlsx", ".txt")
+
+
+def _sheet(data: bytes) -> None:
+    kind = _SHEETS[data[0] % len(_SHEETS)] if data else ".jsonl"
+    one = read_sheet(_file(f"sheet{kind}", data[1:]))
+    joined(one, one)
+    assert one.csv().count("\n") >= len(one.rows), "rows that are lost"
+
+
+@functools.cache
+def _ur10() -> Urdf:
+    return read_urdf("example:ur_description/urdf/ur10_robot.urdf")
+
+
+def _kinematics(data: bytes) -> None:
+    urdf = parse_urdf(with_ur_kinematics(_ur10(), data.decode(errors="replace")), "own.urdf")
+    assert np.isfinite(load_robot(urdf, "tool0").tips(np.zeros((1, 6)))).all(), "a tool nowhere"
+
+
 def _job(data: bytes) -> None:
     read_job(_file("job.toml", data))
 
@@ -341,13 +375,49 @@ def _shortened(path: Path, rows: int = 14) -> bytes:
 def _tables() -> list[bytes]:
     paths = (path for path in sorted(ROBOTS.glob("*/*.csv")) if not path.name.endswith("_truth.csv"))
     return [_shortened(path, 9) for path in paths] + [
-        b'joint_1 [deg],x [mm],y [mm],z [mm],qw,qx,qy,qz,point,group\n1,2,3,4,1,0,0,0,"a, b",g\n',
+        b'joint_1 [deg],x [mm],y [mm],z [mm],qw,qx,qy,qz,tool,group\n1,2,3,4,1,0,0,0,"a, b",g\n',
         b"target,x [mm],y [mm],z [mm],command_x [mm],command_y [mm],command_z [mm],direction,time [s]\n"
         b"P1,1,2,3,1,2,3,up,0\nP1,1,2,4,1,2,3,up,1\nP2,1,2,3,1,2,3,down,2\nP2,2,2,4,1,2,3,up,3\n",
         b"joint_1 [deg];x [mm];y [mm];z [mm];direction_joint_1\n1,5;2;3;4;+\n-1,5e1;2;3;4;-\n",
         "\ufeffjoint_1 [deg],u [px],v [px],board_x [mm]\r\n1,700,400,20\r\n".encode(),
         "joint_1 [deg],length [mm],pair\r1,700,a\r2,700,a\r".encode("utf-16"),
     ]
+
+
+def _foreign() -> list[bytes]:
+    """Return tables as other people have them, of the arm CMM."""
+    rows = (ROBOTS / "arm_cmm" / "identification.csv").read_text().splitlines()
+    numbers = [line for line in rows if line and not line.startswith("#")][1:13]
+    head = ",".join(f"J{k}" for k in range(1, 7)) + ",X,Y,Z"
+    return [
+        "\n".join([head, *numbers]).encode(),
+        "\n".join(numbers).replace(",", " ").encode(),
+        ("// exported\n" + "\n".join([head, *numbers])).replace(",", ";").replace(".", ",").encode("cp1252"),
+        "\n".join(
+            [head.replace("J", "A").replace(",X", "_deg,X (mm)"), ",".join(["deg"] * 6 + ["mm"] * 3), *numbers]
+        ).encode("utf-16"),
+        "\n".join([head + ",A,B,C,target,q1,q2,q3,q4", *(f"{n},1,2,3,a,1,0,0,0" for n in numbers)]).encode(),
+    ]
+
+
+def _sheets() -> list[bytes]:
+    """Return files that are no plain tables; the first byte says of which kind."""
+    records = [{"name": "P1", "q": [1.5, 2], "pose": {"x": 1, "y": None}}, {"name": "P2", "q": [1, 2e3], "z": True}]
+    states = "name: [a, b]\nposition: [1.0, .2]\nvelocity: []\n---\nname: [a, b]\nposition: [1, 2]\n"
+    return [
+        b"\0" + "\n".join(map(json.dumps, records)).encode(),
+        b"\1" + json.dumps(records).encode(),
+        b"\1" + json.dumps({"samples": records}).encode(),
+        b"\2" + states.encode(),
+        b"\2"
+        + b"'15':\n  pose: {x: 1, y: 2}\n  joints:\n  - 1\n  - 2\n'16':\n  pose: {x: 1, y: 3}\n  joints: [1, 2]\n",
+        b"\4name;x;y\nP1;1,5;2\nP2;1;2\n",
+    ]
+
+
+def _own_kinematics() -> list[bytes]:
+    deltas = "".join(f"delta_{name} = [ 1e-4, 0, -2e-5, 0.0003, 0, 0]\n" for name in ("theta", "a", "d", "alpha"))
+    return [f"[mounting]\n{deltas}joint_checksum = [ 0xb3241580]\n".encode()]
 
 
 def _urdfs() -> list[bytes]:
@@ -555,6 +625,9 @@ READERS: dict[str, Reader] = {
     "urdf": Reader(_urdf, _urdfs, _NUMBERS + _ODD + _XML),
     "dh": Reader(_dh, _dhs, _NUMBERS + _ODD + _CSV),
     "table": Reader(_table, _tables, _NUMBERS + _ODD + _CSV),
+    "proposal": Reader(_proposal, _foreign, _NUMBERS + _ODD + _CSV),
+    "sheet": Reader(_sheet, _sheets, _NUMBERS + _ODD + _CSV + _JSON),
+    "kinematics": Reader(_kinematics, _own_kinematics, _NUMBERS + _ODD),
     "job": Reader(_job, _jobs, _NUMBERS + _ODD + _TOML),
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),

@@ -115,6 +115,23 @@ def _crossing(folder: Path, size: int) -> None:
     path.write_text(text.replace("</link>", many + "</link>"), encoding="utf-8")
 
 
+def _needles(folder: Path, size: int) -> None:
+    """Write two meshes of needles in all directions, which hardly touch and are all near each other, on all links."""
+    rng = np.random.default_rng(0)
+    for name in ("a.stl", "b.stl"):
+        many = max(size // 100, 4)
+        ends = rng.normal(size=(2, many, 3))
+        ends /= np.linalg.norm(ends, axis=2)[:, :, None]
+        facets = np.zeros(many, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+        facets["corners"] = np.stack([ends[0], ends[1], ends[1] + rng.normal(scale=1e-6, size=(many, 3))], axis=1)
+        (folder / name).write_bytes(bytes(80) + struct.pack("<I", many) + facets.tobytes())
+    path = folder / "arm_cmm.urdf"
+    *links, rest = path.read_text(encoding="utf-8").split("</link>")
+    shapes = [f'<collision><geometry><mesh filename="{"ab"[k % 2]}.stl"/></geometry></collision>' for k in range(99)]
+    many_links = "".join(f"{link}{shape}</link>" for link, shape in zip(links, shapes, strict=False))
+    path.write_text(many_links + rest, encoding="utf-8")
+
+
 def _chain(n: int) -> str:
     links = "".join(f'<link name="l{k}"/>' for k in range(n + 1))
     return (
@@ -466,8 +483,16 @@ def _targets(folder: Path, size: int) -> None:
 
 
 def _positions(folder: Path, size: int) -> None:
-    rows = repeated(lambda k: f"{k % 900},{k % 700},300\n", size)
+    rows = repeated(lambda k: f"{k % 900},{k % 701},300\n", size)
     (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + rows, encoding="utf-8")
+
+
+def _poses(folder: Path, size: int) -> None:
+    """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
+    (folder / "targets.csv").write_text(
+        "x [mm],y [mm],z [mm],qw,qx,qy,qz\n" + repeated(lambda k: f"{k % 50}{k % 97},{k % 900},9,1,0,0,0\n", size),
+        encoding="utf-8",
+    )
 
 
 def _far_positions(folder: Path, size: int) -> None:
@@ -521,6 +546,7 @@ HOSTILE: dict[str, Hostile] = {
         _urdf(_collisions, "</link>").write,
         ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
     ),
+    "collision meshes of needles": Hostile(_needles, _PLAN),
     "collision shapes all over": Hostile(_crossing, _PLAN),
     "dae doubling": _mesh("m.dae", _doubling),
     "dae doubling in the scene": _mesh("m.dae", _doubling_inline),
@@ -610,7 +636,7 @@ HOSTILE: dict[str, Hostile] = {
         )
     ),
     "rows": _rows(lambda _: "", ""),
-    "points": _rows(lambda k: f"p{k}", "point"),
+    "points": _rows(lambda k: f"p{k}", "tool"),
     "groups": _rows(lambda k: f"g{k}", "group"),
     "pairs": _rows(lambda k: f"p{k // 2}", "pair"),
     "pair distances": _rows(lambda k: f"p{k // 2},1", "pair,length [m]", _observed("pair_distance")),
@@ -626,6 +652,7 @@ HOSTILE: dict[str, Hostile] = {
     "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
+    "models of many rows": Hostile(_rows(lambda _: "", "").write, ("models", "calibration.toml")),
     "a process of many rows": _rows(
         lambda _: "",
         "",
@@ -643,6 +670,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
+    "poses hardly in reach": Hostile(_poses, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
     "joints of a model": _model(

@@ -215,7 +215,7 @@ def tracked(which: str, seed: int, few: bool = False) -> Case:
         x, y, z, w = Rotation.from_matrix(turned).as_quat().T
         columns |= {"qw": w, "qx": x, "qy": y, "qz": z}
     if several > 1:
-        columns |= {"point": [names[t] for t in tool]}
+        columns |= {"tool": [names[t] for t in tool]}
     data = calib.read_measurements(
         columns,
         robot,

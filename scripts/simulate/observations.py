@@ -28,6 +28,8 @@ JOINTS = (
     ("wrist_3_joint", (0.0, 0.0, 0.1157), 0.0, (0, 1, 0)),
 )
 FLANGE = ((0.0, 0.0922, 0.0), Rotation.from_euler("x", -np.pi / 2))
+# The base in the second place of the tracker: its turn, and where it is, m.
+RIGHT = (Rotation.from_rotvec((0.1, -0.05, 1.9)).as_matrix(), np.array((2.1, -0.7, 0.4)))
 TOOL = (0.02, 0.03, 0.12)  # of the ball or the reflector on the flange, m
 
 SOCKETS = {"a": (0.6, 0.1, 0.3), "b": (0.4, -0.5, 0.2), "c": (-0.3, 0.5, 0.5)}
@@ -134,6 +136,12 @@ def tables(machine: Machine) -> dict[str, tuple[Array, Rows]]:
     place: Rows = {f"{axis} [mm]": 1e3 * seen[:, k] for k, axis in enumerate("xyz")}
     quaternion = turned.as_quat(scalar_first=True)
     made["poses"] = at, place | {f"q{axis}": np.round(quaternion[:, k], 7).astype(str) for k, axis in enumerate("wxyz")}
+
+    # The tracker from two places: in the second one the base is turned, and farther away.
+    for name, count, turn, far in (("left", 40, np.eye(3), np.zeros(3)), ("right", 30, *RIGHT)):
+        at = machine.draw(count)
+        seen = machine.points(at) @ turn.T + far + machine.noise(count, 3)
+        made[name] = at, {f"{axis} [mm]": 1e3 * seen[:, k] for k, axis in enumerate("xyz")}
     return made
 
 

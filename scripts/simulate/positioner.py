@@ -198,7 +198,7 @@ def main() -> None:
     seed = arguments.seed
     rng = np.random.default_rng(seed)
     joints = [f"joint_{k} [deg]" for k in range(1, 7)]
-    header = [*joints, "tilt [deg]", "rotary [deg]", "point"]
+    header = [*joints, "tilt [deg]", "rotary [deg]", "tool"]
     identified = [(pose, mark) for mark in MARKS for pose in TOUCHED]
     drawn = [(round(rng.uniform(-90, 90), 1), round(rng.uniform(-180, 180), 1)) for _ in range(VALIDATED)]
     names = list(MARKS)

@@ -45,7 +45,7 @@ def model_of(robot: calib.Robot) -> calib.ErrorModel:
 
 def simulated(robot: calib.Robot) -> list[str]:
     """30 of 300 against 10 000 random designs, and the time of 60 of 10 000."""
-    frames = Frames(np.eye(4), rigid.translation(np.array([0.05, 0.0, 0.05]))[None])
+    frames = Frames(np.eye(4)[None], rigid.translation(np.array([0.05, 0.0, 0.05]))[None])
     many = random_candidates(robot, frames, 10_000).readings
     few = many[:300]
     lines = [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.advice import advice, null_space_advice
+from calib.assessment.advice import advice, null_space_advice, told_briefly
 from calib.identification.observability import indices, observability
 from calib.robot.robot import Robot
 from tests.support import machines
@@ -165,3 +165,18 @@ def test_priors_change_no_remedy(fit: calib.Fit) -> None:
         for m in (fit.model, wide)
     )
     assert plain == scaled
+
+
+def test_what_no_pose_would_show_is_one_sentence() -> None:
+    robot, data = measured()
+    model = calib.error_model(robot, offsets="all", placements="all")
+    null_space = observability(model, [data]).null_space
+    every = [a.sentence for a in null_space_advice(model, [data], null_space)]
+    assert len(every) == 18
+    (said,) = told_briefly(model, [data], null_space, every)
+    assert said == (
+        "18 combinations of parameters no position can show, normal for six revolute joints with a free base and tool; "
+        "no prediction depends on them."
+    )
+    # Few directions are told one by one.
+    assert told_briefly(model, [data], null_space[:2], every[:2]) == tuple(every[:2])

@@ -8,8 +8,6 @@ import pytest
 import calib
 from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.machine.calibrated import machine_of
-from calib.machine.tool_uncertainty import tool_uncertainty
 from tests.support import machines
 from tests.support.machines import Machine, anywhere, pose
 
@@ -38,7 +36,8 @@ def test_agrees_with_the_covariance(kind: Kind, observes: str) -> None:
     steps: list[tuple[int, int]] = []
     found = bootstrap(fit, readings, REPETITIONS, kind=kind, progress=lambda done, of: steps.append((done, of)))
     assert (found.failed, len(found.values), steps[-1]) == (0, REPETITIONS, (REPETITIONS, REPETITIONS))
-    expected = tool_uncertainty(machine_of(fit), readings).position
+    # Errors that the model leaves out are no scatter of repeated fits.
+    expected = machines.scatter_of_positions(fit, readings)
     # A standard deviation from 40 repetitions is itself known to a ninth.
     assert 0.8 < np.mean(found.sigma / expected) < 1.25
     assert 0.75 < np.mean(np.sqrt(np.diag(found.covariance)) / fit.sigmas) < 1.3

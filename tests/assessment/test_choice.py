@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment import choice as choice_module
 from calib.assessment.choice import Candidate, candidates, choose_terms
 from calib.assessment.validation import cross_validate
 from calib.identification.error_model import with_terms
+from calib.presentation.sheets import choice_sheet
 from calib.robot.terms.harmonic import OFFERED, harmonic
 from tests.support import machines
 from tests.support.gears import UR10, geared
@@ -105,6 +107,29 @@ def test_neither_the_order_of_rows_nor_the_frame_moves_the_choice() -> None:
     assert again.terms == choice.terms
     figures = [[step.held_out.rms for step in one.steps] for one in (choice, again)]
     np.testing.assert_allclose(*figures, rtol=1e-6)
+
+
+def test_of_very_many_rows_some_are_looked_at_whatever_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choice_module, "_ENOUGH_ROWS", 180)
+    model, data, _ = measured(5, 200, {(1, 3): 3e-4, (2, 6): 3e-4})
+    twice = data.subset(np.tile(np.arange(len(data)), 2))
+    choice = choose_terms(model, twice)
+    # Both visits of a pose, or none.
+    assert choice.rows == 180
+    assert len(choice.geometric.measurements[0]) == 400
+    joints = [reading.name for reading in model.robot.readings]
+    assert {*harmonic(joints[1], 3), *harmonic(joints[2], 6)} <= set(choice.terms)
+    assert "; by 180 of 400 rows, of groups taken at random" in choice_sheet(choice).caption
+    again = choose_terms(model, twice.subset(np.random.default_rng(0).permutation(len(twice))))
+    assert again.terms == choice.terms
+    figures = [[step.held_out.rms for step in one.steps] for one in (choice, again)]
+    np.testing.assert_allclose(*figures, rtol=1e-6)
+
+
+def test_few_large_groups_are_all_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choice_module, "_ENOUGH_ROWS", 10)
+    model, data, _ = measured(7, 60, {})
+    assert choose_terms(model, replace(data, group=tuple(f"g{k % 4}" for k in range(60)))).rows == 60
 
 
 def test_the_records_tell_every_step() -> None:

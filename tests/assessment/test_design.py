@@ -123,7 +123,7 @@ def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
 def ur10(n: int, misfit: float = 0.0, observes: str = "position") -> tuple[calib.ErrorModel, Setup, Array]:
     name = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     robot, rng = machines.load(*name), np.random.default_rng(0)
-    frames = Frames(machines.anywhere(rng), rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
+    frames = Frames(machines.anywhere(rng)[None], rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
     model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     setup = Setup(frames, observes, 0.05e-3, 0.1e-3, misfit)  # type: ignore[arg-type]
     return model, setup, machines.arm(*name).draw(rng, n)
@@ -154,7 +154,7 @@ def test_the_forecast_of_an_i_design_is_the_variance_a_fit_then_states() -> None
     columns |= {f"{axis} [m]": tip[:, k, 3] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, model.robot, sigma=setup.sigma)
     fit = calib.identify(model, data, model_sigmas=[0.0])
-    stated = calib.tool_uncertainty(calib.machine_of(fit), q).position
+    stated = machines.scatter_of_positions(fit, q)
     assert np.sqrt(np.mean(stated**2)) == pytest.approx(np.sqrt(value_of(s, chosen)), rel=1e-6)
     assert parts_of(s, chosen)[1] == 0.0
 
@@ -182,6 +182,6 @@ def test_poses_bring_six_numbers() -> None:
 
 @pytest.mark.parametrize("field", ["sigma", "misfit"])
 def test_numbers_of_a_setup_are_checked(field: str) -> None:
-    frames = Frames(np.eye(4), np.eye(4)[None])
+    frames = Frames(np.eye(4)[None], np.eye(4)[None])
     with pytest.raises(JobError, match=f"{field}: -1.0 is not a number from"):
         Setup(frames, **{field: -1.0})

@@ -21,7 +21,7 @@ from tests.support.collisions import ARM, BALLS, ball, with_shapes
 from tests.support.machines import anywhere, pose
 
 NAME = (machines.INLINE["negative"], "tip")
-FRAMES = Frames(anywhere(np.random.default_rng(3)), pose((0.05, 0.0, 0.1))[None])
+FRAMES = Frames(anywhere(np.random.default_rng(3))[None], pose((0.05, 0.0, 0.1))[None])
 
 
 def test_sight_is_an_angle_and_a_distance() -> None:
@@ -201,4 +201,4 @@ def test_candidates_that_are_no_number_of_poses(tmp_path: Path, monkeypatch: pyt
 def test_no_random_candidates() -> None:
     robot = calib.load_robot(parse_urdf(ARM.encode(), "arm.urdf"), "tip")
     with pytest.raises(JobError, match=r"^0 random poses are asked for; it takes one at least\.$"):
-        random_candidates(robot, Frames(np.eye(4), np.eye(4)[None]), 0)
+        random_candidates(robot, Frames(np.eye(4)[None], np.eye(4)[None]), 0)

@@ -1,4 +1,4 @@
-"""A calibration that should not be used says so."""
+"""A calibration that should not be used says so, and why."""
 
 from dataclasses import replace
 
@@ -6,50 +6,223 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.metrics import Metrics
-from calib.assessment.trust import doubts, remarks
+from calib.assessment import checks
+from calib.assessment.effects import delay, gains, steps, stretches, wandering
+from calib.assessment.influence import Residue
+from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
+from calib.machine.calibrated import machine_of
+from calib.measurement.checks import Finding
 from tests.support import machines
 
+Array = np.ndarray
+UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
 
-def figures(rms: float, quantity: str = "position") -> dict[str, Metrics]:
-    return {quantity: Metrics("m", 10, rms, rms, rms, rms)}
+
+class Cell:
+    """A UR5 of known truth, and its tables."""
+
+    def __init__(self, seed: int = 4) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.robot = calib.load_robot(*UR5)
+        tool = {"tool": machines.pose((0.05, 0.02, 0.15))}
+        true = machines.arm(*UR5).moved(self.rng)
+        self.machine = machines.Machine(true, machines.anywhere(self.rng), tool)
+        self.model = calib.error_model(self.robot, offsets="all", placements="all")
+
+    def draw(self, n: int) -> Array:
+        """Random readings."""
+        return self.rng.uniform(-2.0, 2.0, (n, 6))
+
+    def path(self, n: int) -> Array:
+        """Readings on a smooth path, some hundredths of a radian apart."""
+        s = np.arange(n)[:, None] * 0.02
+        return np.asarray(1.2 * np.sin(s * self.rng.uniform(0.6, 1.4, 6) + self.rng.uniform(0.0, 6.0, 6)))
+
+    def measured(self, q: Array, read: Array | None = None, sigma: float = 5e-5) -> calib.Measurements:
+        """What is measured at readings, of which a controller shows ``read``."""
+        data = self.machine.measure(self.robot, q, rng=self.rng, sigma=sigma)
+        return data if read is None else replace(data, readings=read)
+
+    def effects(self, data: calib.Measurements) -> tuple[tuple, Array]:
+        """The rows of a fit to them, and its covariance."""
+        residue = Residue.of(calib.identify(self.model, data), {})
+        return stretches(residue), residue.C
 
 
 @pytest.fixture(scope="module")
-def fit() -> calib.Fit:
-    text = machines.INLINE["negative"]
-    rng = np.random.default_rng(4)
-    true = machines.arm(text, "tip").moved(rng)
-    machine = machines.Machine(true, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
-    robot = machines.load(text, "tip")
-    data = machine.measure(robot, true.draw(rng, 40), rng=rng, sigma=1e-5)
-    return calib.identify(calib.error_model(robot, offsets="all"), data)
+def cell() -> Cell:
+    return Cell()
 
 
-def test_good_calibration_has_no_doubts(fit: calib.Fit) -> None:
-    assert doubts(fit, figures(2e-3), figures(1e-3), held_out=True) == ()
+@pytest.fixture(scope="module")
+def fit(cell: Cell) -> calib.Fit:
+    return calib.identify(cell.model, cell.measured(cell.draw(40)))
 
 
-def test_no_better_on_held_out_data(fit: calib.Fit) -> None:
-    assert doubts(fit, figures(1e-3), figures(1e-3), held_out=True) == (
-        "On data that the fit never saw the position error is no smaller than before calibration.",
-    )
+def lengthened(origin: Array, factor: float) -> Array:
+    longer = np.array(origin)
+    longer[:3, 3] *= factor
+    return longer
 
 
-def test_no_better_on_its_own_data(fit: calib.Fit) -> None:
-    (said,) = doubts(fit, figures(1e-3, "orientation"), figures(2e-3, "orientation"), held_out=False)
-    assert said == "On the data it was fitted to the orientation error is no smaller than before calibration."
+def failed(found: calib.Calibration) -> set[str]:
+    return {check.name for check in found.checks if not check.passed}
 
 
-def test_frames_alone_need_not_be_better(fit: calib.Fit) -> None:
-    frames = replace(fit, parameters=tuple(p for p in fit.parameters if not p.of_robot))
-    assert doubts(frames, figures(1e-3), figures(1e-3), held_out=True) == ()
+# ---- the verdict
 
 
-def test_not_converged(fit: calib.Fit) -> None:
-    (said,) = doubts(replace(fit, converged=False, step=0.25), figures(2e-3), figures(1e-3), held_out=True)
-    assert said == "The solver did not converge: its last step was 0.25 parameter scales."
+def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
+    found = calib.assess(fit, cell.measured(cell.draw(20)))
+    assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
+    assert len({check.name for check in found.checks}) == len(found.checks) == 21
+    assert found.shown[0].startswith("Shown where measured: within ")
+    alone = calib.assess(fit)
+    assert alone.trusted
+    assert "held out" in alone.shown[1]
+
+
+def test_the_verdict_is_the_conjunction_of_the_checks(cell: Cell, fit: calib.Fit) -> None:
+    held_out = cell.measured(cell.draw(20))
+    found = calib.assess(replace(fit, converged=False, step=0.25), held_out)
+    assert found.doubts == ("The solver did not converge: its last step was 0.25 parameter scales.",)
+    warned = calib.assess(fit, held_out, findings=[Finding("warning", "unexplained", "No mistake explains it.")])
+    assert (warned.doubts, failed(warned)) == (("No mistake explains it.",), {"input"})
+    harmless = calib.assess(fit, held_out, findings=[Finding("warning", "repeated-row", "One row comes twice.")])
+    assert harmless.trusted
+
+
+@pytest.mark.parametrize(
+    ("rows", "name"),
+    [
+        (lambda own, cell: own, "copies"),
+        (lambda own, cell: own.subset(np.arange(len(own))[::-1]), "copies"),
+        (lambda own, cell: replace(own, readings=own.readings.round(3), position=own.position.round(4)), "copies"),
+        (lambda own, cell: cell.measured(cell.draw(1)), "held-out poses"),
+        (lambda own, cell: replace(own, readings=cell.draw(len(own))), "explained"),
+        (lambda own, cell: replace(d := cell.measured(cell.draw(20)), position=d.position + 2e-3), "prediction"),
+    ],
+    ids=["the same", "shuffled", "rounded", "one row", "random", "base moved"],
+)
+def test_what_a_validation_must_be(cell: Cell, fit: calib.Fit, rows, name: str) -> None:
+    found = calib.assess(fit, rows(fit.measurements[0], cell))
+    assert not found.trusted
+    assert name in failed(found)
+
+
+def test_random_numbers_are_not_explained(cell: Cell) -> None:
+    data = cell.measured(cell.draw(60))
+    wild = replace(data, position=cell.rng.uniform(-0.8, 0.8, (60, 3)))
+    found = calib.assess(calib.identify(cell.model, wild.subset(range(40))), wild.subset(range(40, 60)))
+    assert {"explained", "improvement"} <= failed(found)
+    (check,) = (check for check in found.checks if check.name == "explained")
+    assert 0.7 < check.statistic < 1.6
+
+
+def test_nothing_better_than_before_is_not_shown() -> None:
+    cell = Cell()
+    exact = machines.Machine(machines.arm(*UR5), cell.machine.base, cell.machine.tools)
+    own, held_out = (exact.measure(cell.robot, cell.draw(n), rng=cell.rng, sigma=2e-4) for n in (40, 30))
+    assert failed(calib.assess(calib.identify(cell.model, own), held_out)) == {"improvement"}
+
+
+def test_frames_alone_need_not_be_better(cell: Cell) -> None:
+    frames = calib.error_model(cell.robot)
+    fit = calib.identify(frames, cell.measured(cell.draw(30)))
+    assert "improvement" not in failed(calib.assess(fit, cell.measured(cell.draw(20))))
+
+
+def test_what_the_user_answers_for_does_not_count(cell: Cell) -> None:
+    q = cell.draw(60)
+    q[:, 4] = 0.7
+    found = calib.assess(calib.identify(cell.model, cell.measured(q[:40])), cell.measured(q[40:]))
+    assert failed(found) == {"joints"}
+    accepted = found.accepting(["joints"])
+    assert (accepted.trusted, accepted.doubts) == (True, ())
+    (check,) = (check for check in accepted.checks if check.name == "joints")
+    assert check.sentence == "Never moved, or never read: 'wrist_2_joint'. The job says that it is so."
+    assert found.accepting(["lengths"]).doubts == found.doubts
+
+
+# ---- effects that no parameter stands for
+
+
+@pytest.mark.parametrize("rows", [3, -2])
+def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
+    q = cell.path(500)
+    # Measured so many rows after it was read.
+    late = np.roll(q, rows, axis=0)[10:-10]
+    parts, C = cell.effects(cell.measured(late, q[10:-10]))
+    found = delay(parts, C)
+    assert found.value == pytest.approx(rows, abs=max(4.0 * found.sigma, 0.15))
+    assert abs(found.t) > 6.0
+    assert not checks.late(found).passed
+    assert delay(parts, C, 1e-3).value == pytest.approx(1e-3 * found.value)
+
+
+def test_a_gain_comes_back(cell: Cell) -> None:
+    q = cell.draw(80)
+    read = q / np.array([1.0, 1.0, 1.03, 1.0, 1.0, 1.0])
+    parts, C = cell.effects(cell.measured(q, read))
+    found = gains(parts, C)
+    assert found["elbow_joint"].value == pytest.approx(0.03, rel=0.05)
+    assert max(found, key=lambda name: found[name].size) == "elbow_joint"
+
+
+def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
+    data = cell.measured(cell.draw(60))
+    moved = data.position + np.where(np.arange(60) >= 25, 1e-3, 0.0)[:, None]
+    parts, C = cell.effects(replace(data, position=moved))
+    worst = steps(parts, C)[0]
+    assert (worst.what, worst.line) == ("base", data.lines[24])
+    assert worst.size > 10.0
+    assert worst.chance < 1e-20
+
+
+def test_sound_rows_show_no_effect(cell: Cell) -> None:
+    for q in (cell.draw(60), cell.path(400)):
+        parts, C = cell.effects(cell.measured(q))
+        late = delay(parts, C)
+        assert not abs(late.value) > 5.0 * late.sigma
+        assert all(not abs(gain.t) > 6.0 for gain in gains(parts, C).values())
+        assert all(step.size < checks.SIZE for step in steps(parts, C))
+        assert wandering(parts, C)[0] < 1e-4
+
+
+def test_a_base_that_wanders_by_centimetres(cell: Cell) -> None:
+    data = cell.measured(cell.draw(60))
+    drift = np.linspace(0.0, 0.03, 60)[:, None] * np.array([1.0, 0.0, 0.0])
+    parts, C = cell.effects(replace(data, position=data.position + drift))
+    size, chance = wandering(parts, C)
+    assert 3e-3 < size < 2e-2
+    assert chance < 1e-10
+
+
+# ---- what is plausible
+
+
+@pytest.mark.parametrize(("factor", "passed"), [(1.05, False), (1.03, True)])
+def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) -> None:
+    base, tools = cell.machine.base, cell.machine.tools
+    arm = machines.arm(*UR5)
+    longer = [replace(j, origin=lengthened(j.origin, factor)) for j in arm.joints]
+    true = machines.Machine(replace(arm, joints=tuple(longer)), base, tools)
+    fit = calib.identify(cell.model, true.measure(cell.robot, cell.draw(60), rng=cell.rng, sigma=5e-5))
+    check = checks.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.statistic == pytest.approx(factor - 1.0, rel=0.1)
+    assert check.passed == passed
+
+
+def test_a_tool_beyond_reach(fit: calib.Fit) -> None:
+    assert checks.tool_and_base(fit).passed
+    tools = np.array(fit.machine.frames.tools)
+    tools[:, 0, 3] += 5.0
+    frames = replace(fit.machine.frames, tools=tools)
+    assert not checks.tool_and_base(replace(fit, machine=replace(fit.machine, frames=frames))).passed
+
+
+# ---- remarks
 
 
 def test_narrowed_priors_are_remarked(fit: calib.Fit) -> None:
@@ -61,3 +234,24 @@ def test_narrowed_priors_are_remarked(fit: calib.Fit) -> None:
     assert remarks(replace(fit, narrowed=100.0, converged=False)) == ()
     # Values that were found in another way were searched without any.
     assert with_values(replace(fit, narrowed=10.0), fit.values, fit.machine).narrowed == 1.0
+
+
+def test_a_sigma_that_is_too_large_is_remarked(cell: Cell) -> None:
+    data = cell.measured(cell.draw(40))
+    fit = calib.identify(cell.model, replace(data, sigma=5.0 * data.sigma))
+    (finding,) = remarks(fit)
+    assert finding.code == "sigma-too-large"
+    assert "sigma seems 5 times too large" in finding.sentence
+    assert checks.prediction(fit, machine_of(fit), []).passed
+
+
+def test_a_table_that_asks_for_a_base_of_its_own() -> None:
+    cell = Cell(9)
+    one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
+    moved = replace(other, position=other.position + np.array([2e-3, 0.0, 1e-3]))
+    sound = calib.assess(calib.identify(cell.model, [one, other]))
+    assert sound.trusted
+    found = calib.assess(calib.identify(cell.model, [one, moved]))
+    (check,) = (check for check in found.checks if check.name == "groups")
+    assert not check.passed
+    assert "it asks for a base of its own" in check.sentence

@@ -84,7 +84,8 @@ def test_driven_against_differences(name: str) -> None:
     robot = robot_of(name)
     model, readings, h = TipModel(robot, deviations(robot)), draw(robot, 20), 1e-6
     T, J = model.driven(readings)
-    assert np.array_equal(T, model.motion(readings).placement)
+    # Products of the same placements, from the other end.
+    np.testing.assert_allclose(T, model.motion(readings).placement, rtol=0, atol=1e-14)
     assert J.shape == (20, 6, len(robot.readings))
     for j in range(readings.shape[1]):
         step = h * np.eye(readings.shape[1])[j]
@@ -198,7 +199,50 @@ def test_positions_alone_change_least() -> None:
     assert (np.linalg.norm(found.change, axis=1) <= np.linalg.norm(pose.change, axis=1) + 1e-9)[both].all()
 
 
+def test_positions_end_nearest_to_a_start_that_is_far_away() -> None:
+    model = model_of(robot_of("ur10"))
+    readings = draw(model.robot, 60)
+    positions = (model.robot.tips(readings, model.deviations) @ TOOLS["tool"])[:, :3, 3]
+    start = np.tile([0.5, -1.0, 1.2, -0.4, 0.6, 0.3], (60, 1))
+    found = commands.for_poses(model, positions, start)
+    assert found.reached.all()
+    J = TipModel(model.robot, model.deviations).driven(found.readings)[1]
+    lever = J[:, :3] + np.cross(J[:, 3:], np.broadcast_to(TOOLS["tool"][:3, 3, None], (60, 3, 6)), axis=1)
+    share = np.swapaxes(lever, 1, 2) @ np.linalg.solve(lever @ np.swapaxes(lever, 1, 2), lever)
+    left = np.abs(found.change - (share @ found.change[:, :, None])[:, :, 0]).max(axis=1)
+    # Nothing along which the tool stands still is left of the change. Where it is, the limits or a singularity ask it.
+    assert np.mean(left < 1e-8) > 0.9
+    assert np.median(found.steps) < 20
+
+
 # ---- refusals
+
+
+def test_a_search_that_takes_too_long_is_cut_short_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = model_of(robot_of("ur10"))
+    poses = model.robot.tips(well_posed(model, draw(model.robot, 40))[:20], model.deviations) @ TOOLS["tool"]
+    whole = commands.for_poses(model, poses)
+    assert whole.reached.all()
+    monkeypatch.setattr(commands, "_LOOKS", 0)
+    monkeypatch.setattr(commands, "_LOOKS_PER_ROW", 12)
+    found = commands.for_poses(model, poses)
+    assert 0 < found.reached.sum() < 20
+    assert found.steps.sum() < 20 * 14
+    for reached, reason in zip(found.reached, found.reasons, strict=True):
+        assert reached or reason.endswith("give readings to start from, or fewer targets")
+    T = model.robot.tips(found.readings[found.reached], model.deviations) @ TOOLS["tool"]
+    assert max(apart(T, poses[found.reached])) < 1e-6
+
+
+def test_targets_that_come_later_keep_their_share_of_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = model_of(robot_of("ur10"))
+    readings = well_posed(model, draw(model.robot, 40))[:20]
+    poses = model.robot.tips(readings, model.deviations) @ TOOLS["tool"]
+    poses[:10, :3, 3] *= 1.2 / np.linalg.norm(poses[:10, :3, 3], axis=1)[:, None]
+    monkeypatch.setattr(commands, "_LOOKS", 0)
+    monkeypatch.setattr(commands, "_BLOCK", 10)
+    found = commands.for_poses(model, poses, readings + 0.02)
+    assert found.reached[10:].all()
 
 
 def test_limits() -> None:
@@ -389,11 +433,11 @@ def test_joint_targets_of_a_table() -> None:
     model = model_of(robot_of("ur10"))
     readings = draw(model.robot, 5)
     readings[4] = 7.0
-    wanted = targets.targets(table_from_arrays(panel(model, readings, point=["tool", "other"] * 2 + ["tool"])), model)
+    wanted = targets.targets(table_from_arrays(panel(model, readings, tool=["tool", "other"] * 2 + ["tool"])), model)
     found = targets.corrections(model, wanted)
     lines = list(csv.reader(targets.corrected_csv(model, wanted, found).splitlines()))
     names = [f"{r.name} [deg]" for r in model.robot.readings]
-    assert lines[0] == [*names, "point", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
+    assert lines[0] == [*names, "tool", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
     assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
     assert (
         np.abs(np.radians(np.array([line[:6] for line in lines[1:5]], dtype=float)) - found.readings[:4]).max() < 1e-10
@@ -443,7 +487,7 @@ def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
         ),
         ({"x [mm]": [0.0]}, "there is no column 'y', 'z' of the targets"),
         ({"x [deg]": [0.0], "y [mm]": [0.0], "z [mm]": [0.0]}, "column 'x': unit 'deg' is not a unit of length"),
-        ({"point": ["left"]}, "there is no tool 'left'; the calibrated tools are 'tool', 'other'"),
+        ({"tool": ["left"]}, "there is no tool 'left'; the calibrated tools are 'tool', 'other'"),
         (
             {"x [m]": [0.0], "y [m]": [0.0], "z [m]": [0.0], "qw": [2.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]},
             "the quaternion has the norm 2",

@@ -366,5 +366,14 @@ EXEMPT: Mapping[str, str] = {
         f"instruments.{key}": "an arm that touches; its backlash and its grid: tests/job/test_arm.py"
         for key in ("model", "urdf", "tip", "tool", "point", "pivot")
     },
+    **dict.fromkeys(
+        (
+            *(f"setups.{key}" for key in ("position", "quaternion", "prior.length", "prior.angle")),
+            *(f"base.prior.{key}" for key in ("length", "angle")),
+            *(f"measurements.{key}" for key in ("tip", "tool", "setup")),
+            "targets.on",
+        ),
+        "several set-ups, tips and tools by name; tests/job/test_set_ups.py, tests/job/test_trees.py",
+    ),
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "p1", "p2")},
 }

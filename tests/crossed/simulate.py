@@ -134,7 +134,7 @@ class Case:
                 if reading.dimension == "angle":
                     found[f"tau_{reading.name} [Nm]"] = conditions.torque[:, k]
         if len(self.draft.tools) > 1:
-            found["point"] = np.array(tools)
+            found["tool"] = np.array(tools)
         return found
 
     def positions(self, readings: Array, *, pose: bool = False, noise: bool = True) -> Columns:
@@ -256,7 +256,7 @@ def build(features: Sequence[Feature], folder: Path, seed: int = 0) -> Case:
     model, tools = arm.model, draft.tools
     robot = model.robot
     placed = {name: _tool(draft, k) for k, name in enumerate(tools)}
-    frames = Frames(base, np.stack([placed[name] for name in tools]))
+    frames = Frames(base[None], np.stack([placed[name] for name in tools]))
     parameters = [p for p in model.parameters(tools) if p.of_robot]
     sizes = [_size(p.name, p.unit, p.typical_size if p.kind == "term" else None) for p in parameters]
     x = values_at(robot, parameters, frames) + rng.normal(0.0, sizes)

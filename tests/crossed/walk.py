@@ -206,7 +206,7 @@ def is_commanded(walked: Walked, folder: Path) -> None:
     else:
         columns = case.columns(q, told, tools)
     if len(case.draft.tools) == 1:
-        columns["point"] = np.array(tools)
+        columns["tool"] = np.array(tools)
     write(folder / "targets.csv", columns)
     said = run("compensate", walked.out, folder / "targets.csv", "-o", folder / "sent.csv", "--what", "position")
     assert (said.code, said.err) == (0, ""), said.err

@@ -56,7 +56,7 @@ def test_lists_of_a_job_end(tmp_path: Path, name: str) -> None:
     assert said.endswith(f" entries; allowed are {most}.")
 
 
-@pytest.mark.parametrize(("name", "what"), [("points", "'point'"), ("sockets", "'target'"), ("one socket", "")])
+@pytest.mark.parametrize(("name", "what"), [("points", "'tool'"), ("sockets", "'target'"), ("one socket", "")])
 def test_unknowns_of_tables_end(tmp_path: Path, name: str, what: str) -> None:
     fill(name, tmp_path, 40_000)
     robot = load_robot(tmp_path / "arm_cmm.urdf", "probe")

@@ -34,7 +34,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
         lines = path.read_text(encoding="utf-8").splitlines()
         header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
         names = (f"{SCRIPT}{TERMINAL}".replace("\r", ""), FORMULA, "../../etc/passwd", BEHIND)
-        lines[header] += ",point"
+        lines[header] += ",tool"
         for k in range(header + 1, len(lines)):
             lines[k] += ',"' + names[k % 4].replace('"', '""') + '"'
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")

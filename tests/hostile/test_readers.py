@@ -13,7 +13,7 @@ from scripts.development.fuzz_readers import READERS, judge, mutated, packed, un
 
 CORPUS = Path(__file__).resolve().parents[1] / "corpus"
 FOUND = sorted(path.relative_to(CORPUS).as_posix() for path in CORPUS.glob("*/*"))
-MUTATIONS = {"case": 50, "command": 8, "gaussian": 100, "mesh": 100, "uncertainty": 60}
+MUTATIONS = {"case": 50, "command": 8, "gaussian": 100, "mesh": 100, "proposal": 60, "uncertainty": 60}
 
 
 @pytest.mark.parametrize("found", FOUND)

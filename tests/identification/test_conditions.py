@@ -100,7 +100,7 @@ def test_columns_match_central_differences() -> None:
     parameters = model.parameters()
     x = lab.rng.uniform(-0.05, 0.05, len(parameters))
     data = calib.read_measurements(lab.columns(), lab.robot)
-    problem = Problem(model, parameters, Frames(np.eye(4), np.eye(4)[None]), (data,))
+    problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (data,))
 
     def residuals(v: Array) -> Array:
         return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()

@@ -26,7 +26,7 @@ ARM_CMM = Path(__file__).resolve().parents[2] / "robots" / "arm_cmm" / "arm_cmm.
 SERIAL = {"ur10": UR10, "panda": PANDA} | {
     name: (text, "tip") for name, text in machines.INLINE.items() if name != "mimic"
 }
-ONE = Frames(np.eye(4), np.eye(4)[None])
+ONE = Frames(np.eye(4)[None], np.eye(4)[None])
 
 Array = machines.Array
 
@@ -101,7 +101,9 @@ def test_columns_match_central_differences(convention: str) -> None:
         model = alone(robot, dh_convention=convention, base="pose", tool="pose")
         parameters = model.parameters()
         data = poses(robot, rng, 6, "pose")
-        problem = Problem(model, parameters, Frames(machines.anywhere(rng), machines.anywhere(rng, 0.3)[None]), (data,))
+        problem = Problem(
+            model, parameters, Frames(machines.anywhere(rng)[None], machines.anywhere(rng, 0.3)[None]), (data,)
+        )
         x = rng.uniform(-0.3, 0.3, len(parameters))
         (J,) = system.jacobian(problem, x)
 

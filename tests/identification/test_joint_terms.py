@@ -118,7 +118,7 @@ def test_columns_match_central_differences(name: str) -> None:
     x = rng.uniform(-0.2, 0.2, len(parameters))
     true = machines.Machine(arm, machines.anywhere(rng), {"tool": np.eye(4)})
     readings = arm.draw(rng, 5)
-    problem = Problem(model, parameters, Frames(machines.anywhere(rng), machines.anywhere(rng)[None]), ())
+    problem = Problem(model, parameters, Frames(machines.anywhere(rng)[None], machines.anywhere(rng)[None]), ())
     at = problem.machine(x)
     seen = at.frames.base @ robot_tips(model, readings, at) @ at.frames.tools[0]
     data = true.measure(robot, readings, "pose", sigma=1e-3, sigma_angle=1e-3)

@@ -48,7 +48,7 @@ def jacobian(robot: calib.Robot, reflector: tuple[float, ...], **free: object) -
     x = np.zeros(len(parameters))
     if model.tool == "position":
         x[-3:] = reflector
-    (J,) = system.jacobian(Problem(model, parameters, Frames(np.eye(4), T[None]), (data,)), x)
+    (J,) = system.jacobian(Problem(model, parameters, Frames(np.eye(4)[None], T[None]), (data,)), x)
     return J.reshape(-1, len(parameters))
 
 

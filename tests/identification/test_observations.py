@@ -60,7 +60,7 @@ def observed(robot: calib.Robot, q: Array, kind: str, name: str, offset: str | N
         f"{reading.name} [{'rad' if reading.dimension == 'angle' else 'm'}]": q[:, k]
         for k, reading in enumerate(robot.readings)
     }
-    columns |= {"point": (TOOLS * ROWS)[:ROWS]} | COLUMNS[kind]
+    columns |= {"tool": (TOOLS * ROWS)[:ROWS]} | COLUMNS[kind]
     if kind == "pair_distance":
         columns["pair"] = ["p", "q", "r"] * 2
     else:
@@ -85,7 +85,7 @@ def at_random(
         robot, offsets="all", tool="pose", targets=pose_of if known or kind == "indicator" else {}, **free
     )
     reference = Frames(
-        anywhere(rng),
+        anywhere(rng)[None],
         np.stack([anywhere(rng, 0.3) for _ in TOOLS]),
         np.array([anywhere(rng) for _ in data.targets]).reshape(-1, 4, 4),
         np.array([0.07] * offset),

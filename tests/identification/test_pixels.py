@@ -180,7 +180,7 @@ def mixed(rng: np.random.Generator, camera_on: str) -> tuple[Scene, machines.Mac
     true = scene(rng, arm, camera_on, base=base, sigma=0.2)
     tracked = machines.Machine(arm, base, {"ball": machines.pose((0.03, -0.02, 0.09))})
     readings = true.draw(rng, 12)
-    columns = true.columns(readings, rng, 0.2) | {"point": ["eye"] * 12 * len(BOARD)}
+    columns = true.columns(readings, rng, 0.2) | {"tool": ["eye"] * 12 * len(BOARD)}
     return (
         true,
         tracked,

@@ -21,7 +21,7 @@ def seen(
     columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
     columns |= {f"{axis} [m]": position[:, k] for k, axis in enumerate("xyz")}
     if points is not None:
-        columns["point"] = points
+        columns["tool"] = points
     return calib.read_measurements(columns, robot, "position", sigma=1e-4)
 
 

@@ -91,7 +91,7 @@ def test_columns_match_central_differences(robot: calib.Robot) -> None:
     columns: dict[str, object] = {f"joint_{k + 1} [rad]": u[:, k] for k in range(6)}
     columns |= {f"{axis} [m]": rng.uniform(-1.0, 1.0, 6) for axis in "xyz"}
     data = calib.read_measurements(columns, robot)
-    problem = Problem(model, parameters, Frames(np.eye(4), np.eye(4)[None]), (data,))
+    problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (data,))
 
     def residuals(v: Array) -> Array:
         return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()

@@ -162,8 +162,8 @@ SENTENCES: dict[str, tuple[Edit, str]] = {
                        "arm/model.json: there is no such file."),
     "joint missing": (edit(TABLE, ("joint_4 [deg]", "joint_7 [deg]")), "touched.csv: there is no column 'joint_4' of "
                       "the arm that touches; the columns are 'joint_1', 'joint_2', 'joint_3', 'joint_7', 'joint_5', "
-                      "'joint_6', 'tilt', 'rotary', 'point'."),
-    "position twice": (edit(TABLE, ("point\n", "x [mm]\n"), (", A", ", 0"), (", B", ", 0"), everywhere=True),
+                      "'joint_6', 'tilt', 'rotary', 'tool'."),
+    "position twice": (edit(TABLE, ("tool\n", "x [mm]\n"), (", A", ", 0"), (", B", ", 0"), everywhere=True),
                        "touched.csv: column 'x' is there, and the instrument, an arm, gives it as well; keep one of "
                        "them."),
     "common joint": (edit("positioner.urdf", ("tilt", "joint_1"), everywhere=True),

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "dial": at.indicator(60),
         "tracker": at.positions(30),
         "poses": poses(at, 30),
+        "left": at.positions(30),
     }
+    second = Written(replace(made.machine, base=machines.anywhere(made.rng)), made.robot, made.rng, made.noise)
+    tables["right"] = second.positions(30)
     for name, columns in tables.items():
         with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)

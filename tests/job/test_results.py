@@ -113,7 +113,7 @@ def test_result_does_not_depend_on_where_it_was_made(case: Path, out: Path, monk
 def test_residuals_give_the_metrics(out: Path, outcome: Calibration) -> None:
     rows = list(csv.DictReader(io.StringIO((out / "residuals.csv").read_text(encoding="utf-8"))))
     assert list(rows[0]) == [
-        *("use", "file", "line", "point"),
+        *("use", "file", "line", "tool"),
         *(f"{when}_{axis} [mm]" for when in ("before", "after") for axis in "xyz"),
         *(f"{when}_r{axis} [deg]" for when in ("before", "after") for axis in "xyz"),
     ]

@@ -31,7 +31,7 @@ def fit() -> calib.Fit:
     readings = true.draw(rng, 80)
     points = list(TOOLS) * 40
     robot = machines.load(text, "tip")
-    columns = machines.table(true, readings, machine.see(readings, points), "position") | {"point": points}
+    columns = machines.table(true, readings, machine.see(readings, points), "position") | {"tool": points}
     data = calib.read_measurements(columns, robot, sigma=1e-6)
     return calib.identify(calib.error_model(robot, offsets="all", placements="all"), data)
 

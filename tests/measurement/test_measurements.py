@@ -67,7 +67,7 @@ def test_readings_come_in_the_order_of_the_robot() -> None:
 def test_optional_columns() -> None:
     m = measured(
         POSITION
-        | {"point": ["ball2", "ball1"], "group": ["a", "b"], "target": ["t1", "t2"], "pair": ["p", "q"]}
+        | {"tool": ["ball2", "ball1"], "group": ["a", "b"], "target": ["t1", "t2"], "pair": ["p", "q"]}
         | {"direction": ["+", "-"], "time [s]": [0, 1], "temperature [degC]": [20, 21], "length [mm]": [1, 1]}
         | {"u [px]": [1, 2], "v [px]": [1, 2], "tau_j1 [Nm]": [0, 0]}
     )
@@ -83,7 +83,7 @@ def test_every_array_is_read_only() -> None:
 
 @pytest.mark.parametrize("rows", [[1], np.array([1]), np.array([False, True])], ids=["list", "positions", "mask"])
 def test_subset(rows: object) -> None:
-    m = measured(POSE | {"point": ["a", "b"], "group": ["g", "h"], "target": ["t", "u"]}, "pose")
+    m = measured(POSE | {"tool": ["a", "b"], "group": ["g", "h"], "target": ["t", "u"]}, "pose")
     s = m.subset(rows)
     for name in ("readings", "position", "orientation", "sigma", "tool", "lines"):
         assert np.array_equal(getattr(s, name), getattr(m, name)[1:])
@@ -185,8 +185,8 @@ THERE = "'j1', 'slide', 'x', 'y', 'z'"
         (
             POSITION | {"rx [deg]": [0, 0], "ry [deg]": [0, 0], "rz [deg]": [0, 0]},
             "pose",
-            "t: rx, ry, rz do not say in which order and about which axes they turn; "
-            "convert them to quaternions qw, qx, qy, qz.",
+            "t: rx, ry, rz do not say in which order and about which axes they turn; give orientation, "
+            "or convert them to quaternions qw, qx, qy, qz.",
         ),
         (
             POSE | {"qw": [0.0, 0.6]},
@@ -273,10 +273,10 @@ def test_a_column_of_a_joint_that_is_not_read_says_so() -> None:
     robot = load_robot(parse_urdf(urdf.encode(), "arm.urdf"), "tip")
     rows = {"j1 [deg]": [1, 2], "x [mm]": [1, 2], "y [mm]": [1, 2], "z [mm]": [1, 2]}
     assert len(read_measurements(rows, robot)) == 2
-    for name in ("follows", "beside"):
-        with pytest.raises(MeasurementError) as caught:
-            read_measurements(rows | {f"{name} [deg]": [1, 2]}, robot)
-        assert str(caught.value) == (
-            f"arrays: column '{name}' is of a joint that is not read: it is fixed, follows others, or is not between "
-            "base and tip; leave the column out."
-        )
+    with pytest.raises(MeasurementError) as caught:
+        read_measurements(rows | {"follows [deg]": [1, 2]}, robot)
+    assert str(caught.value) == (
+        "arrays: column 'follows' is of a joint that is not read: it is fixed or follows others; leave the column out."
+    )
+    # One that could move something, and moves nothing that was measured, is named and left out.
+    assert read_measurements(rows | {"beside [deg]": [1, 2]}, robot).unused == ("beside",)

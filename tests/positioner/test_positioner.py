@@ -217,7 +217,7 @@ def test_world_and_order_change_nothing() -> None:
     there = moved.touch(robot, TWENTY, [MARK, -MARK])
     columns = {"tilt [rad]": data.readings[order, 0], "rotary [rad]": data.readings[order, 1],
                **{f"{a} [m]": (data.position[order] @ T[:3, :3].T + T[:3, 3])[:, k] for k, a in enumerate("xyz")},
-               "point": [data.tools[k] for k in data.tool[order]]}  # fmt: skip
+               "tool": [data.tools[k] for k in data.tool[order]]}  # fmt: skip
     other = calib.read_measurements(columns, robot, sigma=1e-4)
     assert np.abs(other.position - there.position[order]).max() < 1e-3
     a, b = (calib.identify(positioner.axes_model(robot), d) for d in (data, other))

@@ -14,7 +14,7 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.presentation.arm import link_placements
 from calib.results.calibration import Calibration
-from calib.results.folder import write_results
+from calib.results.folder import report, scene, write_results
 from calib.results.scene import scene_of
 from scripts.development.browser import CHROMIUM, Page, browser
 from tests.support.cases import CASE, JOB
@@ -134,6 +134,20 @@ def test_report_can_be_read_in_light_in_dark_and_on_paper(page: Page, out: Path)
         assert (paper == "rgb(255, 255, 255)") == (scheme == "light" or medium == "print")
 
 
+def test_the_first_page_on_paper_holds_the_certificate_and_nothing_else(page: Page, out: Path) -> None:
+    page.size(718, 1047)  # A4 within margins of 1 cm
+    page.open((out / "report.html").as_uri())
+    bottom = "document.getElementById('certificate').getBoundingClientRect().bottom"
+    assert page.evaluate(bottom) == 0.0  # on a screen it would say all twice
+    page.media("print")
+    assert 300.0 < page.evaluate(bottom) < 1047.0
+    assert page.evaluate("getComputedStyle(document.getElementById('certificate')).breakAfter") == "page"
+    assert page.evaluate("document.documentElement.scrollWidth") == 718
+    hashes = json.loads((out / "result.json").read_text(encoding="utf-8"))["inputs"]
+    said = page.evaluate("document.getElementById('certificate').innerText")
+    assert all(sha in said for sha in hashes.values())
+
+
 def test_marks_of_the_report_have_colours(page: Page, out: Path) -> None:
     page.size(1280, 800)
     page.media(prefers_color_scheme="light")
@@ -196,8 +210,11 @@ def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, o
 
     (dots,) = corners("['measured', '<object>']")
     np.testing.assert_allclose(dots.mean(axis=1), measured, atol=2e-6)
-    scales = {"before": s.scales[0], "after": s.scales[0], "after_magnified": s.scales[1]}
-    for name, scale in scales.items():
+    cases = [(name, scale) for scale in (s.scales[0], 1000.0, 1.0) for name in ("before", "after")]
+    for name, scale in cases:
+        turned = page.evaluate("page.factors").index(scale)
+        page.evaluate(f"turns.value = {turned}; turns.dispatchEvent(new Event('input')); true")
+        assert page.evaluate(f"document.getElementById('drawn-{name}').innerText") == f"×{scale:.0f}"
         errors = ((s.before if name == "before" else s.after) - s.measured) @ to_base[:3, :3].T
         sticks, ends = corners(f"['{name}', '<object>']")
         drawn = measured + scale * errors
@@ -235,12 +252,105 @@ def test_every_layer_has_its_switch(page: Page, out: Path) -> None:
         assert page.evaluate(shown) is True, layer
         assert page.evaluate(click) is False, layer
         assert page.evaluate(click) is True, layer
-    page.evaluate("magnify.click(); true")
-    visible = "['after', 'after_magnified'].map(name => viewer.scene_tree.find([name]).object.visible)"
-    assert page.evaluate(visible) == [False, True]
-    assert page.evaluate("document.getElementById('drawn-after').innerText") == "×2000"
-    page.evaluate("boxes.find(box => box.dataset.layer === 'after').click(); true")
-    assert page.evaluate(visible) == [False, False]
+    # What is hidden stays hidden when it is drawn anew.
+    page.evaluate("boxes.find(box => box.dataset.layer === 'after').click(); turns.value = 0; true")
+    page.evaluate("turns.dispatchEvent(new Event('input')); true")
+    assert page.evaluate("viewer.scene_tree.find(['after']).object.visible") is False
+
+
+POINT_ON_SCREEN = """(n => {
+    const p = new THREE.Vector3(...measured[n]).applyMatrix4(viewer.scene.matrixWorld).project(camera);
+    return [(p.x + 1) / 2 * pane.offsetWidth, (1 - p.y) / 2 * innerHeight]; })"""
+
+
+def test_a_point_tells_its_row_and_takes_the_arm_there(page: Page, out: Path, outcome: Calibration) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    page.evaluate("new Promise(done => setTimeout(done, 300))")
+    n = 250
+    x, y = page.evaluate(f"{POINT_ON_SCREEN}({n})")
+    for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+        button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+        page.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
+        if kind == "mouseMoved":
+            page.wait_for("told.style.display === 'block'")
+            before, after = (1e3 * np.linalg.norm((p - s.measured)[n]) for p in (s.before, s.after))
+            assert page.evaluate("told.innerText") == f"{s.rows[n]}: {before:.3f} mm before, {after:.3f} mm after"
+    page.wait_for(f"pose.value === '{n}'")
+    reached = page.evaluate(
+        "viewer.render(), new THREE.Vector3(...measured[250]).applyMatrix4(viewer.scene.matrixWorld)"
+    )
+    tip = np.array(
+        page.evaluate("viewer.scene_tree.find(['frames', 'tip', 'tools', 'tool']).object.matrixWorld.elements")
+    )
+    assert np.linalg.norm(tip[12:15] - [reached[axis] for axis in "xyz"]) < 1e-3  # within the error that is left
+    said = page.evaluate("document.getElementById('joints').innerText")
+    readings = [float(value) for value in re.findall(r" (-?\d+\.\d+) deg", said)]
+    assert readings == pytest.approx(s.readings[n], abs=5.1e-3)
+    # Beside all points nothing is told.
+    page.ask("Input.dispatchMouseEvent", type="mouseMoved", x=1270, y=10)
+    page.wait_for("told.style.display === 'none'")
+
+
+def test_views_look_along_the_axes_and_a_bar_is_as_long_as_it_says(page: Page, out: Path) -> None:
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    for view, axis in (("front", [1, 0, 0]), ("side", [0, -1, 0]), ("top", [0, 0, 1])):
+        page.evaluate(f"document.querySelector('[data-view={view}]').click(), viewer.render(), true")
+        x, y, z = page.evaluate("camera.position.clone().sub(viewer.controls.target).normalize().toArray()")
+        np.testing.assert_allclose([x, -z, y], axis, atol=1e-3)  # three.js has y up
+        # What lies in the plane of the middle is seen as long as the bar says.
+        ends = page.evaluate(
+            """(() => { const right = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
+            const middle = viewer.controls.target;
+            return [0, 1].map(k => middle.clone().addScaledVector(right, 0.1 * k).project(camera).x); })()"""
+        )
+        text, width = page.evaluate("[bar.innerText, bar.getBoundingClientRect().width - 4]")
+        metres = float(text.split()[0]) * (1.0 if text.endswith(" m") else 1e-3)
+        assert (ends[1] - ends[0]) * 640 / 0.1 == pytest.approx(width / metres, rel=0.02)
+
+
+def test_a_notebook_shows_report_and_scene_in_place(page: Page, outcome: Calibration, tmp_path: Path) -> None:
+    page.size(1280, 800)
+    for kind, show in (("report", report), ("scene", scene)):
+        text = show(outcome)
+        assert text.startswith("<!DOCTYPE html>")
+        file = tmp_path / f"{kind}.html"
+        file.write_text(f"<!DOCTYPE html><meta charset=utf-8>{text._repr_html_()}", encoding="utf-8")
+        page.open(file.as_uri())
+        page.evaluate("new Promise(done => setTimeout(done, 1500))")
+        picture = pixels(page, tmp_path / f"{kind}.png")[:640]
+        if kind == "report":  # the green of the verdict
+            assert (np.abs(picture - (20, 113, 63)).max(axis=2) < 12).sum() > 200
+        else:  # the arm
+            orange = (picture[:, :, 0] > 150) & (picture[:, :, 1] < 110) & (picture[:, :, 2] < 60)
+            assert orange[:, 340:].sum() > 0.004 * orange.size
+
+
+def test_every_input_of_the_scene_has_a_name(page: Page, out: Path) -> None:
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    unnamed = """[...document.querySelectorAll("input, select, button")].filter(e => !(e.ariaLabel || e.innerText ||
+        (e.labels && [...e.labels].some(l => l.innerText.trim())))).map(e => e.outerHTML)"""
+    assert page.evaluate(unnamed) == []
+    assert page.evaluate("document.querySelectorAll('.dg').length") == 0
+
+
+def test_the_scene_in_the_dark_can_be_read(page: Page, out: Path, tmp_path: Path) -> None:
+    page.size(1280, 800)
+    page.media(prefers_color_scheme="light")
+    page.open((out / "scene.html").as_uri())
+    shades = "[...document.querySelectorAll('#scale b, i[data-shade]')].map(e => getComputedStyle(e).backgroundColor)"
+    light = page.evaluate(shades)
+    page.media(prefers_color_scheme="dark")  # the page follows while it is open
+    page.wait_for(f"JSON.stringify({shades}) !== {json.dumps(json.dumps(light, separators=(',', ':')))}")
+    page.evaluate("new Promise(done => setTimeout(done, 300))")
+    picture = pixels(page, tmp_path / "dark.png")
+    assert np.median(picture) < 60
+    for shade in page.evaluate(shades):
+        rgb = np.array([int(v) for v in re.findall(r"\d+", shade)[:3]])
+        assert rgb.max() > 180, shade
 
 
 @pytest.mark.parametrize("width", WIDTHS)

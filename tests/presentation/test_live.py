@@ -10,6 +10,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -161,6 +162,34 @@ def test_pages_that_leave_while_they_are_answered_are_nothing_to_speak_of(
     page.close()
 
 
+def test_the_browser_is_opened_where_that_is_asked_for(out: Path, tmp_path: Path) -> None:
+    browser_of_a_person, opened = tmp_path / "browser", tmp_path / "opened"
+    browser_of_a_person.write_text(f'#!/bin/sh\necho "$1" > "{opened}.part" && mv "{opened}.part" "{opened}"\n')
+    browser_of_a_person.chmod(0o755)
+    for program in (str(browser_of_a_person), str(tmp_path / "none")):
+        process = subprocess.Popen(
+            [sys.executable, "-c", MAIN, "view", str(out), "--open"],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "BROWSER": program, "PATH": "/usr/bin:/bin" if program.endswith("browser") else ""},
+        )
+        assert process.stdout is not None
+        said = ""
+        while "Ctrl-C" not in said or (program.endswith("none") and "by hand" not in said):
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+        address = re.search(r"http://127\.0\.0\.1:\d+/", said.replace("\n", ""))
+        assert address is not None
+        while program.endswith("browser") and not opened.exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60.0)
+        if program.endswith("browser"):
+            assert opened.read_text().strip() == address[0]
+
+
 def test_questions_without_sense_are_answered_in_words(results: Path) -> None:
     model = load_machine(results)
     good = {"readings": [0.0] * 6, "apart": 1.0}
@@ -258,13 +287,31 @@ def test_a_person_moves_a_joint_and_sees_new_results(server: tuple[subprocess.Po
         page.open(address)
         page.wait_for("document.querySelectorAll('#live input').length === 6")
         tip = "viewer.scene_tree.find(['robot', 'tool0']).object.position.toArray()"
+        said = "[...document.querySelectorAll('#live output')].map(o => o.innerText)"
+        values = "[...document.querySelectorAll('#live input')].map(i => Number(i.value))"
+        model = load_machine(out)
+        tops = "[...document.querySelectorAll('#live label, #said')].map(e => e.getBoundingClientRect().top)"
+        before_any = page.evaluate(tops)
+        # The sliders tell the readings of the pose that is shown.
+        page.evaluate("pose.value = 250; pose.dispatchEvent(new Event('input')); true")
         before = page.evaluate(tip)
+        others = page.evaluate("page.readings[250]")
+        np.testing.assert_allclose(page.evaluate(values), others, atol=1e-9)
+        shown = model.robot.tips(np.radians([others]), model.deviations)[0, :3, 3]
+        np.testing.assert_allclose(before, shown, atol=1e-5)
+        texts = page.evaluate(said)
+        assert [float(text.removesuffix(" deg")) for text in texts] == pytest.approx(others, abs=0.051)
         page.evaluate(
             "(s => { s.value = 40; s.dispatchEvent(new Event('input')); })(document.querySelector('#live input')), true"
         )
         page.wait_for("document.getElementById('said').innerText.includes('mm apart')")
-        model = load_machine(out)
-        u = np.radians([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+        # One is touched, the others stay, and nothing jumps.
+        np.testing.assert_allclose(page.evaluate(values), [40.0, *others[1:]], atol=1e-9)
+        assert page.evaluate(said)[1:] == texts[1:]
+        assert page.evaluate(tops) == before_any
+        lines = "[...document.querySelectorAll('#live output')].map(o => o.getBoundingClientRect().height)"
+        assert len(set(page.evaluate(lines))) == 1
+        u = np.radians([[40.0, *others[1:]]])
         expected = model.robot.tips(u, model.deviations)[0, :3, 3]
         np.testing.assert_allclose(page.evaluate(tip), expected, atol=1e-6)
         assert np.linalg.norm(expected - before) > 0.1

@@ -17,6 +17,7 @@ from calib.presentation.report.document import Picture, Prose, Report, Row, Sect
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.report.sections import correlations
+from calib.presentation.sheets import signed
 from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.folder import result
@@ -113,8 +114,8 @@ def test_a_matrix_is_as_strong_as_its_numbers() -> None:
     r = np.array([[1.0, 0.0, 0.0], [0.75, 1.0, 0.0], [-0.5, 0.01, 1.0]])
     svg = matrix(r, ["a", "b<", "c"])
     assert re.findall(r'<rect class="(\w+)"[^>]*fill-opacity="([\d.]+)"', svg) == [
-        ("after", "0.75"),
-        ("before", "0.50"),
+        ("after", "0.45"),
+        ("before", "0.30"),
     ]
     assert "b&lt;" in svg
 
@@ -143,11 +144,11 @@ def test_no_better_is_said_so(outcome: Calibration) -> None:
 def test_every_part_of_the_issue_is_there(report: Report) -> None:
     keys = [section.key for section in report.sections]
     assert keys == [
-        *("errors", "distribution", "poses", "joints", "workspace", "outliers", "budget", "parameters"),
+        *("errors", "checks", "distribution", "poses", "joints", "workspace", "outliers", "budget", "parameters"),
         *("correlations", "rank", "noise", "provenance"),
     ]
     pictures = [block for section in report.sections for block in section.blocks if isinstance(block, Picture)]
-    assert len(pictures) == 2 + 2 + 6 + 2 + 1 + 1
+    assert len(pictures) == 2 + 2 + 6 + 2 + 1 + 1 + 1
 
 
 def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) -> None:
@@ -162,6 +163,45 @@ def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) 
         assert float(shown) == pytest.approx(C[i, j] / np.sqrt(C[i, i] * C[j, j]), abs=6e-4)
     strengths = [abs(float(row.cells[2])) for row in sheet.rows]
     assert strengths == sorted(strengths, reverse=True)
+
+
+def test_many_parameters_are_drawn_by_those_that_correlate_most(
+    outcome: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calib.presentation.report.sections._MOST_CORRELATED", 8)
+    section = correlations(outcome.fit)
+    assert section is not None
+    (picture,) = [block for block in section.blocks if isinstance(block, Picture)]
+    assert picture.svg.count('class="diagonal"') == 8
+    assert "Drawn are the 8 parameters that correlate most, of " in picture.alternative
+    (sheet,) = [block for block in section.blocks if isinstance(block, Sheet)]
+    for first, second, shown in (row.cells for row in sheet.rows[:4]):
+        pair = {f"<title>{first}, {second}: {shown}</title>", f"<title>{second}, {first}: {shown}</title>"}
+        assert any(title in picture.svg for title in pair)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(-4e-5, "0.0000"), (4e-5, "0.0000"), (0.0, "0.0000"), (-6e-5, "-0.0001"), (2.0, "+2.0000")]
+)
+def test_what_is_rounded_to_nothing_has_no_sign(value: float, said: str) -> None:
+    assert signed(value, 4) == said
+
+
+def test_the_report_says_what_the_job_says_of_the_robot_and_leads_to_the_scene(outcome: Calibration) -> None:
+    about = {"date": "2025-03-31", "serial": "24-10 <7>", "operator": "A | B"}
+    told = report_of(replace(outcome, origin=replace(outcome.origin, about=about)), (("The scene", "scene.html"),))
+    reader = Reader(render_page(told))
+    for name, said in about.items():
+        assert reader.texts[reader.texts.index(name) + 1] == said
+    assert [a["href"] for _, a in reader.elements if not (a.get("href") or "#").startswith("#")] == ["scene.html"]
+    markdown = render_markdown(told)
+    assert "- operator: A \\| B" in markdown
+    assert "[The scene](scene.html)" in markdown
+
+
+def test_the_first_page_on_paper_is_a_certificate(report: Report) -> None:
+    titles = [sheet.title for sheet in report.certificate()]
+    assert titles == ["Tip errors, measured minus predicted", "Budget of the tool, in the instrument's frame", "Inputs"]
 
 
 def cells(report: Report) -> Iterator[str]:
@@ -197,7 +237,7 @@ def test_numbers_are_those_of_the_result(outcome: Calibration, report: Report) -
     for record in found["parameters"]:
         factor = 1e3 if record["unit"] == "m" else 180.0 / np.pi
         at = texts.index(record["name"], texts.index("identifiable"))
-        assert texts[at + 1] == f"{record['value'] * factor:+.4f}"
+        assert texts[at + 1] == signed(record["value"] * factor, 4)
         assert texts[at + 2] == ("-" if record["sigma"] is None else f"{record['sigma'] * factor:.4f}")
     for name, sha in found["inputs"].items():
         assert texts[texts.index(sha) - 1] == name

@@ -230,7 +230,9 @@ def test_legend_states_the_figures() -> None:
         assert f"<td>{np.sqrt(np.mean(length**2)):.3f}<td>{length.max():.3f}" in legend
     assert "20 points" in legend
     assert "&times;20 as far away" in legend
-    assert "magnify after to &times;500" in legend
+    assert "errors drawn larger" in legend
+    page = page_of(render_scene(s))
+    assert (page["factors"][0], page["factors"][-1], s.scales[0] in page["factors"]) == (1, 1000, True)
     assert "not found" not in legend
     layers = set(re.findall(r'data-layer="([^"]*)"', legend))
     assert layers == {"measured", "before", "after", "robot", "nominal", "frames", "labels", "Grid"}

@@ -143,17 +143,54 @@ def test_meshes_are_read_below_the_roots_only_and_scaled(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("shape", "why"),
     [
-        ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed"),
-        ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed"),
-        ("<cone/>", "is a 'cone', which is not known"),
+        ('<box size="1 1"/>', "has '1 1' where 3 numbers are needed, and is not judged"),
+        ('<sphere radius="big"/>', "has 'big' where 1 numbers are needed, and is not judged"),
+        ("<cone/>", "is a 'cone', which is not a known shape; its collisions are not judged"),
     ],
 )
 def test_broken_shapes_are_said_and_not_judged(shape: str, why: str) -> None:
     broken = f"<collision><geometry>{shape}</geometry></collision>"
     found = self_collision(robot_of(with_shapes(ARM, {"base": broken, "tip": ball((0, 0, 0))})))
     assert found is not None
-    assert found.notes == (f"The collision shape of link 'base' {why}, and is not judged.",)
+    assert found.notes == (f"The collision shape of link 'base' {why}.",)
     assert self_collision(robot_of(with_shapes(ARM, {"base": broken}))) is None
+
+
+@pytest.mark.parametrize("value", [1e30, np.nan])
+def test_a_mesh_of_no_size_is_not_judged(tmp_path: Path, value: float) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [value, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype="<f4")
+    facet = np.concatenate([np.zeros(3, dtype="<f4"), corners.ravel()]).tobytes() + bytes(2)
+    (tmp_path / "m.stl").write_bytes(bytes(80) + (1).to_bytes(4, "little") + facet)
+    mesh = '<collision><geometry><mesh filename="m.stl"/></geometry></collision>'
+    found = self_collision(robot_of(with_shapes(ARM, {"base": mesh, "tip": ball((0, 0, 0))})), [tmp_path])
+    assert found is not None
+    assert found.notes[0].endswith("'m.stl', which cannot be read, and is not judged.")
+    assert len(found.shapes) == 1
+
+
+def needles(many: int, seed: int) -> bytes:
+    """Return an STL of triangles in all directions that are all near each other and hardly touch."""
+    rng = np.random.default_rng(seed)
+    ends = rng.normal(size=(2, many, 3))
+    ends /= np.linalg.norm(ends, axis=2)[:, :, None]
+    facets = np.zeros(many, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+    facets["corners"] = np.stack([ends[0], ends[1], ends[1] + rng.normal(scale=1e-6, size=(many, 3))], axis=1)
+    return bytes(80) + many.to_bytes(4, "little") + facets.tobytes()
+
+
+def test_meshes_that_wind_into_each_other_count_by_the_time_they_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.stl").write_bytes(needles(500, 0))
+    (tmp_path / "b.stl").write_bytes(needles(500, 1))
+    shapes = {
+        link: f'<collision><geometry><mesh filename="{"ab"[k % 2]}.stl"/></geometry></collision>'
+        for k, link in enumerate(BALLS)
+    }
+    monkeypatch.setattr("calib.robot.collision._LEAST_TESTS", 10_000)
+    # Three pairs in 200 poses are 2400 tests, and take a hundred times longer.
+    with pytest.raises(RobotError, match=r"takes more than 20000 tests of two of them; "):
+        self_collision(robot_of(with_shapes(ARM, shapes)), [tmp_path])
 
 
 def test_an_arm_without_shapes_has_none() -> None:
@@ -220,4 +257,4 @@ def test_poses_that_no_arm_can_take_are_given_up_soon() -> None:
     assert found is not None
     judged = replace(found, pairs=((0, 4),))
     with pytest.raises(JobError, match=r"only 0 of 2000 random poses can be measured, .*: 2000 touching itself"):
-        random_candidates(robot, Frames(np.eye(4), np.eye(4)[None]), 1000, collision=judged)
+        random_candidates(robot, Frames(np.eye(4)[None], np.eye(4)[None]), 1000, collision=judged)

@@ -235,6 +235,10 @@ HEADER = "joint, type, a [mm], d [mm], alpha [deg], theta [deg]\n"
         (HEADER + "j, revolute, 1, 2, 3\n", "t.csv:2: the header has 6 cells and this row has 5."),
         (HEADER + "j, revolute, 1, 2, 3, nan\n", "t.csv:2: column 'theta': 'nan' is not a number like 12.5 or 1.25e1."),
         (HEADER + "j, revolute, 1, 2, 3, 1e999\n", "t.csv: DH table: joint 'j' has a number that is not finite."),
+        (
+            HEADER + "j, revolute, 1, 2, 3, 1e300\n",
+            "t.csv: DH table: joint 'j' has theta 1.74533e+298 rad; allowed is -10000 to 10000 rad.",
+        ),
         (HEADER + "j, revolut, 1, 2, 3, 4\n", "t.csv:2: column 'type': 'revolut' is not one of revolute, prismatic, f"),
         (HEADER + ", revolute, 1, 2, 3, 4\n", "t.csv:2: column 'joint': the cell is empty."),
         (HEADER + "j, fixed, 1, 2, 3, 4\n", "t.csv: DH table: no joint moves; a table needs a revolute or a prismatic"),

@@ -251,7 +251,7 @@ def test_the_jacobian_of_a_machine_with_loops_is_that_of_central_differences(nam
     model = calib.error_model(robot, offsets="all", placements=["*"], tool="pose")
     parameters = model.parameters()
     x = rng.uniform(-5e-3, 5e-3, len(parameters))
-    reference = Frames(machines.anywhere(rng), machines.anywhere(rng, 0.3)[None])
+    reference = Frames(machines.anywhere(rng)[None], machines.anywhere(rng, 0.3)[None])
     prismatic = {r.name for r in robot.readings if r.dimension == "length"}
     columns: dict[str, object] = {
         f"{r.name} [{'m' if r.name in prismatic else 'rad'}]": readings[:, k] for k, r in enumerate(robot.readings)

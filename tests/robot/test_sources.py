@@ -90,3 +90,28 @@ def test_examples_of_another_package_manager_lie_under_the_prefix(
     robot.touch()
     assert sources.examples() == ("example:arm/arm.urdf",)
     assert sources.resolve("example:arm/arm.urdf") == robot
+
+
+def package(folder: Path, name: str) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    (folder / "meshes").mkdir()
+    (folder / "meshes" / "a.stl").write_text("solid a\nendsolid a\n")
+    return folder
+
+
+def test_packages_are_found_above_the_urdf_beside_it_and_in_sourced_workspaces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = package(tmp_path / "src" / "arm_description", "arm_description")
+    package(tmp_path / "src" / "tools", "tools")
+    package(tmp_path / "install" / "share" / "gripper", "gripper")
+    package(tmp_path / "src" / "liar", "somebody_else")
+    (own / "urdf").mkdir()
+    names = ("arm_description", "tools", "gripper", "liar", "nowhere")
+    source = "".join(f'<mesh scale="1 1 1" filename="package://{name}/meshes/a.stl"/>' for name in names).encode()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'install'}:/nowhere")
+    roots = sources.package_folders(source, own / "urdf" / "arm.urdf")
+    found = {uri: sources.find_mesh(uri, roots) for uri in sources.mesh_uris(source)}
+    where = {uri.split("/")[2]: path and path.parents[1].name for uri, path in found.items()}
+    assert where == dict.fromkeys(names) | {name: name for name in names[:3]}

@@ -22,7 +22,7 @@ def problem(
     robot, arm = machines.load(urdf, tip, base), machines.arm(urdf, tip, base)
     model = calib.error_model(robot, offsets="all", placements=["*"], tool=tool)
     parameters = model.parameters(TOOLS)
-    reference = Frames(machines.anywhere(rng), np.stack([machines.anywhere(rng, 0.3) for _ in TOOLS]))
+    reference = Frames(machines.anywhere(rng)[None], np.stack([machines.anywhere(rng, 0.3) for _ in TOOLS]))
     x = rng.uniform(-0.3, 0.3, len(parameters))
     of_base = [k for k, parameter in enumerate(parameters) if parameter.kind == "base"]
     x[of_base] = rng.uniform(-2.0, 2.0, 6)

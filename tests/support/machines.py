@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.identification.parameters import directions
 from calib.robot.sources import resolve
 from calib.robot.terms import KINDS
 from calib.robot.urdf import parse_urdf
@@ -204,7 +205,7 @@ class Machine:
             poses[:, :3, 3] += rng.normal(scale=sigma, size=(len(poses), 3))
             turns = Rotation.from_rotvec(rng.normal(scale=sigma_angle, size=(len(poses), 3))).as_matrix()
             poses[:, :3, :3] = poses[:, :3, :3] @ turns
-        columns = table(self.arm, readings, poses, observes) | ({} if points is None else {"point": points})
+        columns = table(self.arm, readings, poses, observes) | ({} if points is None else {"tool": points})
         s, a = stated or (sigma, sigma_angle)
         return calib.read_measurements(columns, robot, observes, sigma=(s, a if observes == "pose" else None))
 
@@ -284,3 +285,10 @@ INLINE = {
         ("j6", "revolute", "0.1 0 0", "0 0 0", "-1 0 0"),
     ),
 }
+
+
+def scatter_of_positions(fit: calib.Fit, readings: Array) -> Array:
+    """Standard deviation (N,) of the tool's position by the covariance of the parameters alone."""
+    J = calib.machine_of(fit).tool_jacobian(readings)[:, :3]
+    J = J @ directions(fit.parameters, J.shape[2])
+    return np.sqrt(np.einsum("nip,pq,niq->n", J, fit.covariance, J))

@@ -70,7 +70,7 @@ class Machine:
             for j, (name, kind) in enumerate(zip(self.names, self.kinds, strict=True))
         }
         columns |= {f"{axis} [m]": x[:, k] for k, axis in enumerate("xyz")}
-        columns["point"] = [f"mark {k}" for k in range(len(marks)) for _ in range(len(q))]
+        columns["tool"] = [f"mark {k}" for k in range(len(marks)) for _ in range(len(q))]
         return calib.read_measurements(columns, robot, sigma=stated or sigma or 1e-6)
 
 

@@ -115,7 +115,7 @@ class Lab:
         """Every socket touched n times."""
         names = tuple(names)
         q = [self.touching(lambda x, c=SOCKETS[name]: x - c, self.scatter(n, 3), tool) for name in names]
-        point = {} if tool is None else {"point": [tool] * (n * len(names))}
+        point = {} if tool is None else {"tool": [tool] * (n * len(names))}
         return self.read(np.concatenate(q), "socket", target=np.repeat(names, n).tolist(), **point)
 
     def distances(self, n: int, too_long: float = 0.0, offset: str | None = None) -> calib.Measurements:

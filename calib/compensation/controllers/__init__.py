@@ -1,7 +1,7 @@
 """What controllers and other programs take of a calibrated machine, each reloaded and compared before it is handed out.
 
     model = calib.load_machine("out/")
-    found = controllers.export_ur(model)        # or export_offsets, export_dh, export_ros
+    found = controllers.export_ur(model)        # or export_offsets, export_dh, export_ros, export_xacro
     found.text, found.lost, found.left_out
 
 No such file holds all of a calibration. What one leaves out is named, with what it costs at the tip.
@@ -14,6 +14,7 @@ from calib.compensation.controllers.export import Export, LeftOut
 from calib.compensation.controllers.offsets import export_offsets
 from calib.compensation.controllers.ros import export_ros
 from calib.compensation.controllers.ur import export_ur
+from calib.compensation.controllers.xacro import export_xacro
 from calib.foundations.choices import Target
 from calib.machine.calibrated import CalibratedMachine
 from calib.robot.dh.table import DhTable
@@ -23,6 +24,7 @@ _EXPORTS: Mapping[Target, Callable[[CalibratedMachine], Export]] = {
     "offsets": export_offsets,
     "dh": export_dh,
     "ros": export_ros,
+    "xacro": export_xacro,
 }
 
 
@@ -31,4 +33,4 @@ def exported(model: CalibratedMachine, to: Target, table: DhTable | None = None)
     return export_dh(model, table) if to == "dh" else _EXPORTS[to](model)
 
 
-__all__ = ["Export", "LeftOut", "export_dh", "export_offsets", "export_ros", "export_ur", "exported"]
+__all__ = ["Export", "LeftOut", "export_dh", "export_offsets", "export_ros", "export_ur", "export_xacro", "exported"]

@@ -28,7 +28,7 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, parse_urdf
 
-_JOINTS = (
+JOINTS = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",
     "elbow_joint",
@@ -36,10 +36,10 @@ _JOINTS = (
     "wrist_2_joint",
     "wrist_3_joint",
 )
-_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-_NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
 _X, _, _Z = np.eye(3)
-_BASE = rigid.placement(rigid.rotation_about(_Z, np.pi), np.zeros(3))
+BASE = rigid.placement(rigid.rotation_about(_Z, np.pi), np.zeros(3))
 # At reading zero the driver's frames are turned about the base's x by this many quarters.
 _QUARTERS = (0, 1, 1, 1, 2, 1)
 # Axes of another arm are elsewhere by a right angle; calibrations by makers move them by milliradians.
@@ -57,7 +57,7 @@ def export_ur(model: CalibratedMachine) -> Export:
     robot = model.robot
     prefix = _prefix(robot)
     base, tool = f"{prefix}base_link", f"{prefix}tool0"
-    wrist = robot.urdf.joint(f"{prefix}{_JOINTS[-1]}").child
+    wrist = robot.urdf.joint(f"{prefix}{JOINTS[-1]}").child
     for link in (base, tool):
         if link not in robot.urdf.links:
             raise _not_ur(robot, f"has no link {link!r}")
@@ -69,15 +69,14 @@ def export_ur(model: CalibratedMachine) -> Export:
     held = model.geometry
     document = parse_urdf(calibrated_urdf(held.robot, held.deviations), "the calibrated URDF")
     calibrated = load_robot(document, wrist, base)
-    slides = _slides(nominal, to_tool)
+    slides = slides_of(nominal, to_tool)
     to_driver = nominal.chain[-1].frame @ slides[-1]
     if np.abs(rigid.inverse(to_driver) @ to_tool - np.eye(4)).max() > _SAME_TOOL:
         raise _not_ur(robot, f"has {tool!r} elsewhere than on the axis of its last joint, z along it")
-    placed = np.stack([_BASE, *(_at_zero(calibrated) @ slides)])
-    origins = rigid.inverse(placed[:-1]) @ placed[1:]
+    origins = origins_of(at_zero(calibrated) @ slides)
     text = _text(origins)
     readings = judged_readings(model)
-    order = [[reading.name for reading in robot.readings].index(f"{prefix}{joint}") for joint in _JOINTS]
+    order = [[reading.name for reading in robot.readings].index(f"{prefix}{joint}") for joint in JOINTS]
 
     def read_back(readings: Array) -> Array:
         return np.asarray(before @ _tips(read_ur(text), readings[:, order]) @ after)
@@ -88,17 +87,23 @@ def export_ur(model: CalibratedMachine) -> Export:
     return judged_export(model, text, read_back, expected, frozenset({"placements"}), more)
 
 
+def origins_of(frames: Array) -> Array:
+    """Return the six origins (6, 4, 4) of the driver's frames (6, 4, 4) at zero in base_link."""
+    placed = np.stack([BASE, *frames])
+    return np.asarray(rigid.inverse(placed[:-1]) @ placed[1:])
+
+
 def read_ur(text: str) -> Array:
     """Return the six joint origins (6, 4, 4) of a kinematics file as :func:`export_ur` writes it."""
     kinematics = read_yaml(text)["kinematics"]
-    numbers = np.array([[float(kinematics[link][number]) for number in _NUMBERS] for link in _LINKS])
+    numbers = np.array([[float(kinematics[link][number]) for number in NUMBERS] for link in LINKS])
     return rigid.placement(rigid.rotation_of_rpy(numbers[:, 3:]), numbers[:, :3])
 
 
 def _text(origins: Array) -> str:
     rows = np.hstack([origins[:, :3, 3], rigid.rpy_of(origins[:, :3, :3])])
     kinematics: dict[str, Mapping[str, float] | str] = {
-        link: dict(zip(_NUMBERS, map(float, row), strict=True)) for link, row in zip(_LINKS, rows, strict=True)
+        link: dict(zip(NUMBERS, map(float, row), strict=True)) for link, row in zip(LINKS, rows, strict=True)
     }
     # The robot's own hash is a number of 64 bits.
     kinematics["hash"] = f"calib_{int(sha256(rows.tobytes())[:16], 16)}"
@@ -107,7 +112,7 @@ def _text(origins: Array) -> str:
 
 def _tips(origins: Array, q: Array) -> Array:
     """Return the driver's last frame (N, 4, 4) in the base link at joint positions (N, 6)."""
-    T = np.broadcast_to(_BASE, (len(q), 4, 4))
+    T = np.broadcast_to(BASE, (len(q), 4, 4))
     for origin, angle in zip(origins, q.T, strict=True):
         T = T @ origin @ rigid.placement(rigid.rotation_about(_Z, angle), np.zeros(3))
     return T
@@ -117,8 +122,8 @@ def _prefix(robot: Robot) -> str:
     """Return what stands before the names of the six joints, or raise OutputError for another arm."""
     moving = [i for i, joint in enumerate(robot.chain) if joint.type != "fixed"]
     names = [robot.chain[i].name for i in moving]
-    prefix = names[0].removesuffix(_JOINTS[0])
-    if names != [f"{prefix}{joint}" for joint in _JOINTS] or moving != list(range(moving[0], moving[0] + 6)):
+    prefix = names[0].removesuffix(JOINTS[0])
+    if names != [f"{prefix}{joint}" for joint in JOINTS] or moving != list(range(moving[0], moving[0] + 6)):
         raise _not_ur(robot, f"moves {', '.join(names)}")
     if robot.loops or robot.couplings or len(robot.readings) != 6:
         raise _not_ur(robot, "has joints that follow others")
@@ -128,24 +133,25 @@ def _prefix(robot: Robot) -> str:
 def _not_ur(robot: Robot, what: str) -> OutputError:
     return OutputError(
         f"{robot.urdf.where}: {what}; the kinematics file of Universal Robots is for their arms alone, with joints "
-        f"{', '.join(_JOINTS)} one after the other, between base_link and tool0."
+        f"{', '.join(JOINTS)} one after the other, between base_link and tool0."
     )
 
 
 def _between(urdf: Urdf, start: str, end: str) -> Array | None:
     """Return link ``end`` in link ``start`` (4, 4), None where joints between them move."""
-    (carrier, a), (other, b) = _carried(urdf, start), _carried(urdf, end)
+    (carrier, a), (other, b) = carried(urdf, start), carried(urdf, end)
     return rigid.inverse(a) @ b if carrier == other else None
 
 
-def _carried(urdf: Urdf, link: str) -> tuple[str, Array]:
+def carried(urdf: Urdf, link: str) -> tuple[str, Array]:
+    """Return the link that carries another one behind fixed joints, and the pose (4, 4) of that one in it."""
     T = np.eye(4)
     while (joint := urdf.parent_joint(link)) is not None and joint.type == "fixed":
         T, link = joint.origin @ T, joint.parent
     return link, T
 
 
-def _at_zero(robot: Robot) -> Array:
+def at_zero(robot: Robot) -> Array:
     """Return the frames (6, 4, 4) of the moving joints at readings zero in the base link, z along their axes."""
     frames, T = [], np.eye(4)
     for joint in robot.chain:
@@ -155,11 +161,11 @@ def _at_zero(robot: Robot) -> Array:
     return np.stack(frames)
 
 
-def _slides(nominal: Robot, to_tool: Array) -> Array:
+def slides_of(nominal: Robot, to_tool: Array) -> Array:
     """Return the motions (6, 4, 4) about and along z that lead from the joints' frames to those of the driver."""
-    G = _at_zero(nominal)
-    turned = np.stack([_BASE[:3, :3] @ rigid.rotation_about(_X, k * np.pi / 2.0) for k in _QUARTERS])
-    for joint, is_, should in zip(_JOINTS, G[:, :3, 2], turned[:, :, 2], strict=True):
+    G = at_zero(nominal)
+    turned = np.stack([BASE[:3, :3] @ rigid.rotation_about(_X, k * np.pi / 2.0) for k in _QUARTERS])
+    for joint, is_, should in zip(JOINTS, G[:, :3, 2], turned[:, :, 2], strict=True):
         if np.linalg.norm(is_ - should) > _SAME_AXIS:
             raise _not_ur(nominal, f"has the axis of {joint!r} along {np.round(is_, 3).tolist()} at zero")
     if all(np.array_equal(joint.frame, np.eye(4)) for joint in nominal.chain):

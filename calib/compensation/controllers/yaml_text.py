@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Node: TypeAlias = "str | int | float | Mapping[str, Node] | Sequence[Node]"
-_KEY = re.compile(r"[a-z0-9_]+:")
+_KEY = re.compile(r"[A-Za-z0-9_]+:")
 
 
 def yaml_text(contents: Mapping[str, Node]) -> str:

@@ -38,6 +38,10 @@ class TipObservations(NamedTuple):
     orientation: Array
     tool: IntArray
 
+    def some(self, which: BoolArray) -> "TipObservations":
+        """Return some rows, by mask (N,)."""
+        return TipObservations(self.tips[which], self.position[which], self.orientation[which], self.tool[which])
+
 
 class KnownFrames(NamedTuple):
     """What is known of base (4, 4), tool points (k, 3) and tool rotations (k, 3, 3); None for what is sought."""

@@ -16,6 +16,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.resection import (
     camera_pose,
     camera_pose_and_point,
@@ -31,7 +32,7 @@ from calib.measurement.projection import LEAST_DEPTH, undistort
 
 
 class TargetRows(NamedTuple):
-    """Rows of one set that concern one target: ``rows`` (n,) of ``data``, ``tips`` (n, 4, 4) in the base link."""
+    """Rows of one set that concern one target: ``rows`` (n,) of ``data``, ``tips`` (n, 4, 4) in one frame."""
 
     data: Measurements
     camera: Camera
@@ -54,36 +55,53 @@ class TargetRows(NamedTuple):
         return rays(undistort(self.camera, self.data.value[self.rows, :2])[0])
 
 
-def sights(sets: Sequence[Measurements], tips: Sequence[Array], target: int) -> list[TargetRows]:
-    """Return what cameras have to say of one target, set by set."""
+def sights(
+    sets: Sequence[Measurements], tips: Sequence[Array], target: int, setup: int | None = None
+) -> list[TargetRows]:
+    """Return what cameras have to say of one target, set by set; of one set-up alone where one is given."""
     return [
         TargetRows(data, data.camera, rows, T[rows])
         for data, T in zip(sets, tips, strict=True)
-        if data.camera is not None and len(rows := np.flatnonzero(data.target == target))
+        if data.camera is not None
+        and len(rows := np.flatnonzero((data.target == target) & (setup is None or data.setup == setup)))
     ]
 
 
 def place_tools(
-    model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], base: Array, tools: Array, turned: BoolArray
+    model: ErrorModel,
+    carried: Sequence[Carried],
+    bases: Array,
+    tools: Array,
+    turned: BoolArray,
+    stands: BoolArray,
 ) -> tuple[Array, Array, BoolArray]:
-    """Return base and tools (k, 4, 4) as cameras saw them, and which tools they saw.
+    """Return bases (b, 4, 4) and tools (k, 4, 4) as cameras saw them, and which tools they saw.
 
-    Tools that are ``turned`` (k,) have their orientation from elsewhere and stay. So does the base, unless nothing else
-    was measured in an instrument's frame: the targets that are known then are that frame.
+    Tools that are ``turned`` (k,) have their orientation from elsewhere and stay. So do bases that stand (b,): they are
+    known, or were measured in an instrument's frame. For others the targets that are known are that frame.
 
     Raises MeasurementError when there are too few marks or poses.
     """
     placed = turned | (model.tool == "fixed")
     seen = np.zeros_like(turned)
-    tools, known_base = tools.copy(), model.base == "fixed" or any(data.position is not None for data in sets)
-    everything = [(name, sights(sets, tips, t)) for t, name in enumerate(sets[0].targets)]
+    bases, tools, stands = bases.copy(), tools.copy(), stands.copy()
+    sets = [rows.data for rows in carried]
+    names, everywhere = sets[0].targets, np.broadcast_to(np.eye(4), bases.shape)
+    # In the base, or in the link that carries the target.
+    tips = [rows.seen(everywhere) for rows in carried]
+    # A target is seen from where most of its rows are.
+    everything = [
+        max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
+        for t, name in enumerate(names)
+    ]
     # The target with the most rows is the best start; others follow from it.
-    for name, own in sorted(everything, key=lambda one: -sum(len(sight.rows) for sight in one[1])):
+    for setup, name, own in sorted(everything, key=_many, reverse=True):
         sought = {int(k) for sight in own for k in sight.tool} - set(np.flatnonzero(placed).tolist())
         known = model.targets.get(name)
-        if not own or (not sought and (known_base or known is None)):
+        at_rest = stands[setup] or name in sets[0].target_links
+        if not own or (not sought and (at_rest or known is None)):
             continue
-        images = _images(own)
+        images = images_of(own)
         if images:
             base_in_target, found = _aligned(model, images, tools)
             for k in sought:
@@ -91,28 +109,32 @@ def place_tools(
         else:
             base_in_target = _carried(own, name, tools, sought)
         placed[list(sought)] = seen[list(sought)] = True
-        if known is not None and not known_base:
-            base, known_base = known.pose @ base_in_target, True
-    return base, tools, seen
+        if known is not None and not at_rest:
+            bases[setup], stands[setup] = known.pose @ base_in_target, True
+    return bases, tools, seen
 
 
-def target_pose(name: str, own: Sequence[TargetRows], base: Array, tools: Array) -> Array:
-    """Return the pose (4, 4) of a target for known base and tools (k, 4, 4).
+def _many(seen: tuple[int, str, list[TargetRows]]) -> int:
+    return sum(len(sight.rows) for sight in seen[2])
+
+
+def target_pose(name: str, own: Sequence[TargetRows], tools: Array) -> Array:
+    """Return the pose (4, 4) of a target, in the frame of the tips, for known tools (k, 4, 4).
 
     Raises MeasurementError when there are too few marks.
     """
     floor = [sight for sight in own if sight.camera.camera_on == "floor"]
     if floor:
-        marks = [(base @ sight.tips @ tools[sight.tool] @ rigid.translation(sight.places))[:, :3, 3] for sight in floor]
+        marks = [(sight.tips @ tools[sight.tool] @ rigid.translation(sight.places))[:, :3, 3] for sight in floor]
         pose = camera_pose(np.concatenate(marks), np.concatenate([sight.rays for sight in floor]))
         if pose is None:
             raise _too_few(own, name)
         return pose
-    cameras = [base @ sight.tips @ tools[sight.tool] for sight in own]
+    cameras = [sight.tips @ tools[sight.tool] for sight in own]
     if not any(sight.data.of_boards for sight in own):
         directions = [(T[:, :3, :3] @ sight.rays[:, :, None])[:, :, 0] for T, sight in zip(cameras, own, strict=True)]
         return rigid.translation(crossing(np.concatenate(cameras)[:, :3, 3], np.concatenate(directions)))
-    seen = [base @ sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in _images(own)]
+    seen = [sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in images_of(own)]
     if not seen:
         raise _too_few(own, name)
     # An image with gross errors is far off, and the median hardly minds.
@@ -121,10 +143,10 @@ def target_pose(name: str, own: Sequence[TargetRows], base: Array, tools: Array)
     return rigid.placement(nearest, np.median(poses[:, :3, 3], axis=0))
 
 
-def refuse_behind(own: Sequence[TargetRows], base: Array, tools: Array, target: Array) -> None:
+def refuse_behind(own: Sequence[TargetRows], tools: Array, target: Array) -> None:
     """Raise MeasurementError for a mark that a camera saw, and that would be behind it."""
     for sight in own:
-        placed, stays = base @ sight.tips @ tools[sight.tool], np.broadcast_to(target, (len(sight.rows), 4, 4))
+        placed, stays = sight.tips @ tools[sight.tool], np.broadcast_to(target, (len(sight.rows), 4, 4))
         cameras, boards = (placed, stays) if sight.camera.camera_on == "tip" else (stays, placed)
         marks = marks_seen(cameras, boards, sight.places)[1]
         behind = marks[:, 2] <= LEAST_DEPTH * np.linalg.norm(marks, axis=1)
@@ -136,7 +158,7 @@ def refuse_behind(own: Sequence[TargetRows], base: Array, tools: Array, target: 
             )
 
 
-def _images(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
+def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
     """Return the images of a board: the first row of each, and the camera's pose in the board.
 
     Images that fit no pose by far as well as most of them are left out.

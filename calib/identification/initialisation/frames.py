@@ -1,6 +1,6 @@
 """Start values of all frames, in closed form, for the nominal robot.
 
-Base and tools come from positions and poses, where there are any
+Bases and tools come from positions and poses, where there are any
 (:mod:`calib.identification.initialisation.base_and_tools`), and from images
 (:mod:`calib.identification.initialisation.cameras`); other tool points from turning in a socket or about a ball's
 centre; targets from where the nominal robot puts the tool (:mod:`calib.identification.initialisation.target_poses`).
@@ -12,16 +12,21 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
-from calib.identification.machine import Frames
+from calib.identification.machine import Frames, Machine
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import Deviations
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
 _ENOUGH, _FEW = 10_000, 100
+# A base is shown by so many places of sockets.
+_LEAST_PLACES = 3
 
 
 class Initialisation(NamedTuple):
@@ -31,16 +36,19 @@ class Initialisation(NamedTuple):
     unshown: BoolArray
 
 
-def initialise(model: ErrorModel, sets: Sequence[Measurements]) -> Initialisation:
-    """Return base, tools and targets that explain sets with common names best with the nominal robot.
+def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine | None = None) -> Initialisation:
+    """Return bases, tools and targets that explain sets with common names best with the nominal robot.
 
-    What is fixed or known stays as given.
+    What is fixed or known stays as given, a base with a prior where the prior has it. ``begun``: a machine whose robot
+    is taken in the place of the nominal one, and whose set-ups and tools, the first of the names, stay.
+
+    Raises MeasurementError where nothing shows where the base of a set-up is.
     """
-    given = model.given_frames(sets[0].tools)
     sets = [_thinned(data) for data in sets]
-    tips = [data.tips(model.robot) for data in sets]
-    base, tools, placed = given.base, given.tools, np.zeros(len(given.tools), dtype=np.bool_)
-    unshown = np.zeros_like(placed)
+    carried = [_carried(model, data, None if begun is None else begun.deviations) for data in sets]
+    tips = [rows.tips for rows in carried]
+    at = _Placed.of(model, sets[0], None if begun is None else begun.frames)
+    unshown = np.zeros(len(at.tools), dtype=np.bool_)
     seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
     if seen:
         rows = TipObservations(
@@ -49,20 +57,136 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements]) -> Initialisatio
             np.concatenate([_orientation(data) for data, _, _ in seen]),
             np.concatenate([data.tool for data, _, _ in seen]),
         )
-        known = KnownFrames(
-            given.base if model.base == "fixed" else None,
-            given.tools[:, :3, 3] if model.tool == "fixed" else None,
-            None if model.tool == "pose" else given.tools[:, :3, :3],
-        )
-        base, tools, shown = base_and_tools(rows, known, given.tools)
-        placed[rows.tool] = True
-        unshown = placed & ~shown
+        at, unshown = _by_positions(model, rows, np.concatenate([data.setup for data, _, _ in seen]), at)
     if any(data.camera is not None for data in sets):
-        base, tools, by_cameras = cameras.place_tools(model, sets, tips, base, tools, turned(sets, ("pose",)))
-        placed |= by_cameras
-    if model.tool != "fixed" and not placed.all():
-        tools = _turned_in_sockets(model, sets, tips, base, tools, placed)
-    return Initialisation(with_targets(model, sets, tips, Frames(base, tools)), unshown)
+        bases, tools, by_cameras = cameras.place_tools(
+            model, carried, at.bases, at.tools, turned(sets, ("pose",)) | at.begun, at.stands
+        )
+        at = at._replace(bases=bases, tools=tools, placed=at.placed | by_cameras)
+    if model.tool != "fixed" and not at.placed.all():
+        at = at._replace(tools=_turned_in_sockets(model, carried, at))
+    if not at.stands.all():
+        at = _by_targets(model, carried, at)
+    return Initialisation(with_targets(model, carried, Frames(at.bases, at.tools)), unshown)
+
+
+def _carried(model: ErrorModel, data: Measurements, deviations: Deviations | None) -> Carried:
+    robot = model.robot
+    seats: dict[str, Array] = {}
+    for link in dict.fromkeys(data.target_links[name] for name in data.seen_targets if name in data.target_links):
+        seats[link] = rigid.inverse(robot.with_tip(link).tips(data.readings, deviations, data.conditions))
+    return Carried(data, data.tips(robot, deviations), seats)
+
+
+class _Placed(NamedTuple):
+    """Bases (b, 4, 4) and which of them stand (b,), tools (k, 4, 4) and which points of them are placed (k,).
+
+    ``begun`` (k,): tools that another calibration has found.
+    """
+
+    bases: Array
+    stands: BoolArray
+    tools: Array
+    placed: BoolArray
+    begun: BoolArray
+
+    @classmethod
+    def of(cls, model: ErrorModel, names: Measurements, begun: Frames | None) -> "_Placed":
+        """Return what is known before anything was looked at."""
+        given = model.given_frames(names.tools, names.setups)
+        bases, tools = given.bases.copy(), given.tools.copy()
+        stands = np.array([model.known_base(setup) is not None for setup in names.setups])
+        placed = np.zeros(len(tools), dtype=np.bool_)
+        if begun is not None:
+            bases[: len(begun.bases)], stands[: len(begun.bases)] = begun.bases, True
+            tools[: len(begun.tools)], placed[: len(begun.tools)] = begun.tools, True
+        return cls(bases, stands, tools, placed, placed.copy())
+
+
+def _by_positions(model: ErrorModel, rows: TipObservations, setup: IntArray, at: _Placed) -> tuple[_Placed, BoolArray]:
+    """Place bases and tools by positions and poses in the instrument's frame, the set-up of most rows first.
+
+    Returned with it: tools (k,) of which some direction does not show.
+    """
+    bases, tools, stands, placed = at.bases.copy(), at.tools.copy(), at.stands.copy(), at.placed.copy()
+    unshown = np.zeros_like(placed)
+    for s in np.argsort(-np.bincount(setup, minlength=len(bases)), kind="stable"):
+        own = rows.some(setup == s)
+        used = np.unique(own.tool)
+        if not len(used):
+            continue
+        held = model.tool == "fixed" or bool(placed[used].all())
+        known = KnownFrames(
+            bases[s] if stands[s] else None,
+            tools[:, :3, 3] if held else None,
+            None if model.tool == "pose" and not held else tools[:, :3, :3],
+        )
+        bases[s], found, shown = base_and_tools(own, known, tools)
+        stands[s] = True
+        new = used[~placed[used]]
+        tools[new], unshown[new], placed[new] = found[new], ~shown[new], True
+    return at._replace(bases=bases, tools=tools, stands=stands, placed=placed), unshown
+
+
+def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _Placed:
+    """Place bases that nothing in an instrument's frame shows, by what is touched or seen from others, or is known."""
+    names = carried[0].data
+    there = [rows.some(at.stands[rows.data.setup]) for rows in carried]
+    frames = with_targets(model, there, Frames(at.bases, at.tools))
+    told = {name for rows in there for name in rows.data.seen_targets} | set(model.targets)
+    shown = np.array([name in told and name not in names.target_links for name in names.targets], dtype=np.bool_)
+    bases, stands = at.bases.copy(), at.stands.copy()
+    for s in np.flatnonzero(~stands):
+        found = [
+            _as_positions(rows, frames, (rows.data.setup == s) & shown[rows.data.target])
+            for rows in carried
+            if rows.data.kind in ("socket", "pixels")
+        ]
+        found = [some for some in found if len(some.tips)]
+        every = TipObservations(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
+        if every is None or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
+            if not stands.any() or not _needs_base(carried, int(s)):
+                # Too little is known to place any base: it begins as given, and the null space says so.
+                stands[s] = True
+                continue
+            raise MeasurementError(
+                f"{names.where}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
+                "there, or three sockets whose places are known or found from elsewhere, or give its pose."
+            )
+        bases[s] = base_and_tools(every, KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
+        stands[s] = True
+    return at._replace(bases=bases, stands=stands)
+
+
+def _needs_base(carried: Sequence[Carried], setup: int) -> bool:
+    """Return whether some row of a set-up is about what stands on the floor."""
+    return any(
+        data.link_of(int(t)) is None and data.kind != "pair_distance"
+        for data in (rows.data for rows in carried)
+        for t in np.unique(data.target[data.setup == setup])
+    )
+
+
+def _places(rows: TipObservations) -> int:
+    return len(np.unique(rows.position, axis=0))
+
+
+def _as_positions(carried: Carried, frames: Frames, rows: BoolArray) -> TipObservations:
+    """Return rows (N,) at targets that are known as positions of the tool, and images of boards as poses."""
+    data, tips = carried.data, carried.tips
+    if data.kind == "socket":
+        n = np.flatnonzero(rows)
+        turned = np.full((len(n), 3, 3), np.nan)
+        return TipObservations(tips[n], frames.targets[data.target[n], :3, 3], turned, data.tool[n])
+    camera = data.camera
+    assert camera is not None, "pixels were seen by a camera"
+    images = (
+        cameras.images_of([cameras.TargetRows(data, camera, np.flatnonzero(rows), tips[rows])]) if rows.any() else []
+    )
+    n = np.array([sight.rows[row] for sight, row, _ in images], dtype=np.intp)
+    poses = [pose if camera.camera_on == "tip" else rigid.inverse(pose) for *_, pose in images]
+    placed = frames.targets[data.target[n]] @ np.array(poses).reshape(-1, 4, 4)
+    return TipObservations(tips[n], placed[:, :3, 3], placed[:, :3, :3], data.tool[n])
 
 
 def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
@@ -73,7 +197,8 @@ def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
 def is_fit(sets: Sequence[Measurements]) -> bool:
     """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
     data = sets[0]
-    return len(sets) == 1 and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
+    alone = len(sets) == len(data.setups) == 1
+    return alone and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
 
 
 def _thinned(data: Measurements) -> Measurements:
@@ -107,37 +232,39 @@ def _orientation(data: Measurements) -> Array:
     return np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
 
 
-def _turned_in_sockets(
-    model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], base: Array, tools: Array, placed: BoolArray
-) -> Array:
+def _turned_in_sockets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> Array:
     """Return the tools with those points that are not ``placed`` found by turning about points that stay.
 
     A point p that stays at c while the tip turns obeys R_n p + t_n = c: linear in both. A ball that is touched all
-    around keeps its centre on average, which is near enough for a start.
+    around keeps its centre on average, which is near enough for a start. What stays is known only where the base is:
+    elsewhere it is another unknown in the base of every set-up.
     """
     rows, right = [], []
-    k, m = len(tools), len(sets[0].targets)
-    for data, T in zip(sets, tips, strict=True):
+    tools, placed = at.tools, at.placed
+    k, m = len(tools), len(carried[0].data.targets)
+    width = m * (1 + len(at.bases))
+    for one in carried:
+        data = one.data
         if data.kind not in ("socket", "sphere"):
             continue
-        in_world = base @ T
-        A = np.zeros((len(data), 3, k + m, 3))
+        in_world = one.seen(at.bases)
+        A = np.zeros((len(data), 3, k + width, 3))
         b = -in_world[:, :3, 3].copy()
         n = np.arange(len(data))
         A[n, :, data.tool] = np.where(placed[data.tool, None, None], 0.0, in_world[:, :3, :3])
         b -= np.where(placed[data.tool, None], (in_world[:, :3, :3] @ tools[data.tool, :3, 3:])[:, :, 0], 0.0)
-        for t, name in enumerate(data.targets):
-            own = n[data.target == t]
-            if name in model.targets:
-                b[own] += model.targets[name].pose[:3, 3]
-            else:
-                A[own, :, k + t] = -np.eye(3)
+        stands = at.stands[data.setup] | one.on_links
+        known = np.array([name in model.targets for name in data.targets], dtype=np.bool_)[data.target] & stands
+        for t in np.unique(data.target[known]):
+            b[known & (data.target == t)] += model.targets[data.targets[t]].pose[:3, 3]
+        unknown = np.where(stands, 0, m * (1 + data.setup)) + data.target
+        A[n[~known], :, k + unknown[~known]] = -np.eye(3)
         rows.append(A.reshape(3 * len(data), -1))
         right.append(b.ravel())
     if not rows:
         return tools
     # What turning does not show, such as the height on an axis that alone turns, stays as guessed.
-    guess = np.concatenate([tools[:, :3, 3].ravel(), np.zeros(3 * m)])
+    guess = np.concatenate([tools[:, :3, 3].ravel(), np.zeros(3 * width)])
     A, b = np.concatenate(rows), np.concatenate(right)
     change = np.linalg.lstsq(A, b - A @ guess, rcond=NEGLIGIBLE)[0]
     points = (guess + change)[: 3 * k].reshape(-1, 3)

@@ -7,26 +7,26 @@ import numpy as np
 
 from calib.foundations.arrays import BoolArray, IntArray
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_POINTS, MOST_TARGETS
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
-from calib.identification.initialisation.target_poses import with_targets
-from calib.identification.machine import Layout, Machine, values_at
+from calib.identification.machine import Frames, Layout, Machine, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
+from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.transmission import lacking
 
 
 def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
     """Return the problem of finding all that is free, with base, tools and targets where the nominal robot has them.
 
-    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame is taken
-    for it: a camera or a board on the floor is then found in the base. Of a tool that nothing shows but as a point,
-    beside others that boards and cameras show, the orientation is no unknown.
+    Where nothing was measured in an instrument's frame, such as by sockets or cameras alone, the base's frame in the
+    first set-up is taken for it: a camera or a board on the floor is then found in the base. Of a tool that nothing
+    shows but as a point, beside others that boards and cameras show, the orientation is no unknown.
 
     Raises MeasurementError when there are none, when they are not of this robot, or a target is two things; JobError
     when a name means two things, a known or related target is in no measurement, or a tool needs its orientation free.
@@ -39,13 +39,17 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     sets = with_common_names(model, measurements)
     _refuse_unturned_tools(model, sets)
     _refuse_unknown_targets(model, sets)
+    _refuse_unknown_setups(model, sets)
     if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
-        target.height_is_known for target in model.targets.values()
+        (
+            *(target.height_is_known for target in model.targets.values()),
+            *(model.known_base(setup) is not None for setup in sets[0].setups),
+        )
     ):
-        model = replace(model, base="fixed")
+        model = replace(model, setups={**model.setups, sets[0].setups[0]: SetUp(model.base_pose)})
     reference, unshown = initialise(model, sets)
     layout = Layout.of(model.robot, reference)
-    of_model = _without_turns_of_points(model.parameters(sets[0].tools), sets, layout)
+    of_model = _without_turns_of_points(model.parameters(sets[0].tools, sets[0].setups), sets, layout)
     of_model = _with_unshown_tools(of_model, unshown, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
     names = [parameter.name for parameter in parameters]
@@ -55,7 +59,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
 
 
 def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with common lists of tools, targets and lengths.
+    """Return the sets with common lists of tools, set-ups, targets and lengths.
 
     Raises MeasurementError when they are not of this robot, or lack what a joint term needs.
     """
@@ -68,10 +72,18 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         for end in data.ends:
             if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
+    sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
+    links = _common_links(sets)
+    _refuse_absent(model, sets)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
     offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
-    for found, what, most in ((tools, "points", MOST_POINTS), (every, "targets", MOST_TARGETS)):
+    for found, what, most in (
+        (tools, "tools", MOST_TOOLS),
+        (setups, "set-ups", MOST_SETUPS),
+        (every, "targets", MOST_TARGETS),
+    ):
         if len(found) > most:
             raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
 
@@ -84,6 +96,9 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             data,
             tools=tools,
             tool=numbered(data.tools, tools, data.tool),
+            setups=setups,
+            setup=numbered(data.setups, setups, data.setup),
+            target_links=links,
             targets=every,
             target=numbered(data.targets, every, data.target),
             other=None
@@ -96,34 +111,122 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     )
 
 
-def with_new_targets(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
-    """Return a machine with the targets and lengths of sets with common names that it does not know yet.
+def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
+    """Return the links of the targets of sets, by name.
+
+    Raises MeasurementError when a tool is on two tips, or a target on two links, or on one and on the floor.
+    """
+    tips: dict[str, str] = {}
+    stands: dict[str, str | None] = {}
+    for data in sets:
+        for tool in (data.tools[k] for k in np.unique(np.concatenate([end.tool for end in data.ends]))):
+            if tips.setdefault(tool, data.tip) != data.tip:
+                raise MeasurementError(
+                    f"{data.where}: the tool {tool!r} is on {data.tip!r} here and on {tips[tool]!r} in another table; "
+                    "give one of them another name."
+                )
+        for target in data.seen_targets:
+            link = data.target_links.get(target)
+            if stands.setdefault(target, link) != link:
+                here, there = (link or "the floor", stands[target] or "the floor")
+                raise MeasurementError(
+                    f"{data.where}: the target {target!r} is on {here} here and on {there} in another table; give one "
+                    "of them another name."
+                )
+    return {target: link for target, link in stands.items() if link is not None}
+
+
+def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse links that the robot does not have, and rows without a joint that moves what they are about."""
+    for data in sets:
+        links = {data.tip, *(data.target_links[name] for name in data.seen_targets if name in data.target_links)}
+        for link in sorted(links - set(model.robot.links)):
+            raise MeasurementError(
+                f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
+                f"{', '.join(map(repr, model.robot.links))}."
+            )
+        # What hangs on a joint pulls at it, wherever that is.
+        needed = data.absent if model.robot.weights is not None else model.robot.driving(links) if data.absent else ()
+        if missing := [name for name in data.absent if name in needed]:
+            raise MeasurementError(
+                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which matters to "
+                f"{'what hangs on joints that give way' if model.robot.weights is not None else 'its targets'}."
+            )
+
+
+def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
+    """Return a machine with the set-ups, tools, targets and lengths of sets with common names that it does not know.
 
     The sets' names are the machine's, then new ones. Raises IdentificationError when the measurements are too few.
     """
-    frames = machine.frames
-    known_targets, known_lengths = len(frames.targets), len(frames.lengths)
-    if (known_targets, known_lengths) == (len(sets[0].targets), len(sets[0].offsets)):
+    frames, names = machine.frames, sets[0]
+    known = (len(frames.bases), len(frames.tools), len(frames.targets), len(frames.lengths))
+    if known == (len(names.setups), len(names.tools), len(names.targets), len(names.offsets)):
         return machine
-    tips = [data.tips(model.robot, machine.deviations) for data in sets]
-    placed = with_targets(model, sets, tips, frames)
-    placed = replace(
-        placed,
-        targets=np.concatenate([frames.targets, placed.targets[known_targets:]]),
-        lengths=np.concatenate([frames.lengths, placed.lengths[known_lengths:]]),
+    _refuse_unplaced(model, sets)
+    placed = initialise(model, sets, machine).frames
+    placed = Frames(
+        *(
+            np.concatenate([old, new[len(old) :]])
+            for old, new in (
+                (frames.bases, placed.bases),
+                (frames.tools, placed.tools),
+                (frames.targets, placed.targets),
+                (frames.lengths, placed.lengths),
+            )
+        )
     )
     layout = Layout.of(model.robot, placed)
-    targets_end, lengths_end = layout.targets + 6 * known_targets, layout.lengths + known_lengths
+    starts = (layout.base, layout.tools, layout.targets, layout.lengths)
+    ends = (*starts[1:], layout.size)
     new = tuple(
         parameter
-        for parameter in targets.unknowns(sets, model.targets, layout)
-        if targets_end <= parameter.direction[0][0] < layout.lengths or parameter.direction[0][0] >= lengths_end
+        for parameter in (
+            *_without_turns_of_points(model.parameters(names.tools, names.setups), sets, layout),
+            *targets.unknowns(sets, model.targets, layout),
+        )
+        for start, count, end, size in zip(starts, known, ends, (6, 6, 6, 1), strict=True)
+        if start + size * count <= parameter.direction[0][0] < end
     )
+    _refuse_too_few(new, layout, sets)
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
     others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
-    return problem.machine(solve(problem, x0).x if others and new else x0)
+    of_setup = any(parameter.kind != "target" for parameter in new)
+    return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
+
+
+def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Measurements]) -> None:
+    """Refuse rows that new tools and bases would use up: nothing would be left to judge."""
+    for kind, start in (("base", layout.base), ("tool", layout.tools)):
+        entries = [(q.direction[0][0] - start) // 6 for q in new if q.kind == kind]
+        for k in dict.fromkeys(entries):
+            own = [data.setup == k if kind == "base" else data.tool == k for data in sets]
+            numbers = sum(int(rows.sum()) * data.sigma.shape[1] for data, rows in zip(sets, own, strict=True))
+            if numbers <= entries.count(k):
+                what, names = ("set-up", sets[0].setups) if kind == "base" else ("tool", sets[0].tools)
+                where = next(data.where for data, rows in zip(sets, own, strict=True) if rows.any())
+                raise MeasurementError(
+                    f"{where}: the {what} {names[k]!r} was not identified, and its {numbers} measured numbers are too "
+                    f"few to find its {entries.count(k)} unknowns and to judge."
+                )
+
+
+def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse set-ups that are known and in no measurement, and as :func:`_refuse_unplaced`."""
+    names = sets[0].setups
+    for name in model.setups:
+        if name not in names:
+            raise JobError(f"setups: {name!r} is in no measurement; they have {', '.join(map(repr, names))}.")
+    _refuse_unplaced(model, sets)
+
+
+def _refuse_unplaced(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse set-ups without a pose where the base is fixed."""
+    for name in sets[0].setups:
+        if model.base == "fixed" and name not in (ONLY_SETUP, *model.setups):
+            raise JobError(f"setups: the pose of the base in {name!r} is missing, and the base is fixed.")
 
 
 def _refuse_unturned_tools(model: ErrorModel, sets: Sequence[Measurements]) -> None:
@@ -176,6 +279,12 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
         shape = "point" if relation.kind == "distance" else "plane"
+        a, b = (sets[0].target_links.get(name, "the floor") for name in relation.targets)
+        if a != b:
+            raise JobError(
+                f"relations: {relation.targets[0]!r} is on {a} and {relation.targets[1]!r} on {b}; a relation is "
+                "between targets that do not move against each other."
+            )
         for name in relation.targets:
             if found.get(name) != shape:
                 raise JobError(

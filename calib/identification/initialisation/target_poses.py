@@ -9,6 +9,7 @@ from calib.foundations.arrays import Array
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
+from calib.identification.initialisation.carried import Carried
 from calib.identification.machine import Frames
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import ordinary
@@ -19,35 +20,41 @@ NEGLIGIBLE = 1e-8
 _OFF = 0.01
 
 
-def with_targets(model: ErrorModel, sets: Sequence[Measurements], tips: Sequence[Array], frames: Frames) -> Frames:
+def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> Frames:
     """Return the frames with the targets where the nominal robot puts them."""
+    sets = [one.data for one in rows]
     names, found = sets[0].targets, targets.shapes(sets)
     poses, lengths = np.tile(np.eye(4), (len(names), 1, 1)), np.zeros(len(sets[0].offsets))
-    points = [(frames.base @ T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, tips, strict=True)]
+    carried = [one.seen(frames.bases) for one in rows]
+    points = [(T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, carried, strict=True)]
     for t, name in enumerate(names):
         own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
         own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
-        sights = cameras.sights(sets, tips, t)
+        sights = cameras.sights(sets, carried, t)
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
-            touched = [(data.readings[data.target == t], x) for data, x, _ in own]
-            poses[t] = _plane(np.concatenate([x for _, x in touched]), _arm_beside(model, frames.base, touched))
+            touched = [
+                (data.subset(data.target == t), T[data.target == t], x[data.target == t])
+                for data, T, x in zip(sets, carried, points, strict=True)
+                if data.kind in targets.SHAPES and np.any(data.target == t)
+            ]
+            poses[t] = _plane(np.concatenate([x for *_, x in touched]), _arm_beside(model, touched))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             if sights and not sockets:
-                poses[t] = cameras.target_pose(name, sights, frames.base, frames.tools)
+                poses[t] = cameras.target_pose(name, sights, frames.tools)
             else:
                 poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
-        cameras.refuse_behind(sights, frames.base, frames.tools, poses[t])
+        cameras.refuse_behind(sights, frames.tools, poses[t])
     for k in range(len(lengths)):
         missing = [
             value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)
             for data, x, value in zip(sets, points, (data.value for data in sets), strict=True)
-            if data.offset == k and data.kind != "pair_distance"
+            if data.offset == k and data.kind != "pair_distance" and len(data)
         ]
         lengths[k] = np.concatenate(missing).mean() if missing else 0.0
-    return Frames(frames.base, frames.tools, poses, lengths)
+    return Frames(frames.bases, frames.tools, poses, lengths)
 
 
 def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
@@ -59,22 +66,25 @@ def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array,
     return rigid.placement(target.pose[:3, :3], height * normal)
 
 
-def _arm_beside(model: ErrorModel, base: Array, touched: Sequence[tuple[Array, Array]]) -> Array:
+def _arm_beside(model: ErrorModel, touched: Sequence[tuple[Measurements, Array, Array]]) -> Array:
     """Return where tip link and joints were, from the tip back to the base, on average beside touched points (k, 3).
 
-    ``touched``: readings (n, nr) and points (n, 3).
+    ``touched``: rows, with their tips (n, 4, 4) and points (n, 3) in the frame of the target.
     """
     beside = []
-    for readings, x in touched:
-        motion = model.robot.motion(readings, conditions=ordinary(readings))
+    for data, tip, x in touched:
+        robot = model.robot.with_tip(data.tip)
+        motion = robot.motion(data.readings, conditions=ordinary(data.readings))
         # A joint's column holds the adjoint of its placement in the tip link, and that its origin.
         blocks = motion.regressor.reshape(len(x), 6, -1, 6).transpose(0, 2, 1, 3)[:, ::-1]
+        # Joints of other branches, and those behind the tip, do not move it.
+        blocks = blocks[:, np.any(blocks != 0.0, axis=(0, 2, 3))]
         crossed = blocks[:, :, :3, 3:] @ np.swapaxes(blocks[:, :, :3, :3], -1, -2)
         origins = np.stack([crossed[..., 2, 1], crossed[..., 0, 2], crossed[..., 1, 0]], axis=-1)
         origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
-        tip = base @ motion.placement
         beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
-    return np.asarray(np.concatenate(beside).mean(axis=0))
+    alike = [parts for parts in beside if parts.shape[1] == beside[0].shape[1]]
+    return np.asarray(np.concatenate(alike).mean(axis=0))
 
 
 def _plane(x: Array, beside: Array) -> Array:

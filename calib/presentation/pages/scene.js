@@ -8,6 +8,8 @@ for (const command of page.commands)
   viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
 const boxes = [...document.querySelectorAll("[data-layer]")];
 const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
+// meshcat's own panel: boxes and numbers without names, for things that the legend has switches for.
+viewer.gui.domElement.remove();
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
 // The nominal arm: the shapes of the calibrated one, seen through. It joins the second picture: the first comes sooner.
@@ -24,9 +26,9 @@ function addNominal() {
 }
 
 // Points, and error vectors from them: many copies of one shape, each with its place and colour.
-const { measured, before, after, colours, black } = page.clouds;
+const { measured, before, after } = page.clouds;
 const paint = new THREE.MeshBasicMaterial({ vertexColors: true }), up = new THREE.Vector3(0, 1, 0);
-const tints = colours.map(colour => new THREE.Color(colour)), dark = new THREE.Color(black);
+const night = matchMedia("(prefers-color-scheme: dark)");
 
 // In one geometry: where there is no graphics card, instances are drawn one by one.
 function copies(shape, matrices, tint) {
@@ -48,7 +50,7 @@ function copies(shape, matrices, tint) {
   return new THREE.Mesh(geometry, paint);
 }
 
-function vectors(name, cloud, scale, shape) {
+function vectors(name, cloud, scale, shape, tints) {
   const at = measured.map(p => new THREE.Vector3(...p));
   const way = cloud.errors.map(e => new THREE.Vector3(...e).multiplyScalar(scale));
   const tint = n => tints[cloud.kinds[n]], one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
@@ -59,19 +61,31 @@ function vectors(name, cloud, scale, shape) {
   });
   const ends = at.map((p, n) => new THREE.Matrix4().compose(p.clone().add(way[n]), still, one));
   const stick = new THREE.CylinderGeometry(0.28 * page.radius, 0.28 * page.radius, 1, 3, 1, true);
+  nodeAt(name).children["<object>"]?.object.children.forEach(part => part.geometry.dispose());
   viewer.set_object([name], new THREE.Group().add(copies(stick, sticks, tint), copies(shape, ends, tint)));
 }
 
-if (measured.length) {
+// Drawn anew whenever the reader turns the errors up or the light down.
+let factor = page.scales[0];
+function draw() {
+  const clouds = page.clouds, paints = night.matches ? clouds.dark : clouds.light;
+  const tints = paints.scale.map(colour => new THREE.Color(colour)), dots = new THREE.Color(paints.measured);
+  document.querySelectorAll("[data-shade]").forEach(e => {
+    e.style.background = "#" + (e.dataset.shade === "dot" ? dots : tints.at(e.dataset.shade)).getHexString();
+  });
+  nodeAt("Grid").children["<object>"].object.material.color.set(paints.grid);
+  if (!measured.length) return;
   const places = measured.map(p => new THREE.Matrix4().makeTranslation(...p)), r = page.radius;
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
   const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
-  viewer.set_object(["measured"], copies(dot, places, () => dark));
-  vectors("before", before, page.scales[0], ball);
-  vectors("after", after, page.scales[0], diamond);
-  if (page.scales[1] > page.scales[0]) vectors("after_magnified", after, page.scales[1], diamond);
+  viewer.set_object(["measured"], copies(dot, places, () => dots));
+  vectors("before", before, factor, ball, tints);
+  vectors("after", after, factor, diamond, tints);
+  for (const name of ["before", "after"]) if (byId("drawn-" + name)) byId("drawn-" + name).textContent = "\u00d7" + factor;
 }
+draw();
+night.addEventListener("change", () => { draw(); choose(); });
 
 // Arms: a link sits in its parent at origin, then motion; parents come first.
 const order = [], placed = new Set([page.root]);
@@ -106,18 +120,25 @@ const current = new THREE.Mesh(new THREE.SphereGeometry(2.7 * page.radius, 24, 1
   new THREE.MeshBasicMaterial({ color: 0x009e73, opacity: 0.45, transparent: true, depthWrite: false }));
 const MOVE = 700, REST = 500;  // ms from pose to pose, and at each
 let at = 0, playing = 0;
+// Told the joint readings of every pose that is shown; those moved by hand, once the page is served live, follow.
+let follow = () => {};
+const plain = (x, digits) => x.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+const mixed = (a, b, s) => a.map((q, k) => q + s * (b[k] - q));
 
 function show(moment) {
   at = moment;
   const n = Math.min(Math.floor(moment), last), m = Math.min(n + 1, last), t = moment - n;
   const s = t * t * (3 - 2 * t);
-  for (const arm of arms) place(arm, arm.positions[n].map((q, k) => q + s * (arm.positions[m][k] - q)));
+  for (const arm of arms) place(arm, mixed(arm.positions[n], arm.positions[m], s));
+  if (page.readings.length) follow(mixed(page.readings[n], page.readings[m], s));
   const near = t < 0.5 ? n : m, [lengthBefore, lengthAfter] = page.lengths[near];
   viewer.set_property(["current"], "position", measured[near]);
   viewer.set_property(["current"], "visible", wanted("measured"));
   pose.value = near;
   row.textContent = `Pose ${near + 1} of ${last + 1}, ${page.rows[near]}` +
     (page.judged ? `: before ${lengthBefore.toFixed(3)} mm, after ${lengthAfter.toFixed(3)} mm` : "");
+  byId("joints").textContent = page.readings.length
+    ? page.joint_names.map(([name, unit], k) => `${name} ${plain(page.readings[near][k], 2)} ${unit}`).join(", ") : "";
   viewer.set_dirty();
 }
 
@@ -135,6 +156,7 @@ function step(now, since) {
 
 if (last >= 0) {
   viewer.set_object(["current"], current);
+  byId("joints").style.minHeight = 1.45 * Math.ceil(page.joint_names.length / 2) + "em";  // nothing below it jumps
   pose.max = last;
   pose.addEventListener("input", () => { stop(); show(Number(pose.value)); });
   play.addEventListener("click", () => {
@@ -157,7 +179,7 @@ function stop() {
 }
 
 // Layers that the reader may hide.
-const magnify = byId("magnify");
+const turns = byId("turns");
 let names = true;
 
 function choose() {
@@ -165,22 +187,28 @@ function choose() {
     if (box.dataset.layer === "labels") names = box.checked;
     else viewer.set_property(box.dataset.layer.split("/"), "visible", box.checked);
   if (last >= 0) viewer.set_property(["current"], "visible", wanted("measured"));
-  if (magnify) {
-    viewer.set_property(["after"], "visible", wanted("after") && !magnify.checked);
-    viewer.set_property(["after_magnified"], "visible", wanted("after") && magnify.checked);
-    byId("drawn-after").textContent = "\u00d7" + magnify.dataset.scales.split(" ")[+magnify.checked];
-  }
   viewer.set_dirty();
 }
-for (const box of [...boxes, ...(magnify ? [magnify] : [])]) box.addEventListener("change", choose);
+for (const box of boxes) box.addEventListener("change", choose);
+if (turns) turns.addEventListener("input", () => {
+  factor = page.factors[turns.value];
+  turns.setAttribute("aria-valuetext", factor + " times");
+  draw();
+  choose();
+});
 byId("layers").open = window.innerWidth > 640;
 byId("layers").addEventListener("toggle", () => fit());
 choose();
 
 // three.js has y up, the scene z.
 const outline = page.outline.map(([x, y, z]) => new THREE.Vector3(x, z, -y));
-const camera = viewer.camera, back = new THREE.Vector3(0.72, 0.42, 0.9).normalize();
-let touched = false;
+const camera = viewer.camera, whence = { all: [0.72, 0.42, 0.9], front: [1, 0, 0], side: [0, 0, 1], top: [0, 1, 1e-4] };
+let back = new THREE.Vector3(...whence.all).normalize(), touched = false;
+for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => {
+  back = new THREE.Vector3(...whence[button.dataset.view]).normalize();
+  touched = false;
+  fit();
+});
 viewer.controls.addEventListener("start", () => { touched = true; });
 
 // Centre the outline in the part of the pane that the legend leaves free, and step back until all of it is inside.
@@ -241,36 +269,92 @@ function arrange() {
     element.style.transform = "translate(" + a + "px, " + b + "px)";
   }
 }
+// As long as a round length is at the middle of what is looked at.
+function measure() {
+  const far = camera.position.distanceTo(viewer.controls.target);
+  const pixels = window.innerHeight / (2 * far * Math.tan(camera.fov * Math.PI / 360));
+  const power = 10 ** Math.floor(Math.log10(120 / pixels));
+  const length = [5, 2, 1].map(k => k * power).find(l => l * pixels <= 120) || power;
+  byId("bar").style.width = length * pixels + "px";
+  byId("bar").textContent = length >= 0.1 ? `${+length.toPrecision(1)} m` : `${+(1000 * length).toPrecision(1)} mm`;
+}
 const render = viewer.render.bind(viewer);
-viewer.render = () => { render(); arrange(); };
+viewer.render = () => { render(); arrange(); measure(); };
+
+// A point is told when it is pointed at, and shown with the arm when it is clicked.
+const told = byId("told");
+let pressed = [0, 0];
+function pointed(event) {
+  let best = -1, least = 14;
+  const p = new THREE.Vector3(), T = viewer.scene.matrixWorld;
+  measured.forEach((point, n) => {
+    p.set(...point).applyMatrix4(T).project(camera);
+    const x = (p.x + 1) / 2 * pane.offsetWidth, y = (1 - p.y) / 2 * window.innerHeight;
+    const d = Math.hypot(x - event.clientX, y - event.clientY);
+    if (p.z < 1 && d < least) [best, least] = [n, d];
+  });
+  return wanted("measured") || best < 0 ? best : -1;
+}
+if (last >= 0) {
+  pane.addEventListener("pointermove", event => {
+    const n = event.buttons ? -1 : pointed(event);
+    told.style.display = n < 0 ? "none" : "block";
+    if (n < 0) return;
+    const [b, a] = page.lengths[n];
+    told.textContent = page.rows[n] + (page.judged ? `: ${b.toFixed(3)} mm before, ${a.toFixed(3)} mm after` : "");
+    const left = Math.max(2, Math.min(event.clientX + 12, pane.offsetWidth - told.offsetWidth - 4));
+    told.style.transform = `translate(${left}px, ${event.clientY + 14}px)`;
+  });
+  pane.addEventListener("pointerdown", event => { pressed = [event.clientX, event.clientY]; });
+  pane.addEventListener("pointerup", event => {
+    if (Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4) return;
+    const n = pointed(event);
+    if (n >= 0) { stop(); show(n); }
+  });
+}
 
 // Served by "calib view", the arm also takes any joint readings: the server closes loops and says what it finds.
 if (location.protocol.startsWith("http")) {
   const socket = new WebSocket("ws://" + location.host + "/live"), live = byId("live");
-  let sliders = [], busy = false, waiting = false;
+  let readings = [], busy = false, waiting = false;
   const ask = () => {
     if (busy) { waiting = true; return; }
     busy = true;
-    socket.send(JSON.stringify({ readings: sliders.map(slider => Number(slider.value)), apart: page.apart }));
+    socket.send(JSON.stringify({ readings, apart: page.apart }));
   };
   socket.addEventListener("message", event => {
     const told = JSON.parse(event.data);
     if (told.reload) { location.reload(); return; }
     if (told.readings) {
       live.style.display = "block";
-      sliders = told.readings.map(({ name, unit, lower, upper, value }) => {
+      if (last >= 0) byId("joints").style.display = "none";  // the sliders tell them
+      readings = told.readings.map(({ value }) => value);
+      const sliders = told.readings.map(({ name, unit, lower, upper, value }, k) => {
         const label = live.appendChild(document.createElement("label")), span = document.createElement("span");
         const slider = document.createElement("input"), output = document.createElement("output");
         span.textContent = span.title = name;
-        Object.assign(slider, { type: "range", min: lower, max: upper, step: "any", value });
-        const tell = () => { output.textContent = Number(slider.value).toFixed(unit === "deg" ? 1 : 3) + " " + unit; };
-        slider.addEventListener("input", () => { if (playing) stop(); tell(); ask(); });
-        tell();
+        // A measured pose may lie beyond the limits that the URDF states.
+        const all = page.readings.map(pose => pose[k]);
+        const [min, max] = all.reduce(([a, b], q) => [Math.min(a, q), Math.max(b, q)], [lower, upper]);
+        Object.assign(slider, { type: "range", min, max, step: "any", value });
+        slider.setAttribute("aria-label", name + " in " + unit);
+        const tell = q => { output.textContent = plain(q, unit === "deg" ? 1 : 2) + " " + unit; };
+        slider.addEventListener("input", () => {
+          if (playing) stop();
+          readings[k] = Number(slider.value);
+          tell(readings[k]);
+          ask();
+        });
+        tell(value);
         label.append(span, slider, output);
-        return slider;
+        return q => { slider.value = q; tell(q); };
       });
+      // From any pose that is shown a person goes on with one joint, and the others stay.
+      follow = shown => { readings = shown; sliders.forEach((set, k) => set(shown[k])); };
       const said = live.appendChild(document.createElement("p"));
       said.id = "said";
+      said.setAttribute("aria-live", "polite");
+      if (last >= 0) show(at);
       fit();
       return;
     }

@@ -155,21 +155,28 @@ def _drawn(x: Axis, y: Axis, marks: Sequence[Mark], legend: Sequence[str], heigh
 
 def matrix(values: Array, names: Sequence[str]) -> str:
     """Return the lower triangle of a matrix (n, n) of numbers from -1 to 1 as tinted squares, darker where larger."""
-    n, cell, room = len(names), 11, 8 + 6.1 * max(map(len, names), default=0)
+    n, cell, room = len(names), 24, 8 + 6.4 * max(map(len, names), default=0)
     parts = []
     for i, name in enumerate(names):
         y = 4 + cell * i
-        parts.append(f'<text class="small" x="{room - 5:.0f}" y="{y + 9}" text-anchor="end">{html.escape(name)}</text>')
+        parts.append(f'<text x="{room - 5:.0f}" y="{y + 16}" text-anchor="end">{html.escape(name)}</text>')
         for j in range(i):
             r = float(values[i, j])
             if abs(r) >= 0.05:
                 kind = "after" if r > 0.0 else "before"
                 square = f'x="{room + cell * j:.0f}" y="{y}" width="{cell - 1}" height="{cell - 1}"'
-                parts.append(f'<rect class="{kind}" {square} fill-opacity="{abs(r):.2f}"/>')
+                told = f"<title>{html.escape(name)}, {html.escape(names[j])}: {r:+.3f}</title>"
+                parts.append(f'<rect class="{kind}" {square} fill-opacity="{0.6 * abs(r):.2f}">{told}</rect>')
+                x = room + cell * j + (cell - 1) / 2
+                number = f"{r:.1f}".replace("-0", "-").replace("0.", ".")
+                parts.append(f'<text class="in" x="{x:.0f}" y="{y + 16}" text-anchor="middle">{number}</text>')
         parts.append(
             f'<rect class="diagonal" x="{room + cell * i:.0f}" y="{y}" width="{cell - 1}" height="{cell - 1}"/>'
         )
-    return _svg(math.ceil(room + cell * n + 4), cell * n + 8, parts)
+        # Columns are named on the diagonal, where there is room.
+        at = f'x="{room + cell * (i + 1) + 3:.0f}" y="{y + 16}"'
+        parts.append(f'<text class="small" {at}>{html.escape(name)}</text>')
+    return _svg(math.ceil(2 * room + cell * n + 4), cell * n + 8, parts)
 
 
 def _shades(values: Array, highest: float) -> IntArray:

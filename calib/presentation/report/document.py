@@ -57,6 +57,7 @@ class Prose:
 
 
 Block = Sheet | Picture | Prose
+_CERTIFIED = ("errors", "budget", "provenance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +93,23 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A whole report."""
+    """A whole report.
+
+    ``about``: names and words of what was calibrated, when and by whom; ``beside``: words and URLs of pages beside it.
+    """
 
     title: str
     verdict: Verdict
     sections: tuple[Section, ...]
+    about: tuple[tuple[str, str], ...] = ()
+    beside: tuple[tuple[str, str], ...] = ()
+
+    def certificate(self) -> Iterator[Sheet]:
+        """Yield what the first page on paper says below the verdict: errors, budget, and the hashes of the inputs."""
+        for section in self.sections:
+            sheets = [block for block in section.blocks if isinstance(block, Sheet)]
+            if section.key in _CERTIFIED and sheets:
+                yield sheets[0]
 
     def brief(self) -> Iterator[Sheet | Prose]:
         """Yield the tables and sentences that a terminal shows."""

@@ -13,6 +13,9 @@ def render_markdown(report: Report) -> str:
     """Return a report as Markdown."""
     verdict = report.verdict
     parts = [f"# {_plain(report.title)}", f"**{_plain(verdict.headline)}**", *map(_plain, verdict.reasons)]
+    if report.about:
+        parts.append("\n".join(f"- {_plain(name)}: {_plain(said)}" for name, said in report.about))
+    parts += [f"[{_plain(words)}]({url})" for words, url in report.beside]
     parts += [f"Warning: {_plain(warning)}" for warning in verdict.warnings]
     for section in report.sections:
         parts.append(f"## {_plain(section.title)}")

@@ -8,7 +8,9 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from calib.assessment.advice import told_briefly
 from calib.assessment.choice import Choice
+from calib.assessment.judged import Check
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
@@ -32,6 +34,7 @@ from calib.presentation.report.charts import (
     matrix,
 )
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
+from calib.presentation.report.drawings import deviation_drawing, deviation_words
 from calib.presentation.sheets import (
     SHOWN,
     budget_sheet,
@@ -46,6 +49,7 @@ from calib.presentation.sheets import (
     parameter_sheet,
     prior_sentences,
     rank_sentences,
+    signed,
 )
 from calib.presentation.sheets import Level as LevelFigures
 
@@ -57,6 +61,7 @@ _FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 # More dots than this are a cloud in which nobody finds the worst; it is among those drawn.
 _MOST_DOTS = 2000
 _BINS = 24
+_MOST_CORRELATED = 20
 # Of so many configurations the budget is told.
 _MOST_CONFIGURATIONS = 200
 _ANGLES = ("rx", "ry", "rz")
@@ -102,9 +107,15 @@ def judged_use(sets: Sequence[Judged]) -> Use:
 
 
 def verdict(
-    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]], doubts: Sequence[str], warnings: Sequence[str]
+    figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]],
+    doubts: Sequence[str],
+    warnings: Sequence[str],
+    shown: Sequence[str] = (),
 ) -> Verdict:
-    """Return the answer: how much better, on which data, to be trusted or not."""
+    """Return the answer: how much better, on which data, to be trusted or not.
+
+    ``shown``: for which range, and what would make it more certain.
+    """
     held_out = "validation" in figures
     judged = figures["validation" if held_out else "identification"]
     said, tiles = [], []
@@ -126,12 +137,17 @@ def verdict(
     if doubts:
         reasons = tuple(f"Not to be trusted: {doubt}" for doubt in doubts)
     elif held_out:
-        reasons = ("To be trusted: the solver converged, and the figures are of data that took no part in the fit.",)
-    else:
         reasons = (
-            "To be trusted with care: the solver converged, but no data were held out; how well the robot predicts "
-            "other poses is not shown.",
+            " ".join(
+                ("To be trusted: all checks passed, and the figures are of data that took no part in the fit.", *shown)
+            ),
         )
+    else:
+        care = (
+            "To be trusted with care: all checks passed, but no data were held out; how well the robot predicts other "
+            "poses is not shown."
+        )
+        reasons = (" ".join((care, *shown)),)
     return Verdict(not doubts, " ".join(said), reasons, tuple(tiles), tuple(warnings))
 
 
@@ -147,6 +163,29 @@ def errors(
     if in_urdf is not None:
         blocks.append(Prose(in_urdf_sentences(figures, *in_urdf), brief=True))
     return Section("errors", "Before and after", tuple(blocks))
+
+
+def checks(found: Sequence[Check]) -> Section | None:
+    """Return all checks of the verdict, with what each has found and what it allows; None where there are none."""
+    if not found:
+        return None
+    rows = tuple(
+        Row((check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO"), not check.passed)
+        for check in found
+    )
+    columns = ("check", "found", "allowed", "passed")
+    sheet = Sheet("Checks of the verdict", columns, frozenset(("found",)), rows, brief=True)
+    return Section("checks", "What was checked", (sheet, Prose(tuple(check.sentence for check in found), "list")))
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3g}"
+
+
+def _allowed(check: Check) -> str:
+    if np.isnan(check.threshold):
+        return "-"
+    return f"{'at least' if check.least else 'at most'} {check.threshold:.3g}"
 
 
 def levels(found: Sequence[LevelFigures]) -> Section:
@@ -231,13 +270,9 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
 def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
     error = _errors(_of(sets, judged_use(sets)))[0]
-    tools = fit.machine.frames.tools[:, :3, 3]
     tips = [judged.data.tips(fit.robot, fit.deviations) for judged in error.sets]
     points = np.concatenate(
-        [
-            T[:, :3, 3] + (T[:, :3, :3] @ tools[judged.data.tool][:, :, None])[:, :, 0]
-            for T, judged in zip(tips, error.sets, strict=True)
-        ]
+        [(T @ fit.tools_of(judged.data))[:, :3, 3] for T, judged in zip(tips, error.sets, strict=True)]
     )
     far = np.argsort(np.linalg.norm(points[:, :2], axis=1))
     thirds = [part for part in np.array_split(error.after[far], 3) if part.size]
@@ -275,7 +310,10 @@ def parameters(fit: Fit) -> Section:
         "others, fit the data as well. Weakly determined ones have a sigma above half their parameter scale."
     )
     sentences = (said,) if fit.unidentifiable.any() or fit.weak.any() else ()
-    return Section("parameters", "Parameters", (parameter_sheet(fit), *([Prose(sentences)] if sentences else [])))
+    blocks: list[Block] = [parameter_sheet(fit)]
+    if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
+        blocks.append(Picture("What the names mean", deviation_drawing(), deviation_words()))
+    return Section("parameters", "Parameters", (*blocks, *([Prose(sentences)] if sentences else [])))
 
 
 def correlations(fit: Fit) -> Section | None:
@@ -290,20 +328,26 @@ def correlations(fit: Fit) -> Section | None:
         "Strongest correlations",
         ("parameter", "and", "correlation"),
         frozenset(("correlation",)),
-        tuple(Row((names[i], names[j], f"{r[i, j]:+.3f}")) for i, j in strongest),
+        tuple(Row((names[i], names[j], signed(r[i, j], 3))) for i, j in strongest),
         "of the uncertainties, not of the values; parameters identifiable only in combination are left out",
     )
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
     i, j = strongest[0]
     said = (
         f"Of {count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is {names[i]} with "
-        f"{names[j]}, {r[i, j]:+.3f}. Blue is positive, orange negative."
+        f"{names[j]}, {signed(r[i, j], 3)}. Blue is positive, orange negative."
     )
-    return Section("correlations", "Correlations", (Picture("Correlations", matrix(r, names), said, wide=True), sheet))
+    # Of sixty parameters nobody reads a square each: those that correlate most, in the order of all.
+    least = np.max(np.abs(r - np.eye(len(r))), axis=1)
+    drawn = np.sort(np.argsort(-least, kind="stable")[:_MOST_CORRELATED])
+    if len(drawn) < len(r):
+        said += f" Drawn are the {len(drawn)} parameters that correlate most, of {len(r)}."
+    svg = matrix(r[np.ix_(drawn, drawn)], [names[k] for k in drawn])
+    return Section("correlations", "Correlations", (Picture("Correlations", svg, said, wide=True), sheet))
 
 
 def seen(fit: Fit) -> Section:
-    """Return the ranks, and every direction of the null space in words."""
+    """Return the ranks, and the null space in words."""
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
     weak = values < NUMERICAL_TOLERANCE
@@ -321,7 +365,8 @@ def seen(fit: Fit) -> Section:
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
     if fit.null_space:
-        blocks.append(Prose(tuple(map(str, fit.null_space)), "list"))
+        directions = tuple(map(str, fit.null_space))
+        blocks.append(Prose(told_briefly(fit.model, fit.measurements, fit.null_space, directions), "list"))
     return Section("rank", "What the data determine", tuple(blocks))
 
 
@@ -430,17 +475,19 @@ def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
         for when, values in (("before", before), ("after", after)):
             for k, axis in enumerate(axes):
                 v = values[:, k]
-                cells = (axis, when, f"{v.mean():+.4f}", f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
+                cells = (axis, when, signed(v.mean(), 4), f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
                 rows.append(Row(cells, strong=when == "after", ends_group=k == 2))
         y = Axis("axis", -0.6, len(axes) - 0.4, names=axes)
         drawn = _drawn(np.linalg.norm(after, axis=1))
         # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
         lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
         marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))]
-        biases = ", ".join(f"{axis} {mean:+.4f}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
+        biases = ", ".join(f"{axis} {signed(mean, 4)}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
         title = f"Errors left along {', '.join(axes)}"
         picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)
         pictures.append(Picture(title, picture, f"Means in {shown}: {biases}."))
+    if not rows:  # of pixels and lengths there are no axes
+        return []
     columns = ("axis", "robot", "mean", "spread", "largest", "unit")
     numbers = frozenset(("mean", "spread", "largest"))
     caption = f"{use} data, in the instrument's frame; spread: one standard deviation"

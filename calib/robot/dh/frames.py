@@ -180,6 +180,8 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
         raise RobotError(f"parallel: {parallel!r} is not an angle between 0 and {MOST_PARALLEL} rad.")
     if robot.loops:
         raise RobotError(f"{robot.urdf.where}: an arm with closed loops has no DH table; free placements instead.")
+    if len(robot.links) > 1:
+        raise RobotError(f"{robot.urdf.where}: a DH table is of one arm, not of {len(robot.links)} links.")
     modified = convention == "modified"
     elements, steps, slides = _walk(robot, parallel, modified=modified)
     chain, owner, at = _chain(robot, dict(zip(elements, slides, strict=True)), dict(zip(elements, steps, strict=True)))

@@ -21,6 +21,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import OF_DIMENSION
 
 RowType = Literal["revolute", "prismatic", "fixed"]
 NUMBERS = ("a", "d", "alpha", "theta", "beta")
@@ -59,7 +60,8 @@ class DhRow:
 class DhTable:
     """Rows from base to tip. ``base`` (4, 4): frame 0 in the base link; ``tool`` (4, 4): the tip in the last frame.
 
-    Raises RobotError when a joint has two rows, no row moves, a number is not finite or a frame is no rigid placement.
+    Raises RobotError when a joint has two rows, no row moves, a number is beyond 1e4 m or rad, or a frame is no rigid
+    placement.
     """
 
     __repr__ = brief
@@ -80,6 +82,12 @@ class DhTable:
                 raise RobotError(f"DH table: joint {row.joint!r} is {row.type!r}, not {', '.join(get_args(RowType))}.")
             if not np.isfinite([getattr(row, number) for number in NUMBERS]).all():
                 raise RobotError(f"DH table: joint {row.joint!r} has a number that is not finite.")
+            for number in NUMBERS:
+                unit, of = ("m", OF_DIMENSION["length"]) if number in "ad" else ("rad", OF_DIMENSION["angle"])
+                if not of.holds(getattr(row, number)):
+                    raise RobotError(
+                        f"DH table: joint {row.joint!r} has {number} {getattr(row, number):g} {unit}; allowed is {of}."
+                    )
         if all(row.type == "fixed" for row in self.rows):
             raise RobotError("DH table: no joint moves; a table needs a revolute or a prismatic row.")
         for name, T in (("base", self.base), ("tool", self.tool)):

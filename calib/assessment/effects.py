@@ -1,0 +1,325 @@
+"""Effects that no parameter of a fit stands for, sought in its residuals: how large each would be, and how sure.
+
+An effect is a direction d in the space of all measured numbers: what one unit of it would do to them. With whitened
+residuals r, Jacobian J and covariance C of the parameters, those take up ``J C J^T d`` of it, and its size is
+
+    a = -(d^T r) / (d^T d - d^T J C J^T d)
+
+a score test (C. R. Rao, 1948): nothing is fitted anew. Neighbouring rows go together - a gear that wobbles errs alike
+in all of them -, so that N rows say less than N independent ones: the standard error of ``a`` is that of sums over
+blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.assessment.influence import Residue
+from calib.foundations.arrays import Array
+from calib.foundations.chance import exceeded
+from calib.identification.parameters import scales
+from calib.identification.system import Problem, Rates
+from calib.measurement.measurements import Measurements
+
+# Fewer blocks than these give no standard error.
+_LEAST_BLOCKS = 8
+# A correlation below this is none.
+_FORGOTTEN = 0.1
+# Of larger data so many rows are taken, in runs of neighbours.
+_MOST_ROWS, _RUN = 6000, 100
+# Directions of whose square the parameters leave less than this share are theirs.
+_TAKEN = 1e-7
+_MOST_SPLITS = 60
+# A scatter of a nanometre is rounding.
+_ROUNDING = 1e-9
+# Rows on either side of a jump.
+_LEAST_ROWS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, p); how they follow what is no parameter.
+
+    ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
+    motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
+    change from row to row. ``row`` (n,): number in the set. ``least``: variance of r that is rounding.
+    """
+
+    r: Array
+    J: Array
+    joints: tuple[str, ...]
+    by_joint: Array
+    by_base: Array
+    by_tool: Array
+    values: Array
+    rates: Array
+    row: Array
+    data: Measurements
+    least: float
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """How large an effect is: ``value`` with its standard error ``sigma``, in the effect's own unit.
+
+    ``size``: what it does to a row, over the standard deviation of what remains of one number without it. Nan where the
+    parameters could stand for it, or where rows are too few.
+    """
+
+    value: float
+    sigma: float
+    size: float
+
+    @property
+    def t(self) -> float:
+        """The value over its standard error; 0 where nothing is known."""
+        return self.value / self.sigma if self.sigma > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The likeliest change between two rows: of ``what``, after row ``line`` of ``file``.
+
+    ``size``: what it does to a row, over the standard deviation of what remains of one number. ``chance``: of one such
+    change anywhere, neighbouring rows taken for as many as they are worth.
+    """
+
+    what: str
+    file: str
+    line: int
+    size: float
+    chance: float
+
+
+NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
+
+
+def stretches(residue: Residue) -> tuple[Stretch, ...]:
+    """Return the rows of every set of a fit, with what they would do if base, tool or a joint were elsewhere."""
+    fit = residue.fit
+    robot = fit.model.robot
+    read = tuple(robot.chain[i].name for j, i in enumerate(robot.moving) if j not in robot.passive)
+    wide = replace(fit.model, offsets=read, placements=(), terms=(), base="pose", tool="pose", setups={})
+    names_of = fit.measurements[0]
+    parameters = wide.parameters(names_of.tools, names_of.setups)
+    kinds = np.array([parameter.kind for parameter in parameters])
+    names = [parameter.name.removesuffix(".offset") for parameter in parameters if parameter.kind == "offset"]
+    readings = [reading.name for reading in robot.readings]
+    # A joint that another drives has no reading of its own.
+    own = [k for k, name in enumerate(names) if name in readings]
+    column = [readings.index(names[k]) for k in own]
+    units = np.ones(len(parameters))
+    found = []
+    for i, data in enumerate(fit.measurements):
+        rows = _chosen(len(data))
+        part = data.subset(rows)
+        sigma, w = residue.sigma[i][rows][:, :, None], np.sqrt(residue.w[i][rows])[:, None, None]
+        at = Problem(wide, parameters, fit.machine.frames, (part,))
+        W = np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w
+        mine = replace(residue.problem, measurements=(part,))
+        blocks = list(Rates(mine, fit.machine, scales(fit.parameters)).blocks(part))
+        J = np.concatenate([b.J for b in blocks]) / sigma * w
+        r = np.concatenate([b.observed.residual for b in blocks]) / sigma[:, :, 0] * w[:, :, 0]
+        tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
+        rates = np.gradient(data.readings, axis=0) if len(data) > 1 else np.zeros_like(data.readings)
+        found.append(
+            Stretch(
+                r,
+                J,
+                tuple(names[k] for k in own),
+                W[:, :, kinds == "offset"][:, :, own],
+                W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
+                tool,
+                part.readings[:, column],
+                rates[rows][:, column],
+                rows.astype(np.float64),
+                data,
+                (_ROUNDING / float(residue.sigma[i].min())) ** 2,
+            )
+        )
+    return tuple(found)
+
+
+def _chosen(n: int) -> np.ndarray:
+    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly."""
+    if n <= _MOST_ROWS:
+        return np.arange(n)
+    starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
+    return np.unique(starts[:, None] + np.arange(_RUN))
+
+
+def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:
+    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d)."""
+    if not parts:
+        return NO_EFFECT
+    r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
+    left = d - J @ (C @ (J.T @ d))
+    # A projection only without priors; the sum is what the score test has with them.
+    M = float(d @ left)
+    if not _TAKEN * float(d @ d) < M:
+        return NO_EFFECT
+    value = -float(d @ r) / M
+    rest = r + left * value
+    lengths = [len(part.r) for part in parts]
+    ends = np.cumsum([part.r.size for part in parts])[:-1]
+    scores = [
+        (own * what).reshape(n, -1).sum(axis=1)
+        for own, what, n in zip(np.split(left, ends), np.split(rest, ends), lengths, strict=True)
+    ]
+    after = [x.reshape(n, -1) for x, n in zip(np.split(rest, ends), lengths, strict=True)]
+    length = 1 + int(np.ceil(2.0 * memory(after)))
+    sums = np.concatenate([np.add.reduceat(score, np.arange(0, len(score), length)) for score in scores if len(score)])
+    if len(sums) < _LEAST_BLOCKS:
+        return NO_EFFECT
+    # Of numbers the parameters have taken some.
+    free = max(len(r) - float(np.sum((J @ C) * J)), 0.05 * len(r), 1.0)
+    variance = max(float(rest @ rest) / free, *(part.least for part in parts))
+    sigma = np.sqrt(max(float(sums @ sums) * len(r) / free, M * variance)) / M
+    size = float(np.sqrt(value**2 * M / sum(lengths) / variance))
+    return Effect(value, float(sigma), size)
+
+
+def memory(parts: Sequence[Array]) -> float:
+    """Return how many rows residuals (n, d) remember: the sum of their autocorrelations until one is small."""
+    square = sum(float(np.sum(r * r)) for r in parts)
+    if square <= 0.0:
+        return 0.0
+    total, most = 0.0, max((len(r) for r in parts), default=0) // 6
+    for lag in range(1, most):
+        rho = sum(float(np.sum(r[lag:] * r[:-lag])) for r in parts if len(r) > lag) / square
+        if rho < _FORGOTTEN:
+            break
+        total += rho
+    return total
+
+
+def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
+    """Return for every joint by which share more than it says it would move."""
+    usable = [part for part in parts if part.data.other is None]
+    names = usable[0].joints if usable else ()
+    return {
+        name: effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], C)
+        for j, name in enumerate(names)
+    }
+
+
+def delay(parts: Sequence[Stretch], C: Array, interval: float = 1.0) -> Effect:
+    """Return by how much what was measured is later than the readings beside it: residuals that follow the speed.
+
+    Rows are in the order of time, ``interval`` apart: in rows, or in seconds for that of a stream. Nan for kinds with
+    two ends.
+    """
+    usable = [part for part in parts if part.data.other is None]
+    late = effect(usable, [np.einsum("ndk,nk->nd", part.by_joint, -part.rates) for part in usable], C)
+    return Effect(late.value * interval, late.sigma * interval, late.size)
+
+
+def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
+    """Return how far (rms over the rows, in m) the base seems to have wandered in order of the rows, and its chance.
+
+    Up to the third order. 0 and 1 where rows are too few, or do not show it.
+    """
+    best = (0.0, 1.0)
+    for part in parts:
+        n = len(part.r)
+        if n < 4 * _LEAST_BLOCKS or part.data.position is None:
+            continue
+        t = np.linspace(-1.0, 1.0, n)
+        shapes = np.stack([t, 1.5 * t**2 - 0.5, 2.5 * t**3 - 1.5 * t], axis=1)
+        D = np.einsum("ndk,ns->ndks", part.by_base, shapes).reshape(part.r.size, -1)
+        J = part.J.reshape(part.r.size, -1)
+        S = D.T @ J
+        g, M = D.T @ part.r.ravel(), D.T @ D - S @ C @ S.T
+        values, V = np.linalg.eigh(M)
+        kept = values > _TAKEN * float(np.einsum("ij,ij->", D, D)) / D.shape[1]
+        u = V[:, kept].T @ g
+        a = -V[:, kept] @ (u / values[kept])
+        gain = float(np.sum(u**2 / values[kept]))
+        shift = ((D - J @ (C @ S.T)) @ a).reshape(part.r.shape)
+        rest = part.r + shift
+        chance = _chance(gain, int(kept.sum()), rest, part, C)
+        seen = part.by_base[:, :, :3]
+        # By how much the whitened numbers follow a metre.
+        per_metre = float(np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2)) / 3.0)))
+        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / max(per_metre, 1e-12)
+        if size > best[0]:
+            best = (size, chance)
+    return best
+
+
+def _chance(gain: float, numbers: int, rest: Array, part: Stretch, C: Array) -> float:
+    """Return how probable a chi-squared is, against what remains (n, d), of rows that remember each other."""
+    freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
+    variance = max(float(np.sum(rest**2)) / freedom, part.least)
+    inflation = 1.0 + 2.0 * memory([rest])
+    return float(exceeded(gain / variance / inflation, max(numbers, 1), max(freedom / inflation, 1.0)))
+
+
+def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
+    """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
+    found = [step for part in parts for step in _steps_of(part, C)]
+    return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+
+
+def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
+    """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
+    found = []
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
+    ends = np.cumsum([0, *(part.r.size for part in parts)])
+    r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
+    for k, part in enumerate(parts if len(parts) > 1 else ()):
+        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
+        for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
+            D = Z.reshape(part.r.size, -1)
+            S = D.T @ J[rows]
+            values, V = np.linalg.eigh(D.T @ D - S @ C @ S.T)
+            kept = values > _TAKEN * float(np.sum(D**2)) / D.shape[1]
+            u = V[:, kept].T @ (D.T @ r[rows])
+            gain, a = float(np.sum(u**2 / values[kept])), -V[:, kept] @ (u / values[kept])
+            rest = r - J @ (C @ (S.T @ a))
+            rest[rows] += D @ a
+            free = max(len(r) - float(np.sum((J @ C) * J)), 0.1 * len(r))
+            variance = max(float(rest @ rest) / free, *(one.least for one in parts))
+            others = sum(len(one.r) for one in parts) - n
+            size = float(np.sqrt(gain / variance / (n * others / (n + others))))
+            inflation = 1.0 + 2.0 * memory([part.r])
+            chance = float(exceeded(gain / variance / inflation, max(int(kept.sum()), 1), max(free / inflation, 1.0)))
+            found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
+    return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+
+
+def _steps_of(part: Stretch, C: Array) -> list[Step]:
+    n, d = part.r.shape
+    if n < 4 * _LEAST_ROWS:
+        return []
+    things = [("base", part.by_base), ("tool", part.by_tool[:, :, :3])]
+    things += [(name, part.by_joint[:, :, j : j + 1]) for j, name in enumerate(part.joints)]
+    places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
+    weighted = np.concatenate([part.J, part.r[:, :, None]], axis=2)
+    found = []
+    for what, Z in things:
+        k = Z.shape[2]
+        sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
+        S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
+        values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, 1, 2))
+        kept = values > _TAKEN * np.trace(A, axis1=1, axis2=2)[:, None] / k
+        u = np.einsum("sij,si->sj", V, g)
+        each = np.where(kept, u**2 / np.where(kept, values, 1.0), 0.0)
+        best = int(np.argmax(each.sum(axis=1)))
+        gain, place = float(each[best].sum()), int(places[best])
+        if gain <= 0.0:
+            continue
+        a = -V[best][:, kept[best]] @ (u[best][kept[best]] / values[best][kept[best]])
+        D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ a
+        J = part.J.reshape(n * d, -1)
+        rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
+        free = max(n * d - float(np.sum((J @ C) * J)), 0.1 * n * d)
+        variance = max(float(np.sum(rest**2)) / free, part.least)
+        size = float(np.sqrt(gain / variance / (place * (n - place) / n)))
+        chance = min(1.0, _chance(gain, int(kept[best].sum()), rest, part, C) * len(places) * len(things))
+        # The rows were thinned, maybe: their numbers are those of the whole set.
+        line = int(part.data.lines[int(part.row[place - 1])])
+        found.append(Step(what, part.data.where, line, size, chance))
+    return found

@@ -1,0 +1,37 @@
+"""What a verdict is made of: the judged tables, and one check."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from calib.foundations.arrays import Array
+from calib.measurement.measurements import Measurements
+
+Use = Literal["identification", "validation"]
+# Checks that a user may answer for: that it is so, and right.
+Accepted = Literal["lengths", "tool and base", "joints"]
+
+
+class JudgedSet(NamedTuple):
+    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
+
+    use: Use
+    file: str
+    data: Measurements
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One condition of trust: a ``statistic`` against its ``threshold``, in ``sentence`` with its unit.
+
+    ``statistic`` is nan where there was nothing to judge; the check has then passed. ``least``: whether the threshold
+    is the least that is allowed, not the most.
+    """
+
+    name: str
+    statistic: float
+    threshold: float
+    passed: bool
+    sentence: str
+    least: bool = False

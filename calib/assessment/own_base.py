@@ -1,0 +1,114 @@
+"""Does a table ask for a base of its own? Robot or instrument may have been moved before it was measured.
+
+A base that is one for all, where there were two, leaves what a rigid motion of the measured points explains. Where they
+are far apart, that tells it from an arm that is not as it was modelled: what a model leaves is a rigid motion locally.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.assessment.judged import JudgedSet
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.foundations.chance import exceeded
+from calib.identification.error_model import ErrorModel
+from calib.identification.initialisation.frames import initial_frames
+from calib.identification.initialisation.problem import with_common_names
+from calib.identification.system import Problem
+from calib.measurement.measurements import Measurements
+
+# Sound tables, also of dense paths whose model error is common to neighbours, lose up to a third of their error when
+# they are moved as a whole; where a base was moved, it was several times what is left.
+_SMALLER = 0.5
+# By chance in one of so many tables.
+_HARDLY = 1e-6
+# What nobody needs to correct, in m rms.
+_FINE = 1e-6
+_UNKNOWN = 6
+# The nominal robot misses sound tables by less than this share of its reach (:mod:`calib.identification.sanity`), and
+# those of another set-up by little if they have a base of their own; from so many rows on, which base and tool do not
+# use up.
+_FAR, _NEAR, _ENOUGH = 0.05, 0.2, 10
+# Points of a table that are so far apart, as a share of the arm's reach, tell a moved base from an arm's own errors.
+_FAR_APART = 0.1
+
+
+class OwnBase(NamedTuple):
+    """A table that asks for a base of its own: its position error as it is, and with one, in m rms.
+
+    ``wide``: whether its points are so far apart that it is the base, and not the arm's own errors.
+    """
+
+    file: str
+    error: float
+    moved: float
+    wide: bool
+
+    @property
+    def sentence(self) -> str:
+        """What to do about it."""
+        return (
+            f"{self.file} asks for a base of its own: with one, it would be predicted within "
+            f"{self.moved * 1e3:.4g} mm rms in the place of {self.error * 1e3:.4g} mm. If robot or instrument was "
+            'moved before it was measured, name its set-up (setup = "second").'
+        )
+
+
+def tables_with_own_base(model: ErrorModel, sets: Sequence[JudgedSet]) -> tuple[OwnBase, ...]:
+    """Return the tables that ask for a base of their own, one entry for each."""
+    placed = [one for one in sets if one.data.position is not None]
+    reach = model.robot.reach
+    found = [
+        *own_bases(((one.file, one.data.position, one.after[:, :3]) for one in placed), reach),
+        *far_apart(model, ((one.file, one.data, one.before[:, :3]) for one in placed)),
+    ]
+    return tuple({one.file: one for one in found}.values())
+
+
+def far_apart(model: ErrorModel, tables: Iterable[tuple[str, Measurements, Array]]) -> Iterator[OwnBase]:
+    """Yield the tables that the nominal robot explains by themselves alone, of files, rows and its residuals (N, 3).
+
+    These are left by a base that is the same for all; where it misses a table by far, a fit of all does not tell more.
+    """
+    for file, data, residuals in tables:
+        error = float(np.sqrt(3.0 * np.mean(residuals**2)))
+        if data.position is None or len(data) < _ENOUGH or error < _FAR * model.robot.reach:
+            continue
+        free = replace(model.within([data]), base="pose", setups={}, targets={}, relations=())
+        (alone,) = with_common_names(free, [data.with_own_names()])
+        problem = Problem(free, (), initial_frames(free, [alone]), (alone,))
+        moved = float(np.sqrt(3.0 * np.mean(problem.residuals(np.zeros(0))[0][:, :3] ** 2)))
+        if moved < _NEAR * error:
+            yield OwnBase(file, error, moved, _wide(data.position, model.robot.reach))
+
+
+def own_bases(tables: Iterable[tuple[str, Array | None, Array]], reach: float) -> Iterator[OwnBase]:
+    """Yield the tables that ask for a base of their own, of files, measured positions (N, 3) and residuals (N, 3)."""
+    for file, measured, residuals in tables:
+        if measured is None:
+            continue
+        freedom = measured.size - _UNKNOWN
+        if freedom <= _UNKNOWN:
+            continue
+        predicted = measured - residuals
+        left = predicted - _moved(measured, predicted)
+        before, after = float(np.sum(residuals**2)), float(np.sum(left**2))
+        error, moved = np.sqrt(3.0 * before / measured.size), np.sqrt(3.0 * after / freedom)
+        # F-distributed times its freedom, where nothing was moved.
+        gained = (before - after) / max(after / freedom, np.finfo(float).tiny)
+        if error > _FINE and moved < _SMALLER * error and float(exceeded(gained, _UNKNOWN, freedom)) < _HARDLY:
+            yield OwnBase(file, float(error), float(moved), _wide(measured, reach))
+
+
+def _wide(x: Array, reach: float) -> bool:
+    """Return whether points (N, 3) are far apart: a rigid motion of theirs is then no error of the arm."""
+    return bool(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))) > _FAR_APART * reach)
+
+
+def _moved(x: Array, y: Array) -> Array:
+    """Return points x (N, 3), moved as a whole to be nearest to y (N, 3)."""
+    a, b = x - x.mean(axis=0), y - y.mean(axis=0)
+    return np.asarray(a @ rigid.nearest_rotation(b.T @ a).T + y.mean(axis=0))

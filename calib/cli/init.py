@@ -1,0 +1,79 @@
+"""``calib init``: from a URDF and files as they are to a job."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.application import PATH, Telling, command
+from calib.cli.options import Json, Quiet
+from calib.cli.proposing import (
+    Angles,
+    ColumnNames,
+    Lengths,
+    Observes,
+    OrientationName,
+    Tip,
+    answers,
+    looked_into,
+    proposed,
+    tell_check,
+)
+from calib_start import loading
+
+
+@command("init", PATH, "calib init arm.urdf measured.csv")
+def init(
+    urdf: Annotated[str, typer.Argument(metavar="URDF", help="The robot, or example:...", show_default=False)],
+    data: Annotated[
+        list[Path],
+        typer.Argument(metavar="DATA...", help="Tables of measurements.", show_default=False, readable=False),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
+        "calibration.toml"
+    ),
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse where two readings fit alike.")] = False,
+    xacro: Annotated[
+        bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
+    ] = False,
+    tip: Tip = None,
+    angles: Angles = None,
+    lengths: Lengths = None,
+    orientation: OrientationName = None,
+    observes: Observes = None,
+    column: ColumnNames = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the job that a robot and tables of measurements make.
+
+    Says which columns are joints and points, in which units and conventions, and why; asks what cannot be known.
+    Exit codes: 0 good, 1 bad input or an open question, 2 wrong usage.
+    """
+    with loading():
+        from calib.foundations.files import refuse_taken, write_new
+        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.presentation.console import printable
+    refuse_taken(output)
+    if xacro:
+        urdf = str(_expanded(Path(urdf), output))
+    telling = Telling(as_json, quiet)
+    given = answers(tip, angles, lengths, orientation, observes, column)
+    found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
+    with telling.progress(STEPS_OF_LOADING) as say:
+        inputs = looked_into(found, output, say)
+    write_new(output, found.job(output.absolute().parent))
+    tell_check(telling, inputs, found.reasons, {"job": str(output)})
+    if not as_json:
+        telling.tell(dict, lambda: [printable(f"{output} is written; calib calibrate {output} -o out/ goes on.")])
+
+
+def _expanded(source: Path, output: Path) -> Path:
+    """Write the URDF of a xacro file beside the job, and return where."""
+    from calib.foundations.files import write_new
+    from calib.job.xacro import expanded
+
+    name = source.name.removesuffix(".xacro").removesuffix(".urdf")
+    urdf = output.parent / f"{name}.urdf"
+    write_new(urdf, expanded(source))
+    return urdf

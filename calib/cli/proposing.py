@@ -1,0 +1,139 @@
+"""Options and steps of commands that look at files of others before there is a job."""
+
+import sys
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from calib.cli.application import Telling
+from calib_start import loading
+
+if TYPE_CHECKING:
+    from calib.job.inputs import Inputs
+    from calib.job.proposal import Proposal, Question
+    from calib.presentation.console import Shown
+
+Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.", show_default=False)]
+Angles = Annotated[
+    str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.", show_default=False)
+]
+Lengths = Annotated[
+    str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.", show_default=False)
+]
+OrientationName = Annotated[
+    str | None,
+    typer.Option(
+        "--orientation",
+        help="What three angles are: rotation_vector, abc (KUKA), wpr (FANUC), rpy, or an order like ZYX or xyz.",
+        show_default=False,
+    ),
+]
+Observes = Annotated[
+    str | None,
+    typer.Option("--observes", help="What was measured: position, pose, socket, distance.", show_default=False),
+]
+ColumnNames = Annotated[
+    list[str] | None,
+    typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable.", show_default=False),
+]
+
+
+def answers(
+    tip: str | None,
+    angles: str | None,
+    lengths: str | None,
+    orientation: str | None,
+    observes: str | None,
+    column: Sequence[str] | None,
+) -> dict[str, Any]:
+    """Return what options answer, as :func:`calib.propose` takes it."""
+    from calib.foundations.errors import JobError
+
+    columns = {}
+    for pair in column or ():
+        ours, mark, theirs = pair.partition("=")
+        if not mark or not ours.strip() or not theirs.strip():
+            raise JobError(f"--column: {pair!r} is not like 'x=X2': our name, and the title in the file.")
+        columns[ours.strip()] = theirs.strip()
+    given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
+    return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})
+
+
+def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask: bool) -> "Proposal":
+    """Return a proposal without open questions; ``ask``: a person at the terminal, else the first one is an error."""
+    with loading():
+        from calib.foundations.errors import JobError
+        from calib.job.propose import propose
+    given = dict(given)
+    while True:
+        found = propose(urdf, files, **given)
+        if not found.questions:
+            return found
+        question = found.questions[0]
+        if not (ask and question.choices and sys.stdin.isatty()):
+            raise JobError(question.sentence)
+        given |= _answer(question, given)
+
+
+def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
+    typer.echo(f"{question.text}:", err=True)
+    for k, choice in enumerate(question.choices, start=1):
+        typer.echo(f"  {k}  {choice}", err=True)
+    number = 0
+    while not 1 <= number <= len(question.choices):
+        number = typer.prompt("Which", type=int, err=True)
+    choice = question.choices[number - 1].strip("'")
+    if question.option == "--column":
+        ours, _, theirs = choice.partition("=")
+        return {"columns": {**given.get("columns", {}), ours: theirs}}
+    return {question.about: choice}
+
+
+def looked_into(found: "Proposal", path: Path, say: Callable[[str], None]) -> "Inputs":
+    """Return the inputs of the job that a proposal makes, which would be ``path``. Raises CalibError."""
+    from calib.job.inputs import load
+    from calib.job.read import parse_job
+
+    folder = path.absolute().parent
+    return load(path, say, parse_job(tomllib.loads(found.job(folder)), str(path)))
+
+
+def tell_check(
+    telling: Telling,
+    inputs: "Inputs",
+    reasons: Iterable[str] = (),
+    more: Mapping[str, Any] | None = None,
+    *,
+    every: bool = False,
+) -> None:
+    """Print what is wrong with inputs, and what their poses can see; before it the ``reasons`` of a proposal.
+
+    ``every``: with all directions of the null space, one by one.
+    """
+    with loading():
+        from calib.assessment.advice import null_space_advice, told_briefly
+        from calib.identification.observability import observability
+        from calib.presentation.console import printable, warning
+        from calib.presentation.tables import null_space_lines
+    seen = observability(inputs.model, inputs.identify)
+    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
+    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.null_space, advised)
+    findings = [finding.sentence for finding in inputs.findings]
+    why = list(reasons)
+
+    def shown() -> "list[Shown]":
+        return [
+            *map(printable, why),
+            *(map(warning, findings) if findings else [printable("Units, names, limits and rows: no findings.")]),
+            printable(
+                f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
+                f"parameters (condition number {seen.condition:.3g})."
+            ),
+            *null_space_lines(brief, directions=len(seen.null_space)),
+        ]
+
+    told = {"findings": findings, **seen.contents(), "advice": advised}
+    telling.tell(lambda: told | dict(more or {}) | ({"reasons": why} if why else {}), shown)

@@ -1,0 +1,75 @@
+"""Which arms a URDF describes: every run of joints that a tip may stand at the end of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
+
+# Links of the same joints differ by where the tool is; what is usually meant by the tip, first.
+_TIPS = ("tool0", "flange", "tcp", "tip", "tool", "ee", "end_effector", "hand")
+_MOVES = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """The joints that are read between ``base`` (None: the root) and ``tip``; ``others``: tips of the same joints."""
+
+    base: str | None
+    tip: str
+    joints: tuple[str, ...]
+    others: tuple[str, ...] = ()
+
+
+def chains(document: Urdf, tip: str | None = None) -> tuple[Chain, ...]:
+    """Return the arms from the root link, or from behind a joint that is none of an arm's, the longest first."""
+    by_child = {joint.child: joint for joint in document.joints}
+    carries = {joint.parent for joint in document.joints}
+    found: dict[tuple[str | None, tuple[str, ...]], list[str]] = {}
+    for link in document.links if tip is None else (tip,):
+        path: list[UrdfJoint] = []
+        at, base = link, None
+        while at in by_child and len(path) <= len(document.joints):
+            joint = by_child[at]
+            if joint.type in ("floating", "planar"):
+                base = at
+                break
+            path.append(joint)
+            at = joint.parent
+        names = tuple(joint.name for joint in reversed(path) if joint.type in _MOVES and joint.mimic is None)
+        if names:
+            found.setdefault((base, names), []).append(link)
+    arms = []
+    for (base, names), links in found.items():
+        best = min(links, key=lambda link: _place(link, link in carries))
+        arms.append(Chain(base, best, names, tuple(link for link in links if link != best)))
+    return tuple(sorted(arms, key=lambda arm: -len(arm.joints)))
+
+
+def _place(link: str, carries: bool) -> tuple[int, bool]:
+    name = link.lower()
+    return next((i for i, word in enumerate(_TIPS) if name == word or word in name.split("_")), len(_TIPS)), carries
+
+
+def behind(document: Urdf, arm: Chain, first: int) -> Chain:
+    """Return the arm from its joint number ``first`` on."""
+    if not first:
+        return arm
+    return Chain(document.joint(arm.joints[first]).parent, arm.tip, arm.joints[first:], arm.others)
+
+
+def listed(arms: Sequence[Chain]) -> tuple[str, ...]:
+    """Return tips, those of the longest arms first."""
+    return tuple(dict.fromkeys(arm.tip for arm in arms))
+
+
+def tips(urdf: str | Path) -> tuple[str, ...]:
+    """Return one sentence for every arm of a URDF: its joints and its tip."""
+    document = read_urdf(urdf)
+    arms = chains(document)
+    whole = [arm for arm in arms if not any(o.joints[: len(arm.joints)] == arm.joints for o in arms if o is not arm)]
+    return tuple(
+        f"{document.where}: {len(arm.joints)} joints from {arm.base or document.root} to {arm.tip}: "
+        f"{', '.join(arm.joints)}."
+        for arm in whole
+    ) or (f"{document.where}: no joint moves.",)

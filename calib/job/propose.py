@@ -1,0 +1,153 @@
+"""What is in these files? The one answer, for commands, jobs and Python: columns, units, conventions and roles.
+
+Names list candidates; the nominal arm, base and tool put where they explain most, decides between them: readings that
+are right it follows, wrong ones it does not. Where two readings fit alike, that is asked, never guessed.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from calib.foundations.arguments import checked
+from calib.foundations.errors import CalibError, JobError, MeasurementError
+from calib.foundations.files import read_bytes
+from calib.foundations.units import symbols
+from calib.foundations.words import listed
+from calib.job.chains import Chain, chains
+from calib.job.foreign.answers import Answers, AskedError, ask, run_of
+from calib.job.foreign.reader import Reader
+from calib.job.proposal import Proposal, ProposedTable, table_lines
+from calib.measurement.kinds import Kind
+from calib.measurement.orientations import ORIENTATIONS
+from calib.measurement.raw import raw_table
+from calib.measurement.roles import (
+    Roles,
+    numbered_columns,
+    roles,
+)
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, read_urdf
+
+_HELD_OUT = 0.25
+_VALIDATION = re.compile(r"valid|verif|test|check|held|control", re.IGNORECASE)
+
+
+@checked
+def propose(
+    urdf: str | Path,
+    files: Sequence[str | Path],
+    *,
+    tip: str | None = None,
+    angles: str | None = None,
+    lengths: str | None = None,
+    orientation: str | None = None,
+    observes: Kind | None = None,
+    columns: Mapping[str, str] | None = None,
+) -> Proposal:
+    """Return how files of others are read as measurements of the arm of a URDF, with reasons and questions.
+
+        found = calib.propose("arm.urdf", ["measured.csv"])
+        print(found.job())
+
+    What is given answers questions, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and ``"mm"``;
+    ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``, ``"ZYX"``...);
+    ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
+
+    Raises CalibError with one sentence where a file has nothing of the arm, or an answer cannot be used.
+    """
+    answers = Answers(tip, angles, lengths, orientation, observes, columns)
+    _refuse_answers(answers)
+    document = read_urdf(urdf)
+    if tip is not None and tip not in document.links:
+        raise JobError(f"tip: {tip!r} is not a link of {urdf}; its links are {listed(document.links)}.")
+    reasons: list[str] = []
+    tables: list[ProposedTable] = []
+    robot: Robot | None = None
+    try:
+        if not files:
+            raise _tip_question(document, chains(document, tip))
+        for file in files:
+            raw = raw_table(read_bytes(Path(file), MeasurementError), str(file))
+            found = Reader(document, raw, answers, robot).read()
+            robot = found.robot
+            reasons += [f"{file}: {reason}." for reason in (*raw.remarks, *found.reasons)]
+            tables.append(ProposedTable(str(file), found.observes, found.columns, "identify", None, raw.count))
+    except AskedError as asked:
+        arm = robot or _some_robot(document, tip)
+        return Proposal(str(urdf), arm, tuple(tables), tuple(reasons), (asked.question,))
+    assert robot is not None, "there are files"
+    shared, said = _shared_out(tables)
+    return Proposal(str(urdf), robot, shared, (*reasons, *said), ())
+
+
+def _refuse_answers(answers: Answers) -> None:
+    for name, given, allowed in (
+        ("angles", answers.angles, symbols("angle")),
+        ("lengths", answers.lengths, symbols("length")),
+        ("orientation", answers.orientation, ORIENTATIONS),
+        ("observes", answers.observes, get_args(Kind)),
+    ):
+        if given is not None and given not in allowed:
+            raise JobError(f"{name}: {given!r} is not one of {', '.join(allowed)}.")
+
+
+def _some_robot(document: Urdf, tip: str | None) -> Robot:
+    arms = chains(document, tip)
+    if not arms:
+        return load_robot(document, tip)
+    return load_robot(document, arms[0].tip, arms[0].base)
+
+
+def _tip_question(document: Urdf, arms: Sequence[Chain]) -> AskedError:
+    if not arms:
+        raise MeasurementError(f"{document.where}: no joint moves; there is nothing to calibrate.")
+    ways = "; ".join(f"{arm.tip} at the end of {run_of(arm.joints)}" for arm in arms[:4])
+    return ask("observes", f"{document.where}: there are no measurements yet; tips are {ways}", (), "a table")
+
+
+def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
+    """Give the tables their roles: by their names, else a share of every table is held out."""
+    judged = [bool(_VALIDATION.search(Path(table.file).stem)) for table in tables]
+    if any(judged) and not all(judged):
+        said = [
+            f"{table.file}: {'judges the result, by its name' if judge else 'is identified from'}."
+            for table, judge in zip(tables, judged, strict=True)
+        ]
+        return tuple(
+            replace(table, use="validate" if judge else "identify") for table, judge in zip(tables, judged, strict=True)
+        ), said
+    shared = tuple(replace(table, hold_out=_HELD_OUT) for table in tables)
+    return shared, [
+        f"{table.file}: a quarter of its {table.rows} rows is held out to judge the rest." for table in shared
+    ]
+
+
+def reading_that_fits(file: Path, robot: Robot, observes: Kind) -> str:
+    """Return how a job would say that a table is read, for the end of a sentence; empty where that is not clear."""
+    try:
+        raw = raw_table(read_bytes(file, MeasurementError), str(file))
+        found = Reader(robot.urdf, raw, Answers(observes=observes), robot).read()
+    except (AskedError, CalibError):
+        return ""
+    return ", ".join(table_lines(found.columns))
+
+
+def told(file: str | Path) -> tuple[str, ...]:
+    """Return what the header of a table says without an arm; one sentence each."""
+    raw = raw_table(read_bytes(Path(file), MeasurementError), str(file))
+    known = roles(raw) if raw.named else Roles((), (), (), (), None, frozenset())
+
+    def named(columns: Iterable[int]) -> str:
+        return run_of([raw.columns[k].title for k in columns])
+
+    said = [*raw.remarks, f"{raw.count} rows of {len(raw.columns)} columns"]
+    said += [f"{named(point.columns)} may be a point" for point in known.points]
+    said += [f"{named(one.columns)} may be an orientation" for one in known.orientations]
+    said += [f"{size} columns are numbered" for size in numbered_columns(raw) if size > 2]
+    unitless = [c.title for c in raw.columns if c.numbers is not None and c.symbol is None]
+    if unitless:
+        said.append(f"without a unit: {listed(unitless, most=20)}")
+    return tuple(f"{file}: {one}." for one in said)

@@ -1,0 +1,136 @@
+"""Records as rows: JSON lines, and lists or mappings of records in JSON and YAML. Lists in a record are numbered.
+
+A ``sensor_msgs/JointState`` is one record: its ``name`` s are titles, its ``position`` s their cells.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from calib.foundations.errors import MeasurementError
+
+_DEEPEST = 8
+_MOST_CELLS = 5_000_000
+_LONGEST_LIST = 1000
+_OF_JOINTS = ("name", "position", "velocity", "effort")
+
+# With these a few lines may stand for any number of values.
+_ANCHOR, _ALIAS = (re.compile(rf"(?m)(?:^|[:\-\[{{,]\s)\s*[{mark}]\w") for mark in "&*")
+
+_Rows = tuple[Sequence[str], Sequence[Sequence[str]]]
+
+
+def from_json_lines(data: bytes, where: str) -> _Rows:
+    """Return titles and cells of one JSON object a line."""
+    found = []
+    for number, line in enumerate(_text(data, where).split("\n"), start=1):
+        if line.strip():
+            found.append(_loaded(line, f"{where}:{number}"))
+    return _rows(found, where)
+
+
+def from_json(data: bytes, where: str) -> _Rows:
+    """Return titles and cells of a JSON list, or mapping, of records."""
+    return _rows(_records(_loaded(_text(data, where), where)), where)
+
+
+def from_yaml(data: bytes, where: str) -> _Rows:
+    """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml."""
+    try:
+        import yaml  # noqa: PLC0415 - an extra
+    except ImportError as e:
+        raise MeasurementError(f"{where}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
+    text = _text(data, where)
+    if _ANCHOR.search(text) and _ALIAS.search(text):
+        raise MeasurementError(f"{where}: has anchors and aliases, which are not read.")
+    try:
+        documents = [found for found in yaml.load_all(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)) if found]
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
+        raise MeasurementError(f"{where}: is no YAML that can be read.") from e
+    return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
+
+
+def _text(data: bytes, where: str) -> str:
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as e:
+        raise MeasurementError(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+
+
+def _loaded(text: str, where: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise MeasurementError(f"{where}: is not JSON.") from e
+
+
+def _records(found: Any) -> list[Any]:
+    """Return the records of a list, of a mapping of records, or of the only list in a mapping."""
+    if isinstance(found, list):
+        return found
+    if isinstance(found, Mapping):
+        inside = [value for value in found.values() if isinstance(value, list) and value and isinstance(value[0], dict)]
+        if len(inside) == 1:
+            return list(inside[0])
+        if found and all(isinstance(value, Mapping) for value in found.values()):
+            return list(found.values())
+    return [found]
+
+
+def _rows(found: Sequence[Any], where: str) -> _Rows:
+    titles: dict[str, None] = {}
+    rows: list[dict[str, str]] = []
+    count = 0
+    for number, record in enumerate(found, start=1):
+        if not isinstance(record, Mapping):
+            raise MeasurementError(f"{where}: record {number} is no mapping of names to values.")
+        row: dict[str, str] = {}
+        for name, cell in _flat(record, "", 0, where):
+            row[name] = cell
+            count += 1
+            if count > _MOST_CELLS:
+                raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
+        titles |= dict.fromkeys(row)
+        rows.append(row)
+        if len(titles) > _LONGEST_LIST:
+            raise MeasurementError(f"{where}: has more than {_LONGEST_LIST} columns.")
+    if count and len(rows) * len(titles) > _MOST_CELLS:
+        raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
+    return list(titles), [[row.get(title, "") for title in titles] for row in rows]
+
+
+def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, str]]:
+    """Yield the name and the text of every value of a record."""
+    if depth > _DEEPEST:
+        raise MeasurementError(f"{where}: is nested too deep.")
+    if isinstance(node, Mapping):
+        names, positions = node.get("name"), node.get("position")
+        if (
+            isinstance(names, list)
+            and isinstance(positions, list)
+            and _are_words(names)
+            and len(names) == len(positions)
+        ):
+            yield from ((one, _cell(value)) for one, value in zip(names, positions, strict=True))
+            node = {key: value for key, value in node.items() if key not in _OF_JOINTS}
+        for key, value in node.items():
+            yield from _flat(value, f"{name}.{key}" if name else str(key), depth + 1, where)
+    elif isinstance(node, list):
+        if len(node) > _LONGEST_LIST:
+            raise MeasurementError(f"{where}: {name!r} is a list of {len(node)} values; allowed are {_LONGEST_LIST}.")
+        for k, value in enumerate(node):
+            yield from _flat(value, f"{name}_{k}", depth + 1, where)
+    else:
+        yield name, _cell(node)
+
+
+def _are_words(names: Sequence[Any]) -> bool:
+    return bool(names) and all(isinstance(name, str) for name in names)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    text = repr(value) if isinstance(value, float) else str(value)
+    return " ".join(text.split())[:200]

@@ -1,0 +1,158 @@
+"""A sheet of cells, from whatever file holds one, and what joins two of them."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.foundations.csv_text import csv_text
+from calib.foundations.errors import MeasurementError
+from calib.foundations.files import read_bytes
+from calib.foundations.words import listed, shown
+from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
+from calib.measurement.formats import records, workbook
+from calib.measurement.layout import is_number, layout
+
+_MOST_COLUMNS = 1000
+# Files other than plain tables are held as cells of text: some hundred bytes each.
+_LARGEST = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """Cells of text below ``titles``; ``remarks``: how they were had."""
+
+    titles: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    where: str
+    remarks: tuple[str, ...] = ()
+
+    def csv(self) -> str:
+        """Return the sheet as a comma-separated table; one without names has no header."""
+        named = self.titles != tuple(f"column {k + 1}" for k in range(len(self.titles)))
+        return csv_text([self.titles, *self.rows] if named else self.rows)
+
+
+def read_sheet(path: str | Path) -> Sheet:
+    """Return the sheet of a file: a table of text, JSON lines (.jsonl), YAML or JSON records, or a workbook (.xlsx).
+
+    Raises MeasurementError when it cannot be read, or holds no rows.
+    """
+    path, where = Path(path), str(path)
+    readers: Mapping[str, Callable[[bytes, str], tuple[Sequence[str], Sequence[Sequence[str]]]]] = {
+        ".jsonl": records.from_json_lines,
+        ".ndjson": records.from_json_lines,
+        ".json": records.from_json,
+        ".yaml": records.from_yaml,
+        ".yml": records.from_yaml,
+        ".xlsx": workbook.from_xlsx,
+    }
+    data = read_bytes(path, MeasurementError, _LARGEST)
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        return _of_text(data, where)
+    titles, rows = reader(data, where)
+    if not rows:
+        raise MeasurementError(f"{where}: has no rows.")
+    if len(titles) > _MOST_COLUMNS:
+        raise MeasurementError(f"{where}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
+    return Sheet(tuple(titles), tuple(map(tuple, rows)), where)
+
+
+def _of_text(data: bytes, where: str) -> Sheet:
+    data = in_bytes(data, where)
+    form = layout(data, where)
+    titles = [
+        f"{title} [{unit}]" if unit and "[" not in title else title
+        for title, unit in zip(form.titles, form.units, strict=True)
+    ]
+    rows: list[tuple[str, ...]] = []
+    for block in lines(data, where):
+        found = [line for line in block if line.number > form.last]
+        split = [cells(line.text, form.separator, f"{where}:{line.number}") for line in found]
+        refuse_ragged(split, len(titles), found, where)
+        rows += [tuple(_with_point(cell, form.separator) for cell in row) for row in split]
+    if not rows:
+        raise MeasurementError(f"{where}: has a header and no rows.")
+    return Sheet(tuple(titles), tuple(rows), where, form.remarks)
+
+
+def _with_point(cell: str, separator: str) -> str:
+    return cell.replace(",", ".") if separator != "," and "," in cell and is_number(cell, separator) else cell
+
+
+def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
+    """Return two sheets as one: rows of one name belong together, or, where no column names them, rows in order.
+
+    ``by``: the title of the column that names them, or ``"order"``. Without it a column of each is taken whose words
+    come once and are those of the other; more than one such way, or none and other numbers of rows, is refused.
+    """
+    if by == "order":
+        return _in_order(first, second)
+    ways = [
+        (a, b)
+        for a in range(len(first.titles))
+        for b in range(len(second.titles))
+        if by in (None, first.titles[a], second.titles[b]) and _names_rows(first, a, second, b)
+    ]
+    partners = {tuple(_partners(first, a, second, b)) for a, b in ways}
+    if len(partners) > 1:
+        raise MeasurementError(
+            f"{first.where}, {second.where}: rows could be joined by {listed([first.titles[a] for a, _ in ways])}; "
+            "say which by --by, or --by order."
+        )
+    if not ways:
+        if by is not None:
+            raise MeasurementError(f"{first.where}, {second.where}: {shown(by)} does not name rows of both, each once.")
+        return _in_order(first, second)
+    a, b = ways[0]
+    pairs = _partners(first, a, second, b)
+    rest = [k for k in range(len(second.titles)) if k != b]
+    rows = tuple((*first.rows[i], *(second.rows[j][k] for k in rest)) for i, j in pairs)
+    said = [f"{len(rows)} rows joined by {first.titles[a]!r} and {second.titles[b]!r}"]
+    said += [
+        f"{len(sheet.rows) - len(rows)} rows of {sheet.where} have no partner and are left out"
+        for sheet in (first, second)
+        if len(sheet.rows) > len(rows)
+    ]
+    titles = _apart(first.titles, [second.titles[k] for k in rest])
+    return Sheet(titles, rows, first.where, (*first.remarks, *second.remarks, *said))
+
+
+def _in_order(first: Sheet, second: Sheet) -> Sheet:
+    if len(first.rows) != len(second.rows):
+        raise MeasurementError(
+            f"{first.where} has {len(first.rows)} rows and {second.where} {len(second.rows)}, and no column names them."
+        )
+    rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
+    said = f"{len(rows)} rows joined in their order"
+    return Sheet(_apart(first.titles, second.titles), rows, first.where, (*first.remarks, *second.remarks, said))
+
+
+def _names_rows(first: Sheet, a: int, second: Sheet, b: int) -> bool:
+    """Return whether two columns have the same words, each once; numbers with decimals name nothing."""
+    own, other = ([_name(row[k]) for row in sheet.rows] for sheet, k in ((first, a), (second, b)))
+    if not all(own) or not all(other) or max(Counter(own).values()) > 1 or max(Counter(other).values()) > 1:
+        return False
+    return len(set(own) & set(other)) == min(len(own), len(other)) and len(own) > 1
+
+
+def _name(cell: str) -> str:
+    """Return a cell as a name: 7 and 7.0 are one, 7.25 is none."""
+    if is_number(cell, ","):
+        value = float(cell)
+        return str(int(value)) if math.isfinite(value) and value == int(value) else ""
+    return cell.strip().lower()
+
+
+def _partners(first: Sheet, a: int, second: Sheet, b: int) -> list[tuple[int, int]]:
+    where = {_name(row[b]): j for j, row in enumerate(second.rows)}
+    return [(i, where[_name(row[a])]) for i, row in enumerate(first.rows) if _name(row[a]) in where]
+
+
+def _apart(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+    """Return the titles of both, those of the second that are there already, or have no name of their own, apart."""
+    if all(title.startswith("column ") for title in (*first, *second)):
+        return tuple(f"column {k + 1}" for k in range(len(first) + len(second)))
+    return (*first, *(title if title not in first else f"{title} second" for title in second))

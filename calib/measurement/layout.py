@@ -1,0 +1,140 @@
+"""How a table is laid out: what separates its cells, which line is its header, what stands before it and below.
+
+Exporters put lines of their own before a header, spreadsheets choose their separators, and some logs have no header.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import NUMBER, symbol_of
+from calib.measurement.cells import Line, beginning, cells, is_comment
+
+# In the order in which they are taken where several divide as well: a comma may also be a decimal one.
+_SEPARATORS = ("\t", ";", "|", ",")
+_LOOKED_AT = 200
+_NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
+_MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
+# Units that may stand behind a name without brackets; shorter ones are the ends of too many names.
+_SUFFIXES = frozenset(("deg", "rad", "mrad", "mm", "m", "cm", "um", "px", "degc"))
+_BEHIND = (
+    re.compile(r"(.+?)\s*\(\s*([^()]*?)\s*\)"),
+    re.compile(r"(.+?)\s*/\s*([^/\s]+)"),
+    re.compile(r"(.+?)\s*([\u00b0\u00ba])"),
+)
+_SUFFIX = re.compile(r"(.+?)[_\s]+([^\W_]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """``titles`` of the columns, ``units`` of a line below them ("" for none); rows stand behind line ``last``.
+
+    ``line``: where the header stands, that of the first row where there is none; ``remarks``: what was seen.
+    """
+
+    separator: str
+    titles: tuple[str, ...]
+    units: tuple[str, ...]
+    line: int
+    last: int
+    remarks: tuple[str, ...]
+
+
+def layout(data: bytes, where: str) -> Layout:
+    """Return how a table is laid out, by its first lines.
+
+    The header is the first line that has as many cells as the first row of numbers; lines before it are passed over,
+    and so is a line of nothing but units below it. Columns without a header are called ``column 1``, ``column 2``, ...
+    Raises MeasurementError when there is nothing to read.
+    """
+    first = beginning(data, where)[:_LOOKED_AT]
+    plain = [line for line in first if not is_comment(line.text)]
+    if not plain:
+        raise MeasurementError(f"{where}: is empty; a table starts with a header line.")
+    separator = _separator([line.text for line in plain])
+    remarks = [f"cells are separated by {_NAMES[separator]}"] if separator in _NAMES else []
+    rows = [cells(line.text, separator, f"{where}:{line.number}") for line in plain]
+    data_row = next((i for i, row in enumerate(rows) if _is_data(row, separator)), None)
+    if data_row == 0:
+        return _without_header(first, plain[0], rows[0], separator, remarks)
+    like_data = [i for i in range(data_row or 0) if len(rows[i]) == len(rows[data_row or 0])]
+    header = like_data[0] if like_data else 0
+    if header:
+        remarks.append(f"{header} line{'s' if header > 1 else ''} before the header passed over")
+    units: tuple[str, ...] = ("",) * len(rows[header])
+    last = plain[header].number
+    below = header + 1
+    if below < len(rows) and len(rows[below]) == len(rows[header]) and _are_units(rows[below]):
+        units, last = tuple(symbol_of(cell.strip("[]()")) or "" for cell in rows[below]), plain[below].number
+        remarks.append("the line below the header has the units")
+    return Layout(separator, tuple(rows[header]), units, plain[header].number, last, tuple(remarks))
+
+
+def _without_header(
+    first: Sequence[Line], row: Line, values: Sequence[str], separator: str, remarks: Sequence[str]
+) -> Layout:
+    """Return the layout of a table that begins with numbers: a comment may be its header, as NumPy writes it."""
+    nothing = ("",) * len(values)
+    for line in reversed([line for line in first if line.number < row.number]):
+        titles = cells(_MARKS.sub("", line.text).replace('"', ""), separator, "")
+        if len(titles) == len(values) and all(titles) and len(titles) > 1:
+            said = (*remarks, "the header is a comment")
+            return Layout(separator, tuple(titles), nothing, line.number, row.number - 1, said)
+    titles = [f"column {k + 1}" for k in range(len(values))]
+    said = (*remarks, "there is no header")
+    return Layout(separator, tuple(titles), nothing, row.number, row.number - 1, said)
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return what divides most lines into as many cells; where that is not clear, what the first line has."""
+    shares = {}
+    for mark in _SEPARATORS:
+        count, times = Counter(line.count(mark) for line in lines).most_common(1)[0]
+        shares[mark] = times / len(lines) if count else 0.0
+    best = max(_SEPARATORS, key=lambda mark: shares[mark])
+    if best == "\t" and shares[","] == shares["\t"] and any(part.startswith(",") for part in lines[0].split("\t")):
+        best = ","  # tabs beside commas, for the looks of it
+    if shares[best] > 0.5 and shares[best] > 1.0 / len(lines):
+        return best
+    if not any(mark in line for line in lines for mark in _SEPARATORS):
+        count, times = Counter(len(line.split()) for line in lines).most_common(1)[0]
+        bracket = any(word.startswith("[") for line in lines for word in line.split())
+        if count > 1 and times > 0.8 * len(lines) and not bracket and any(_is_data(x.split(), " ") for x in lines):
+            return " "
+    if "\t" in lines[0] and "," not in lines[0] and ";" not in lines[0]:
+        return "\t"
+    return ";" if ";" in lines[0] and "," not in lines[0] else ","
+
+
+def is_number(cell: str, separator: str) -> bool:
+    """Return whether a cell is a number, with a decimal comma where that separates no cells."""
+    return NUMBER.fullmatch(cell if separator == "," else cell.replace(",", ".", 1)) is not None
+
+
+def _is_data(row: Sequence[str], separator: str) -> bool:
+    filled = [cell for cell in row if cell]
+    return bool(filled) and 2 * sum(is_number(cell, separator) for cell in filled) >= len(filled)
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell]
+    words = [cell for cell in filled if NUMBER.fullmatch(cell) is None]
+    return bool(words) and len(words) == len(filled) and all(symbol_of(cell.strip("[]()")) for cell in words)
+
+
+def name_and_unit(title: str) -> tuple[str, str | None]:
+    """Return the name of a title without brackets, and the symbol of the unit that stands behind it, None for none.
+
+    >>> name_and_unit("J1 (deg)"), name_and_unit("x/mm"), name_and_unit("A1_deg"), name_and_unit("joint_1")
+    (('J1', 'deg'), ('x', 'mm'), ('A1', 'deg'), ('joint_1', None))
+    """
+    for pattern in _BEHIND:
+        match = pattern.fullmatch(title)
+        if match is not None and (symbol := symbol_of(match[2])) is not None:
+            return match[1], symbol
+    match = _SUFFIX.fullmatch(title)
+    if match is not None and match[2].lower() in _SUFFIXES:
+        return match[1], symbol_of(match[2])
+    return title, None

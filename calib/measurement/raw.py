@@ -1,0 +1,98 @@
+"""A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import UNITS, symbol_of
+from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
+from calib.measurement.layout import is_number, layout, name_and_unit
+
+# Enough to tell a unit from another; a table may have a million rows.
+_MOST_ROWS = 400
+_MOST_COLUMNS = 1000
+# A unit that we do not know; numbers in brackets are none.
+_BRACKETED = re.compile(r"\[\s*[^\W\d][^\[\]]*\]$")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawColumn:
+    """One column: its ``title`` as the file has it, ``name`` without the unit, the unit's ``symbol``, or None.
+
+    ``numbers`` (N): as written, nan where a cell is empty; None where some cell is none. ``words``: the cells.
+    """
+
+    title: str
+    name: str
+    symbol: str | None
+    numbers: Array | None
+    words: tuple[str, ...]
+
+    @property
+    def dimension(self) -> str | None:
+        """What the unit is one of; None where no unit is written, ``"unknown"`` where it is none of ours."""
+        if self.symbol is None:
+            return "unknown" if _BRACKETED.search(self.title) else None
+        return UNITS[self.symbol].dimension
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawTable:
+    """Columns of N rows that are spread over the ``count`` rows of ``where``; ``remarks``: how the text was read.
+
+    ``named``: the file has a header; without one columns are called ``column 1``, ``column 2``, ...
+    """
+
+    where: str
+    columns: tuple[RawColumn, ...]
+    count: int
+    remarks: tuple[str, ...]
+    named: bool
+
+
+def raw_table(data: bytes, where: str) -> RawTable:
+    """Return a table as it is. Raises MeasurementError when it is no table of text with rows of as many cells."""
+    data = in_bytes(data, where)
+    form = layout(data, where)
+    if len(form.titles) > _MOST_COLUMNS:
+        raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {_MOST_COLUMNS}.")
+    count = sum(sum(line.number > form.last for line in block) for block in lines(data, where))
+    if not count:
+        raise MeasurementError(f"{where}: has a header and no rows.")
+    chosen = set(np.linspace(0, count - 1, min(count, _MOST_ROWS)).astype(int).tolist())
+    picked, k = [], 0
+    for block in lines(data, where):
+        for line in block:
+            if line.number > form.last:
+                if k in chosen:
+                    picked.append(line)
+                k += 1
+    rows = [cells(line.text, form.separator, f"{where}:{line.number}") for line in picked]
+    refuse_ragged(rows, len(form.titles), picked, where)
+    columns = [
+        _column(title, unit, words, form.separator)
+        for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
+    ]
+    return RawTable(where, tuple(columns), count, form.remarks, "there is no header" not in form.remarks)
+
+
+def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:
+    name, symbol = split_title(title)
+    filled = [word for word in words if word]
+    numbers = None
+    if filled and all(is_number(word, separator) for word in filled):
+        values = [float(word.replace(",", ".")) if word else np.nan for word in words]
+        numbers = read_only(np.where(np.isinf(values), np.nan, values))
+    return RawColumn(title, name, symbol or unit or None, numbers, words)
+
+
+def split_title(title: str) -> tuple[str, str | None]:
+    """Return the name of a title and the symbol of the unit that it has, None where it has none that is known."""
+    if title.endswith("]") and "[" in title:
+        name, _, inside = title[:-1].rpartition("[")
+        if name.strip():
+            return name.strip(), symbol_of(inside)
+    return name_and_unit(title)

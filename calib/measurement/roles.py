@@ -1,0 +1,418 @@
+"""What the columns of somebody else's table may be, by their names alone: joints, points, orientations, words.
+
+Nothing is decided here: candidates are listed, and what the arm follows decides (:mod:`calib.job.propose`).
+"""
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.measurement.raw import RawTable
+
+_TOKEN = re.compile(r"[^\W\d_]+|\d+")
+# fmt: off
+_MEASURED = frozenset(
+    (
+        "measured", "measurement", "measure", "meas", "actual", "act", "real", "feedback", "fbk", "tracker",
+        "leica", "faro", "cmm",
+    )
+)
+# fmt: on
+# fmt: off
+_COMMANDED = frozenset(
+    (
+        "goal", "target", "cmd", "command", "commanded", "desired", "des", "setpoint", "set", "ref", "reference",
+        "nominal", "theoretical", "planned", "model",
+    )
+)
+# fmt: on
+# Numbers of a joint, or along an axis, that are no position.
+# fmt: off
+_NO_POSITION = frozenset(
+    (
+        "velocity", "vel", "speed", "v", "qd", "dq", "torque", "tau", "effort", "current", "i", "acc",
+        "acceleration", "force", "f", "temp", "temperature", "std", "sigma", "unc", "uncertainty", "u", "dev",
+        "deviation", "error", "err", "normal", "n", "delta", "d", "tilt", "var", "variance", "gyro", "accel",
+    )
+)
+# fmt: on
+# fmt: off
+_TURNS = frozenset(
+    (
+        "r", "rot", "rotation", "phi", "theta", "euler", "ang", "angle", "angles", "orientation", "ori", "rv",
+        "rvec", "rotvec", "w", "o",
+    )
+)
+# fmt: on
+_QUATERNION = frozenset(("q", "quat", "quaternion"))
+_POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
+# Titles of what is neither a joint nor measured: never joints by their place alone.
+# fmt: off
+_BESIDE = frozenset(
+    (
+        "time", "t", "timestamp", "stamp", "sec", "secs", "nsec", "date", "no", "nr", "id", "idx", "index",
+        "number", "row", "seq", "count", "point", "temperature", "temp", "humidity", "pressure", "rms", "image",
+        "user", "tool", "ecokey",
+    )
+)
+# fmt: on
+_LETTERS: tuple[tuple[tuple[str, str, str], str | None], ...] = (
+    (("a", "b", "c"), "abc"),
+    (("w", "p", "r"), "wpr"),
+    (("o", "a", "t"), "ZYZ"),
+    (("roll", "pitch", "yaw"), "rpy"),
+    (("alpha", "beta", "gamma"), None),
+    (("phi", "theta", "psi"), None),
+)
+_TARGETS = frozenset(("target", "socket", "hole", "anchor", "ball", "sphere"))
+_LENGTHS = frozenset(("length", "distance", "dist", "range"))
+_CELL = re.compile(r"(.*?)\[?([0-4])[,_ ]?([0-4])\]?")
+
+Rank = Literal[0, 1, 2]  # said to be measured; nothing said; said to be commanded
+
+
+class Orientation(NamedTuple):
+    """Columns that may be one: ``form`` and, where the names say it, the convention; of quaternions w is the first."""
+
+    columns: tuple[int, ...]
+    form: Literal["angles", "quaternion", "matrix"]
+    convention: str | None
+    words: frozenset[str]
+
+
+class Point(NamedTuple):
+    """Columns of x, y, z."""
+
+    columns: tuple[int, int, int]
+    words: frozenset[str]
+    rank: Rank
+
+
+class Joints(NamedTuple):
+    """Columns of the joints in the order of an arm, and why they may be these."""
+
+    columns: tuple[int, ...]
+    rank: Rank
+    why: str
+    exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """What columns may be beside joints. ``spoken``: all columns of these, and those that are surely none."""
+
+    points: tuple[Point, ...]
+    orientations: tuple[Orientation, ...]
+    targets: tuple[int, ...]
+    lengths: tuple[int, ...]
+    pixels: tuple[int, int] | None
+    spoken: frozenset[int]
+
+
+def tokens(name: str) -> tuple[str, ...]:
+    """Return the parts of a name: ``joint_1_position`` has joint, 1 and position."""
+    return tuple(token.lower() for token in _TOKEN.findall(name))
+
+
+def _rank(words: Iterable[str]) -> Rank:
+    words = set(words)
+    return 2 if words & _COMMANDED else 0 if words & _MEASURED else 1
+
+
+def roles(table: RawTable) -> Roles:
+    """Return what the names say of the columns of a table with a header."""
+    parts = [tokens(column.name) for column in table.columns]
+    numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+    points: list[Point] = []
+    orientations: list[Orientation] = []
+    spoken = {k for k in range(len(parts)) if k not in numeric}
+    for key, found in _by_axis(parts, numeric).items():
+        if not {"x", "y", "z"} <= found.keys():
+            continue
+        words = frozenset(itertools.chain(key.before, key.behind, [key.stem] if key.stem else []))
+        columns = (found["x"], found["y"], found["z"])
+        spoken.update(found.values())
+        kind = _kind_of_axes(key.stem, words)
+        if kind == "point" and "w" in found and not _is_of_unit_length(table, [*columns, found["w"]]):
+            spoken.discard(found.pop("w"))
+        if kind == "quaternion" or (kind != "other" and "w" in found):
+            if "w" in found:
+                orientations.append(Orientation((found["w"], *columns), "quaternion", None, words))
+        elif kind == "turns":
+            vector = "rotation_vector" if words & {"rvec", "rotvec", "rv"} else None
+            orientations.append(Orientation(columns, "angles", vector, words))
+        elif kind == "point":
+            points.append(Point(columns, words, _rank(words)))
+    orientations += _by_letters(parts, numeric)
+    for family in _families(parts, numeric):
+        if family.words & _POSE and len(family.columns) in (6, 7) and not family.words & _NO_POSITION:
+            first, rest = family.columns[:3], family.columns[3:]
+            points.append(Point((first[0], first[1], first[2]), family.words, _rank(family.words)))
+            form: Literal["angles", "quaternion"] = "angles" if len(rest) == 3 else "quaternion"
+            orientations.append(Orientation(rest, form, None, family.words))
+        elif len(family.columns) == 4 and family.words and family.words <= _QUATERNION:
+            orientations.append(Orientation(family.columns, "quaternion", None, family.words))
+    for matrix, point in _matrices([column.name for column in table.columns], numeric):
+        orientations.append(matrix)
+        if point is not None:
+            points.append(point)
+    # A matrix with a fourth column has its point; what else looks like one is not sought among its cells.
+    spoken.update(k for point in points for k in point.columns)
+    spoken.update(k for orientation in orientations for k in orientation.columns)
+    # Joined to joints, a file of points without a header: three columns that have numbers for names.
+    nameless = [k for k in numeric if len(parts[k]) == 2 and parts[k][0] == "column" and parts[k][1].isdigit()]
+    if len(nameless) == 3 and nameless[2] - nameless[0] == 2:
+        points.append(Point((nameless[0], nameless[1], nameless[2]), frozenset(), 1))
+        spoken.update(nameless)
+    single = {p[0]: k for k, p in enumerate(parts) if len(p) == 1}
+    pixels = (single["u"], single["v"]) if {"u", "v"} <= single.keys() else None
+    spoken.update(pixels or ())
+    spoken |= {k for k, part in enumerate(parts) if set(part) & (_NO_POSITION | _BESIDE)}
+    lengths = tuple(k for k in numeric if set(parts[k]) & _LENGTHS and not set(parts[k]) & _NO_POSITION)
+    targets = tuple(k for k in range(len(parts)) if set(parts[k]) & _TARGETS and k not in spoken - set(_texts(table)))
+    return Roles(tuple(points), tuple(orientations), targets, lengths, pixels, frozenset(spoken | set(lengths)))
+
+
+def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
+    numbers = [table.columns[k].numbers for k in columns]
+    size = np.sqrt(sum(np.square(values) for values in numbers if values is not None))
+    return bool(np.nanmax(np.abs(size - 1.0), initial=0.0) < 1e-2)
+
+
+def numbers_of(table: RawTable, columns: Sequence[int]) -> Array:
+    """Return columns of numbers (N, k), nan where a cell is empty."""
+    found = [table.columns[k].numbers for k in columns]
+    return np.column_stack([values for values in found if values is not None])
+
+
+def _turns(table: RawTable, nine: Sequence[int]) -> bool:
+    """Return whether nine columns are rotations by rows."""
+    R = numbers_of(table, nine).reshape(-1, 3, 3)
+    R = R[np.isfinite(R).all(axis=(1, 2))]
+    return bool(len(R) and np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-2)
+
+
+def _texts(table: RawTable) -> list[int]:
+    return [k for k, column in enumerate(table.columns) if column.numbers is None]
+
+
+class _Axis(NamedTuple):
+    before: tuple[str, ...]
+    stem: str
+    behind: tuple[str, ...]
+
+
+def _by_axis(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> dict[_Axis, dict[str, int]]:
+    """Return columns whose names differ by an x, y, z or w, at the end of a part or at its beginning."""
+    found: dict[_Axis, dict[str, int]] = {}
+    for k in numeric:
+        for i, part in enumerate(parts[k]):
+            for letter, stem in {(part[-1], part[:-1]), (part[0], part[1:])}:
+                if letter in "xyzw":
+                    key = _Axis(tuple(parts[k][:i]), stem, tuple(parts[k][i + 1 :]))
+                    found.setdefault(key, {}).setdefault(letter, k)
+    return found
+
+
+def _kind_of_axes(stem: str, words: frozenset[str]) -> Literal["point", "turns", "quaternion", "other"]:
+    if words & _QUATERNION:
+        return "quaternion"
+    if stem in _NO_POSITION or words & _NO_POSITION:
+        return "other"
+    if words & _TURNS:
+        return "turns"
+    return "other" if stem == "m" and not words & {"coord", "coordinate"} else "point"
+
+
+def _by_letters(parts: Sequence[Sequence[str]], numeric: Sequence[int]) -> Iterator[Orientation]:
+    """Yield three angles that are called by their makers' letters, in the order of the file."""
+    for letters, convention in _LETTERS:
+        found: dict[tuple[str, ...], dict[str, int]] = {}
+        for k in numeric:
+            for i, part in enumerate(parts[k]):
+                if part in letters:
+                    rest = (*parts[k][:i], *parts[k][i + 1 :])
+                    if not any(word.isdigit() for word in rest):
+                        found.setdefault(rest, {}).setdefault(part, k)
+        for rest, of in found.items():
+            if len(of) == 3:
+                columns = tuple(sorted(of.values()))
+                in_order = columns == tuple(of[letter] for letter in letters)
+                yield Orientation(columns, "angles", convention if in_order else None, frozenset(rest))
+
+
+class Family(NamedTuple):
+    """Columns that differ by a number, in its order, which runs without gaps from 0 or 1."""
+
+    columns: tuple[int, ...]
+    words: frozenset[str]
+    called: str
+
+
+def _families(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> Iterator[Family]:
+    found: dict[tuple[tuple[str, ...], tuple[str, ...]], dict[int, int]] = {}
+    for k in numeric:
+        for i, part in enumerate(parts[k]):
+            if part.isdigit() and len(part) <= 3:
+                found.setdefault((tuple(parts[k][:i]), tuple(parts[k][i + 1 :])), {}).setdefault(int(part), k)
+    for (before, behind), of in found.items():
+        numbers = sorted(of)
+        if len(numbers) > 1 and numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers))):
+            yield Family(
+                tuple(of[n] for n in numbers), frozenset((*before, *behind)), "_".join((*before, "N", *behind))
+            )
+
+
+def _matrices(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[Orientation, Point | None]]:
+    """Yield the nine numbers of rotations, and the point of a fourth column, from names like r11 or T[0,3]."""
+    found: dict[str, dict[tuple[int, int], int]] = {}
+    for k in numeric:
+        match = _CELL.fullmatch(names[k].strip())
+        if match is not None:
+            found.setdefault(match[1].lower().strip(" _"), {})[int(match[2]), int(match[3])] = k
+    for called, of in found.items():
+        for first in (0, 1):
+            rows = range(first, first + 3)
+            if all((i, j) in of for i in rows for j in rows):
+                words = frozenset(tokens(called)) - {"r", "t", "m", "rot"}
+                nine = Orientation(tuple(of[i, j] for i in rows for j in rows), "matrix", "matrix", words)
+                last = [of.get((i, first + 3)) for i in rows]
+                point = None
+                if None not in last:
+                    x, y, z = (k for k in last if k is not None)
+                    point = Point((x, y, z), words, _rank(words))
+                yield nine, point
+                break
+
+
+def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[int]) -> list[Joints]:
+    """Return the columns that have the names of readings, with words around them that are the same for all.
+
+    ``among``: the columns that may be joints.
+    """
+    parts = {k: tokens(table.columns[k].name) for k in among}
+    for short in (False, True):
+        wanted = [_core(tokens(name)) if short else tokens(name) for name in readings]
+        if len(set(wanted)) < len(wanted):
+            continue
+        found: dict[tuple[str, ...], dict[int, int]] = {}
+        for k, part in parts.items():
+            for j, want in enumerate(wanted):
+                own = _core(part) if short else part
+                rest = _without(own, want)
+                if rest is not None and not set(rest) & _NO_POSITION and not any(w.isdigit() for w in rest):
+                    found.setdefault(rest, {}).setdefault(j, k)
+        whole = [
+            Joints(tuple(of[j] for j in range(len(readings))), _rank(rest), "by their names", True)
+            for rest, of in found.items()
+            if len(of) == len(readings) and len(set(of.values())) == len(readings)
+        ]
+        if whole:
+            return whole
+    return []
+
+
+def named_among(table: RawTable, readings: Sequence[str], among: frozenset[int]) -> int:
+    """Return how many readings some column has the name of."""
+    parts = [tokens(table.columns[k].name) for k in among]
+    cores = [_core(part) for part in parts]
+    return sum(
+        any(_without(part, tokens(name)) is not None for part in parts) or _core(tokens(name)) in cores
+        for name in readings
+    )
+
+
+def _core(part: Sequence[str]) -> tuple[str, ...]:
+    """Return a name without the word joint, as far as a word is left."""
+    rest = tuple(word for word in part if word not in ("joint", "position", "pos"))
+    return rest if any(not word.isdigit() for word in rest) else tuple(part)
+
+
+def _without(part: Sequence[str], want: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the words around ``want``, which stands in one piece; None where it does not."""
+    n = len(want)
+    for i in range(len(part) - n + 1):
+        if tuple(part[i : i + n]) == tuple(want):
+            return (*part[:i], *part[i + n :])
+    return None
+
+
+def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
+    """Return families of ``count`` numbered columns; or, where there are none, all columns that nothing else is."""
+    parts = [tokens(column.name) for column in table.columns]
+    numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+    found = []
+    for family in _families(parts, numeric):
+        axes = {k for point in known.points for k in point.columns} | {
+            k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns
+        }
+        if (
+            len(family.columns) == count
+            and not family.words & (_NO_POSITION | _POSE)
+            and not axes & set(family.columns)
+            and not (family.words <= _QUATERNION and count == 4 and len(_families_of(parts, numeric, count)) > 1)
+        ):
+            found.append(Joints(family.columns, _rank(family.words), "by their numbers", False))
+    if not found:
+        left = [k for k in numeric if k not in known.spoken and not set(parts[k]) & set("xyz")]
+        if len(left) == count and left == list(range(left[0], left[0] + count)):
+            found.append(Joints(tuple(left), 1, "by their order, as the only columns left", False))
+    return found
+
+
+def _families_of(parts: Sequence[Sequence[str]], numeric: Sequence[int], count: int) -> list[Family]:
+    return [family for family in _families(parts, numeric) if len(family.columns) == count]
+
+
+def numbered_columns(table: RawTable) -> list[int]:
+    """Return how many columns each family has that may be joints, for a sentence."""
+    parts = [tokens(column.name) for column in table.columns]
+    numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+    return [len(f.columns) for f in _families(parts, numeric) if not f.words & (_NO_POSITION | _POSE)]
+
+
+class Unnamed(NamedTuple):
+    """One way to share out the columns of a table without a header."""
+
+    joints: tuple[int, ...]
+    point: tuple[int, int, int] | None
+    orientation: Orientation | None
+
+
+def without_names(table: RawTable, count: int) -> list[Unnamed]:
+    """Return the ways in which joints, a point and an orientation may stand in a row of numbers."""
+    columns = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+    first = table.columns[columns[0]].numbers if columns else None
+    skips = [0]
+    if first is not None and len(first) > 1 and bool(np.all(np.diff(first) > 0.0)):
+        skips.append(1)
+    found = []
+    for skip in skips:
+        own = columns[skip:]
+        rest = len(own) - count
+        for ahead in (True, False):
+            joints = tuple(own[:count] if ahead else own[rest:]) if rest >= 0 else ()
+            other = own[count:] if ahead else own[:rest]
+            if rest == 0 and ahead:
+                found.append(Unnamed(joints, None, None))
+            elif rest in (3, 6, 7):
+                x, y, z = other[:3]
+                turned: list[Orientation | None] = [None]
+                if rest == 6:
+                    turned = [Orientation(tuple(other[3:]), "angles", None, frozenset())]
+                elif rest == 7:
+                    turned = [Orientation(tuple(other[3:]), "quaternion", None, frozenset())]
+                found += [Unnamed(joints, (x, y, z), one) for one in turned]
+            elif rest in (12, 16):
+                nine = tuple(other[4 * i + j] for i in range(3) for j in range(3))
+                if not _turns(table, nine):
+                    continue
+                found.append(
+                    Unnamed(joints, (other[3], other[7], other[11]), Orientation(nine, "matrix", "matrix", frozenset()))
+                )
+    return found

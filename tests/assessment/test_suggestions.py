@@ -1,0 +1,38 @@
+"""A column that is there and unused is tried, and named where held-out rows get better by it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+import calib
+from calib.assessment.suggestions import suggestions
+from calib.robot.conditions import Conditions
+from tests.support import machines
+
+UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
+
+
+def session(per_kelvin: float) -> tuple[calib.Fit, calib.Measurements]:
+    """A fit and rows held out of it; the zero of the elbow wanders with a temperature that the rows tell."""
+    rng = np.random.default_rng(3)
+    robot = calib.load_robot(*UR5)
+    true = machines.arm(*UR5).moved(rng)
+    machine = machines.Machine(true, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    sets = []
+    for n in (60, 40):
+        q, temperature = rng.uniform(-2.0, 2.0, (n, 6)), rng.uniform(15.0, 40.0, n)
+        warm = q + per_kelvin * (temperature - 20.0)[:, None] * np.eye(6)[2]
+        data = machine.measure(robot, warm, rng=rng, sigma=2e-5)
+        sets.append(replace(data, readings=q, conditions=Conditions(temperature=temperature)))
+    return calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets[0]), sets[1]
+
+
+def test_a_temperature_that_nobody_used_is_named() -> None:
+    fit, held_out = session(2e-5)
+    (said,) = suggestions(fit, [held_out])
+    assert said.startswith('The temperature: error_model.thermal = "all" makes the held-out position error ')
+    assert suggestions(fit, []) == ()
+
+
+def test_what_does_not_help_is_not_named() -> None:
+    assert suggestions(session(0.0)[0], [session(0.0)[1]]) == ()

@@ -1,0 +1,185 @@
+"""Set-ups and tools by name, from a job file through the command line, and what is wrong with them."""
+
+import csv
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from tests.support import machines
+from tests.support.cases import run
+from tests.support.machines import Array, anywhere, pose
+from tests.support.touching import UR10
+
+SIGMA = 3e-5
+JOB = """
+schema = 1
+[robot]
+urdf = "example:ur_description/urdf/ur10_robot.urdf"
+tip = "tool0"
+[error_model]
+offsets = "all"
+placements = "all"
+"""
+
+
+def write(path: Path, columns: Mapping[str, object]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tables of one arm, from the left with two tools, from the right with one, and from afar to judge alone."""
+    folder, rng = tmp_path_factory.mktemp("set_ups"), np.random.default_rng(2)
+    arm = machines.arm(*UR10).moved(rng)
+    tools = {"ball": pose((0.02, 0.03, 0.12)), "long": pose((-0.1, 0.03, 0.25))}
+    bases = {"left": anywhere(rng), "right": anywhere(rng), "far": anywhere(rng)}
+
+    def columns(setup: str, tool: str, n: int) -> dict[str, object]:
+        q = arm.draw(rng, n)
+        seen = machines.Machine(arm, bases[setup], {tool: tools[tool]}).see(q)
+        seen[:, :3, 3] += rng.normal(scale=SIGMA, size=(n, 3))
+        return machines.table(arm, q, seen, "position")
+
+    for name, setup, tool, n in (
+        ("left", "left", "ball", 60),
+        ("left_long", "left", "long", 20),
+        ("right", "right", "ball", 40),
+        ("judge", "right", "ball", 20),
+        ("far", "far", "long", 20),
+    ):
+        write(folder / f"{name}.csv", columns(setup, tool, n))
+    both = [columns("left", "ball", 30), columns("right", "ball", 30)]
+    write(
+        folder / "both.csv",
+        {name: np.concatenate([part[name] for part in both]) for name in both[0]}
+        | {"setup": ["left"] * 30 + ["right"] * 30, "tool": ["ball"] * 60},
+    )
+    return folder
+
+
+def table(file: str, **keys: str) -> str:
+    more = "".join(f'{key} = "{value}"\n' for key, value in keys.items())
+    return f'[[measurements]]\nfile = "{file}.csv"\nsigma = "0.03 mm"\n{more}\n'
+
+
+LEFT, RIGHT = table("left", setup="left", tool="ball"), table("right", setup="right", tool="ball")
+
+
+def said_of(folder: Path, *sections: str) -> tuple[Path, Path]:
+    job = folder / "job.toml"
+    job.write_text(JOB + "".join(sections), encoding="utf-8")
+    return job, folder / "out"
+
+
+def test_an_arm_from_two_places(folder: Path) -> None:
+    held_out = table("judge", setup="right", tool="ball", use="validate")
+    unseen = table("far", setup="far", tool="long", use="validate")
+    job, out = said_of(folder, LEFT, RIGHT, table("both"), held_out, unseen)
+    said = run("calibrate", job, "-o", out)
+    assert said.code == 0, said
+    # Nothing but these rows knows where the base was there, nor the longer tool.
+    assert "the tool 'long' is in no table to identify from" in " ".join(said.out.split())
+    result = json.loads((out / "result.json").read_text())
+    names = {record["name"] for record in result["parameters"]}
+    assert {"base.left.x", "base.right.rz", "tool.ball.z"} <= names
+    assert result["metrics"]["validation"]["after"]["position"]["rms"] < 3 * SIGMA
+    assert list(result["setups"]) == ["left", "right"]
+
+    # What the machine is used for, by name.
+    assert run("verify", out, folder / "judge.csv", "--setup", "right", "--tool", "ball", "-q").code == 0
+    assert run("verify", out, folder / "judge.csv", "--setup", "left", "--tool", "ball", "-q").code == 3
+    machine = calib.load_machine(out)
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6))
+    for setup in ("left", "right"):
+        placed = machine.at(setup).predict(q, tool="ball")[:, :3, 3]
+        write(folder / "wanted.csv", {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")})
+        (folder / "corrected.csv").unlink(missing_ok=True)
+        options = ("--tool", "ball", "--setup", setup, "--frame", "instrument", "-q")
+        assert run("compensate", out, folder / "wanted.csv", "-o", folder / "corrected.csv", *options).code == 0
+        with (folder / "corrected.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        found = np.radians(
+            [[float(row[f"{reading.name} [deg]"]) for reading in machine.robot.readings] for row in rows]
+        )
+        again = machine.at(setup).predict(found, tool="ball")[:, :3, 3]
+        np.testing.assert_allclose(again, placed, atol=1e-6)
+    assert run("uncertainty", out, "--setup", "right", "--tool", "ball", "--samples", "20", "-q").code == 0
+    unknown = run("uncertainty", out, "--setup", "moon", "--tool", "ball")
+    assert (unknown.code, unknown.err.count("\n")) == (1, 1)
+    assert "there is no set-up 'moon'; the calibrated ones are 'left', 'right'" in unknown.err
+
+
+def _toml(T: Array) -> str:
+    position = ", ".join(f'"{v:.9f} m"' for v in T[:3, 3])
+    w, x, y, z = calib.foundations.rigid.quaternion_of(T[:3, :3])
+    return f"position = [{position}]\nquaternion = [{w:.12f}, {x:.12f}, {y:.12f}, {z:.12f}]\n"
+
+
+def test_a_base_that_is_known_or_about_known(folder: Path) -> None:
+    job, out = said_of(folder, LEFT, RIGHT)
+    assert run("calibrate", job, "-o", out, "-q").code == 0
+    bases = calib.load_machine(out).bases
+    prior = 'prior = { length = "1 mm", angle = "1 mrad" }\n'
+    job, out = said_of(folder, f"[setups.right]\n{_toml(bases['right'])}{prior}", LEFT, RIGHT)
+    assert run("calibrate", job, "-o", out, "-q").code == 0
+    records = {r["name"]: r for r in json.loads((out / "result.json").read_text())["parameters"]}
+    assert records["base.right.x"]["prior"] == 1e-3
+    assert records["base.left.x"]["prior"] is None
+    job, out = said_of(folder, f"[setups.right]\n{_toml(bases['right'])}", LEFT, RIGHT)
+    assert run("calibrate", job, "-o", out, "-q").code == 0
+    np.testing.assert_allclose(calib.load_machine(out).bases["right"], bases["right"], atol=1e-8)
+    assert "base.right.x" not in (out / "result.json").read_text()
+
+
+FRAME = 'position = ["0 m", "0 m", "0 m"]\n'
+WRONG = {
+    "tool by key and column": (
+        (table("both", tool="ball"),),
+        "both.csv: the tool is given twice, as 'ball' and by column",
+    ),
+    "set-up by key and column": ((table("both", setup="left"),), "both.csv: the setup is given twice, as 'left'"),
+    "set-up of nothing": (
+        (LEFT, f"[setups.moon]\n{FRAME}"),
+        "job.toml: setups: 'moon' is in no measurement; they have 'left'.",
+    ),
+    "base of no set-up": (
+        (LEFT, f'[base]\n{FRAME}prior = {{ length = "1 mm", angle = "1 mrad" }}\n'),
+        "job.toml: base: a pose is given, and every measurement has a named set-up: 'left'; give it in [setups.NAME].",
+    ),
+    "base by name": ((LEFT, f"[setups.base]\n{FRAME}"), "job.toml: setups.base: is the set-up without a name"),
+    "half a prior": (
+        (LEFT, f'[setups.left]\n{FRAME}prior = {{ length = "1 mm" }}\n'),
+        "job.toml: setups.left.prior.angle: is missing.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_names_are_refused_in_one_sentence(folder: Path, case: str) -> None:
+    sections, sentence = WRONG[case]
+    job, out = said_of(folder, *sections)
+    said = run("calibrate", job, "-o", out.with_name("none"))
+    assert (said.code, said.out, said.err.count("\n")) == (1, "", 1)
+    assert sentence in said.err
+    assert not out.with_name("none").exists()
+
+
+def test_a_fixed_base_needs_a_pose_in_every_set_up(folder: Path) -> None:
+    job, out = said_of(folder, LEFT, RIGHT, f"[setups.left]\n{FRAME}")
+    job.write_text(job.read_text().replace("[error_model]", '[error_model]\nbase = "fixed"'), encoding="utf-8")
+    said = run("calibrate", job, "-o", out.with_name("none"))
+    assert "job.toml: setups: the base is fixed, and its pose in 'right' is missing." in said.err
+
+
+def test_the_old_name_of_the_column_is_told(folder: Path) -> None:
+    text = (folder / "both.csv").read_text(encoding="utf-8").replace(",tool", ",point", 1)
+    (folder / "old.csv").write_text(text, encoding="utf-8")
+    job, out = said_of(folder, table("old"))
+    assert "old.csv:1: the column 'point' is called 'tool' now; rename it." in run("calibrate", job, "-o", out).err

@@ -1,0 +1,145 @@
+"""``calib import``: joints and points that are apart, records and workbooks, as one table that `calib init` reads."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.measurement.formats.sheet import joined, read_sheet
+from tests.support.cases import run
+from tests.support.people import UR10, quaternions, session, text
+
+J = [f"J{k}" for k in range(1, 7)]
+PUBLISHED = Path(os.environ.get("CALIB_DATASETS", "")) / "peoples_files"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def understood(file: Path) -> dict[str, str]:
+    found = calib.propose(UR10, [file])
+    assert not found.questions, found.questions
+    return dict(found.tables[0].columns.names)
+
+
+def logs(folder: Path) -> None:
+    """Joints by a controller; points as SpatialAnalyzer and Leica export them, in another order, some not measured."""
+    s, names = session(), [f"P{k}" for k in range(40)]
+    (folder / "joints.csv").write_text(text(["Pose", *J], [names, np.degrees(s.readings)]))
+    order = np.random.default_rng(5).permutation(40)[:36]
+    points = text(None, [["Cell"] * 36, ["G1"] * 36, [f"p{k}" for k in order], 1e3 * s.position[order]])
+    (folder / "sa.txt").write_text("// SpatialAnalyzer, mm\nCollection, Group, Point Name, X, Y, Z\n" + points)
+    (folder / "in_order.txt").write_text(text(None, [1e3 * s.position], separator=" "))
+
+
+def test_points_by_their_names(folder: Path) -> None:
+    logs(folder)
+    said = run("import", "joints.csv", "sa.txt", "-o", "measured.csv")
+    assert (said.code, said.err) == (0, "")
+    assert "36 rows joined by 'Pose' and 'Point Name'" in said.out
+    assert "4 rows of joints.csv have no partner and are left out" in said.out
+    assert understood(folder / "measured.csv")["x [mm]"] == "X"
+    assert run("import", "joints.csv", "sa.txt", "-o", "measured.csv").code == 1
+
+
+def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
+    logs(folder)
+    assert "40 rows joined in their order" in run("import", "joints.csv", "in_order.txt", "-o", "a.csv").out
+    assert understood(folder / "a.csv")["x [mm]"] == "column 1"
+    said = run("import", "sa.txt", "in_order.txt", "-o", "b.csv")
+    assert said.err == "Error: sa.txt has 36 rows and in_order.txt 40, and no column names them.\n"
+    said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Group")
+    assert said.err == "Error: joints.csv, sa.txt: 'Group' does not name rows of both, each once.\n"
+    assert not (folder / "b.csv").exists()
+
+
+def test_points_in_another_order_are_not_taken_for_measurements(folder: Path) -> None:
+    """Joined by order, though their order is another one, the arm does not follow, and that is asked."""
+    s = session()
+    (folder / "joints.csv").write_text(text(J, [np.degrees(s.readings)]))
+    (folder / "points.csv").write_text(text(["X", "Y", "Z"], [1e3 * s.position[::-1]]))
+    assert run("import", "joints.csv", "points.csv", "-o", "measured.csv").code == 0
+    assert [q.about for q in calib.propose(UR10, [folder / "measured.csv"]).questions] == ["columns"]
+
+
+def test_records(folder: Path) -> None:
+    s = session()
+    names = [reading.name for reading in calib.load_robot(UR10, "tool0").readings]
+    turned = quaternions(s.rotation)
+    records = [
+        {
+            "joint_state": {"name": names, "position": list(q), "velocity": []},
+            "pose": {"position": dict(zip("xyz", p, strict=True)), "orientation": dict(zip("wxyz", o, strict=True))},
+        }
+        for q, p, o in zip(s.readings.tolist(), s.position.tolist(), turned.tolist(), strict=True)
+    ]
+    (folder / "log.jsonl").write_text("\n".join(map(json.dumps, records)))
+    (folder / "log.json").write_text(json.dumps({"samples": records}))
+    files = ["log.jsonl", "log.json"]
+    try:
+        import yaml
+    except ImportError:
+        pass
+    else:
+        (folder / "log.yaml").write_text(yaml.safe_dump_all(records))
+        files.append("log.yaml")
+    for file in files:
+        assert run("import", file, "-o", f"{file}.csv", "-q") == (0, "", "")
+        columns = understood(folder / f"{file}.csv")
+        assert columns["elbow_joint [rad]"] == "elbow_joint"
+        assert columns["x [m]"] == "pose.position.x"
+        assert columns["qw"] == "pose.orientation.w"
+
+
+def test_a_workbook(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    s = session()
+    book = openpyxl.Workbook()
+    book.active.append([*J, "X", "Y", "Z"])
+    for row in np.hstack([np.degrees(s.readings), 1e3 * s.position]).tolist():
+        book.active.append(row)
+    book.save(folder / "book.xlsx")
+    assert run("import", "book.xlsx", "-o", "measured.csv", "-q") == (0, "", "")
+    assert understood(folder / "measured.csv")["x [mm]"] == "X"
+
+
+@pytest.mark.parametrize(
+    ("name", "contents", "sentence"),
+    [
+        ("a.jsonl", "{}\n{", "a.jsonl:2: is not JSON."),
+        ("a.jsonl", "[1]", "a.jsonl: record 1 is no mapping of names to values."),
+        ("a.jsonl", "", "a.jsonl: has no rows."),
+        ("a.json", "[" * 100_000, "a.json: is not JSON."),
+        ("a.jsonl", '{"a":' * 12 + "1" + "}" * 12, "a.jsonl: is nested too deep."),
+        ("a.xlsx", "no", "a.xlsx: is no workbook that can be read."),
+        ("a.yaml", "a: [1", "a.yaml: is no YAML that can be read."),
+        ("a.yaml", "a: &x [1]\nb: *x\n", "a.yaml: has anchors and aliases, which are not read."),
+    ],
+)
+def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: str) -> None:
+    if name.endswith((".yaml", ".xlsx")):
+        pytest.importorskip("yaml" if name.endswith(".yaml") else "openpyxl")
+    (folder / name).write_text(contents)
+    with pytest.raises(calib.MeasurementError) as caught:
+        read_sheet(name)
+    assert str(caught.value) == sentence
+
+
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="CALIB_DATASETS names no folder with peoples_files")
+@pytest.mark.parametrize(
+    ("joints", "points"),
+    [("irb120_joints.txt", "irb120_smr.txt"), ("irb120_measured_joints.txt", "irb120_measured_smr.txt")],
+)
+def test_published_joints_and_points(folder: Path, joints: str, points: str) -> None:
+    """An IRB 120 and a FARO tracker, in degrees and millimetres."""
+    (folder / "m.csv").write_text(joined(read_sheet(PUBLISHED / joints), read_sheet(PUBLISHED / points)).csv())
+    found = calib.propose(PUBLISHED / "irb120.urdf", [folder / "m.csv"])
+    assert not found.questions, found.questions
+    assert found.tables[0].columns.names["x [mm]"] == "column 7"
+    assert found.tables[0].columns.names["joint_1 [deg]"] == "column 1"

@@ -1,0 +1,100 @@
+"""``calib init``, and ``calib check`` of files before there is a job."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.proposal.twins import TWINS
+from tests.support.cases import run
+from tests.support.people import PANDA, UR10
+
+OF = {twin.name: twin for twin in TWINS}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def put(folder: Path, name: str, file: str = "measured.csv") -> str:
+    contents = OF[name].contents()
+    (folder / file).write_bytes(contents if isinstance(contents, bytes) else contents.encode())
+    return file
+
+
+def test_from_files_to_a_report_in_two_commands(folder: Path) -> None:
+    put(folder, "FANUC")
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert (said.code, said.err) == (0, "")
+    assert "in deg: the arm follows to" in " ".join(said.out.split())
+    assert 'orientation = "wpr"' in (folder / "calibration.toml").read_text(encoding="utf-8")
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q") == (0, "", "")
+    result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
+    assert result["trusted"]
+    assert result["metrics"]["validation"]["after"]["position"]["rms"] < 1e-4
+
+
+def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Path) -> None:
+    put(folder, "four rows without units, of which two would do")
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 1
+    assert said.err.startswith("Error: measured.csv: J1 to J6 have no unit, and rad and deg are both within the limits")
+    assert said.err.endswith("answer by --angles rad or --angles deg.\n")
+    assert not (folder / "calibration.toml").exists()
+    (folder / "calibration.toml").write_text("mine")
+    said = run("init", UR10, "measured.csv", "--yes", "--angles", "rad")
+    assert (said.code, said.err) == (1, "Error: calibration.toml: already exists; choose another name.\n")
+    assert (folder / "calibration.toml").read_text() == "mine"
+
+
+def test_files_by_their_names_judge(folder: Path) -> None:
+    put(folder, "no units")
+    put(folder, "semicolons and decimal commas", "validation.csv")
+    assert run("init", UR10, "measured.csv", "validation.csv", "-q").code == 0
+    job = (folder / "calibration.toml").read_text(encoding="utf-8")
+    assert job.count('use = "validate"') == 1
+    assert "hold_out" not in job
+
+
+def test_check_looks_into_files_and_writes_nothing(folder: Path) -> None:
+    put(folder, "no units")
+    said = run("check", UR10, "measured.csv", "--json")
+    assert said.code == 0
+    assert json.loads(said.out)["toml"].startswith("schema = 1\n")
+    assert [path.name for path in folder.iterdir()] == ["measured.csv"]
+    assert "7 joints from" in run("check", PANDA).out or "joints from" in run("check", PANDA).out
+    assert "without a unit" in run("check", "measured.csv").out
+    assert run("check", UR10, "measured.csv", "calibration.toml").code == 2
+
+
+def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
+    put(folder, "KUKA")
+    run("init", UR10, "measured.csv", "-q")
+    job = (folder / "calibration.toml").read_text(encoding="utf-8")
+    line = next(line for line in job.splitlines() if line.startswith("columns"))
+    kept = [one for one in job.splitlines() if not one.startswith(("columns", "orientation"))]
+    (folder / "calibration.toml").write_text("\n".join(kept), encoding="utf-8")
+    said = run("check", "calibration.toml")
+    assert said.code == 1
+    assert "'A1', 'A2', 'A3', 'A4', 'A5', 'A6', 'X', 'Y', 'Z', 'A', 'B', 'C' have no unit" in said.err
+    assert line in said.err
+    assert 'orientation = "abc"' in said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--angles", "mm"], "angles: 'mm' is not one of rad, mrad, urad, deg."),
+        (["--orientation", "upside"], "orientation: 'upside' is not one of rotation_vector, matrix, abc,"),
+        (["--column", "x"], "--column: 'x' is not like 'x=X2': our name, and the title in the file."),
+        (["--column", "x=Q"], "columns: x is to be 'Q', which is no column of measured.csv."),
+        (["--tip", "nowhere"], "tip: 'nowhere' is not a link of"),
+    ],
+)
+def test_answers_that_are_none(folder: Path, options: list[str], sentence: str) -> None:
+    put(folder, "no units")
+    said = run("check", UR10, "measured.csv", *options)
+    assert said.code == 1
+    assert said.err.startswith(f"Error: {sentence}")

@@ -1,0 +1,47 @@
+"""What is in this file? The table of twins, each with what is to be read from it."""
+
+from pathlib import Path
+
+import pytest
+
+import calib
+from tests.proposal.twins import TWINS, URDF_OF, Expected, Twin
+
+
+@pytest.mark.parametrize("twin", TWINS, ids=lambda twin: twin.name)
+def test_twin(twin: Twin, tmp_path: Path) -> None:
+    contents = twin.contents()
+    file = tmp_path / "table.csv"
+    file.write_bytes(contents if isinstance(contents, bytes) else contents.encode())
+    urdf = URDF_OF[twin.robot]
+    if twin.refuses:
+        with pytest.raises(calib.MeasurementError, match=twin.refuses):
+            calib.propose(urdf, [file])
+        return
+    found = calib.propose(urdf, [file])
+    if twin.asks:
+        assert [question.about for question in found.questions][:1] == [twin.asks], found.reasons
+        if twin.answers:
+            assert not calib.propose(urdf, [file], **twin.answers).questions
+        return
+    assert not found.questions, found.questions
+    assert twin.expected is not None
+    check(found, twin.expected)
+
+
+def check(found: calib.measuring.Proposal, expected: Expected) -> None:
+    (table,) = found.tables
+    joints = [reading.name for reading in found.robot.readings]
+    columns = {f"{ours} [{expected.angle}]": theirs for ours, theirs in zip(joints, expected.joints, strict=True)}
+    columns |= {f"{axis} [{expected.length}]": theirs for axis, theirs in zip("xyz", expected.position, strict=False)}
+    if expected.convention == "matrix":
+        names = [f"r{i}{j}" for i in "123" for j in "123"]
+    else:
+        names = [f"r{axis} [{expected.angle}]" for axis in "xyz"] if expected.convention else ["qw", "qx", "qy", "qz"]
+    columns |= dict(zip(names, expected.orientation, strict=False))
+    columns |= expected.words
+    assert dict(table.columns.names) == columns, found.reasons
+    assert (table.observes, table.columns.orientation) == (expected.observes, expected.convention)
+    if expected.ignore is not None:
+        assert sorted(table.columns.ignore) == sorted(expected.ignore)
+    assert any(expected.says in reason for reason in found.reasons)

@@ -1,0 +1,76 @@
+"""URDFs as people have them: xacro files, run when that is asked for, and meshes that are not there."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.job.xacro import expanded
+from calib.robot.urdf import parse_urdf
+from tests.proposal.test_init import put
+from tests.support.cases import ROOT, run
+
+XACRO = """<?xml version="1.0"?>
+<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:property name="length" value="${0.2 + 0.1}"/>
+  <link name="base"><visual><geometry><mesh filename="package://none/a.stl"/></geometry></visual></link>
+  <link name="tip"/>
+  <joint name="j" type="revolute"><parent link="base"/><child link="tip"/><origin xyz="${length} 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, "points alone")
+    (tmp_path / "arm.urdf.xacro").write_text(XACRO)
+    said = run("init", "arm.urdf.xacro", "measured.csv", "--xacro")
+    assert said.code == 1
+    assert 'xyz="0.30000000000000004 0 0"' in (tmp_path / "arm.urdf").read_text()
+    assert "no column is a joint of the arm (j)" in said.err
+    (tmp_path / "broken.xacro").write_text("<robot>${1/0}</robot>")
+    said = run("init", "broken.xacro", "measured.csv", "--xacro")
+    assert said.code == 1
+    assert said.err.startswith("Error: broken.xacro: xacro says '")
+    assert len(said.err.splitlines()) == 1
+    assert run("init", "no.xacro", "measured.csv", "--xacro").err == "Error: no.xacro: there is no such file.\n"
+
+
+def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    case = ROOT / "robots" / "arm_cmm"
+    for name in ("calibration.toml", "identification.csv", "validation.csv"):
+        (tmp_path / name).write_bytes((case / name).read_bytes())
+    mesh = b'<visual><geometry><mesh filename="package://none/a.stl"/></geometry></visual></link>'
+    (tmp_path / "arm_cmm.urdf").write_bytes((case / "arm_cmm.urdf").read_bytes().replace(b"</link>", mesh))
+    said = " ".join(run("check", "calibration.toml").out.split())
+    assert "1 of its 1 meshes are not found, such as 'package://none/a.stl'; the scene shows sticks" in said
+    assert "AMENT_PREFIX_PATH" in said
+
+
+def test_origins_go_back_into_a_xacro_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A xacro file that loads the exported origins makes the arm of calibrated.urdf."""
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    case = ROOT / "robots" / "arm_cmm"
+    assert run("calibrate", str(case / "calibration.toml"), "-o", "out", "-q").code == 0
+    assert run("export", "out", "--to", "xacro", "-o", "origins.yaml", "-q") == (0, "", "")
+    urdf = parse_urdf((tmp_path / "out" / "nominal.urdf").read_bytes(), "nominal")
+    text = urdf.source.decode()
+    for joint in urdf.joints:
+        own = "".join(f" {key}=\"${{origins['{joint.name}']['{key}']}}\"" for key in ("xyz", "rpy"))
+        at = text.index(f'name="{joint.name}"')
+        end = text.index("</joint>", at)
+        inside = re.sub(r"<origin[^>]*/>", "", text[at:end])
+        text = text[:at] + inside + f"<origin{own}/>" + text[end:]
+    load = "<xacro:property name='origins' value=\"${xacro.load_yaml('origins.yaml')['origins']}\"/>"
+    text = re.sub(r"(<robot[^>]*)>", rf'\1 xmlns:xacro="http://www.ros.org/wiki/xacro">{load}', text, count=1)
+    (tmp_path / "arm.xacro").write_text(text)
+    made = calib.load_robot(parse_urdf(expanded(tmp_path / "arm.xacro"), "made"), "probe")
+    should = calib.load_robot("out/calibrated.urdf", "probe")
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, len(made.readings)))
+    np.testing.assert_allclose(made.tips(q), should.tips(q), rtol=0.0, atol=1e-12)
