@@ -6,7 +6,8 @@ to all rows (factor F),
     T = r^T (S + F F^T)^-1 r
 
 follows chi-square with as many degrees of freedom as measured numbers, if nothing has changed; with a noise that was
-itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where the base is found anew, it takes six of them.
+itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where bases are
+found anew, in every set-up of the rows by itself, each takes six of them.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -74,9 +75,9 @@ class Judgement:
 class Verification:
     """New measurements of a calibrated machine. Made by :func:`verify`.
 
-    ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew, None where the rows are
-    too few; ``base_moved``: by how much, in m (at the base's origin) and rad. ``limit`` in m of every position error,
-    or None. ``refit``: which of the two decides.
+    ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew in every set-up of them,
+    None where rows are too few; ``base_moved``: by how much, in m (at the base's origin) and rad, where it moved most.
+    ``limit`` in m of every position error, or None. ``refit``: which of the two decides.
     """
 
     __repr__ = brief
@@ -143,18 +144,22 @@ def verify(
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(machine, data, sigma, base=False)
     refitted, moved, shown = None, None, True
-    if data.sigma.size > 6 and len(data) >= 3 and (shown := _shows_base(machine, data)):
+    places = [data.setup == k for k in np.unique(data.setup)]
+    fewest = min(int(np.count_nonzero(own)) for own in places)
+    enough = fewest >= 3 and data.sigma.size > 6 * len(places)
+    if enough and (shown := all(_shows_base(machine, data.subset(own)) for own in places)):
         found = _realigned(machine, data)
         refitted = _judged(found, data, sigma, base=True)
-        change = rigid.inverse(machine.base) @ found.base
-        moved = float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
+        moved = max(_motion(base, found.bases[name]) for name, base in machine.bases.items())
     elif refit and not shown:
         raise MeasurementError(
             f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
             "places."
         )
     elif refit:
-        raise MeasurementError(f"{data.where}: {len(data)} rows are too few to find the base anew; it takes three.")
+        few = next(data.setups[data.setup[own][0]] for own in places if np.count_nonzero(own) == fewest)
+        of_it = f" at set-up {few!r}" if len(places) > 1 else ""
+        raise MeasurementError(f"{data.where}: {fewest} rows{of_it} are too few to find the base anew; it takes three.")
     return Verification(as_calibrated, refitted, moved, limit, refit)
 
 
@@ -186,13 +191,22 @@ def _with_model(instrument: Array, level: NoiseLevel) -> Array:
 
 
 def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMachine:
-    """Return the machine with its base where it explains the rows best."""
+    """Return the machine with its base, in every set-up of the rows, where it explains these best."""
     tips = machine.tips(data.readings, data.conditions)
     turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
     tools = machine.state.frames.tools
     assert data.position is not None, "positions and poses have one"
-    rows = TipObservations(tips, data.position, turned, data.tool)
-    return replace(machine, base=base_and_tools(rows, KnownFrames(None, tools[:, :3, 3], tools[:, :3, :3]), tools).base)
+    known, bases = KnownFrames(None, tools[:, :3, 3], tools[:, :3, :3]), machine.bases
+    for name, own in ((data.setups[k], data.setup == k) for k in np.unique(data.setup)):
+        rows = TipObservations(tips[own], data.position[own], turned[own], data.tool[own])
+        bases[name] = base_and_tools(rows, known, tools).base
+    return replace(machine, base=bases.pop(machine.setup), others=bases)
+
+
+def _motion(before: Array, after: Array) -> tuple[float, float]:
+    """Return by how much a base has moved, in m at its origin, and rad."""
+    change = rigid.inverse(before) @ after
+    return float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
 
 
 def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
@@ -207,8 +221,10 @@ def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, bas
 
         w, n = whitened((r / sigma).ravel()), r.size
         if base:
-            B = whitened((_base_motion(machine, data) / sigma[:, :, None]).reshape(n, 6))
-            w, n = w - B @ np.linalg.lstsq(B, w)[0], n - 6
+            motion = _base_motion(machine, data) / sigma[:, :, None]
+            each = [np.where((data.setup == k)[:, None, None], motion, 0.0) for k in np.unique(data.setup)]
+            B = whitened(np.concatenate(each, axis=2).reshape(n, -1))
+            w, n = w - B @ np.linalg.lstsq(B, w)[0], n - B.shape[1]
         T = float(w @ w)
     return Judgement(
         dict(metrics([(data.kind, r)])),
@@ -229,6 +245,6 @@ def _base_motion(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
     in_base = data.tips(machine.robot, machine.deviations) @ machine.state.frames.tools[data.tool]
     local = rigid.adjoint(rigid.inverse(in_base))
-    placed = machine.base @ in_base
+    placed = machine.state.frames.bases[data.setup] @ in_base
     motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)
     return np.asarray(motion[:, : data.sigma.shape[1]])

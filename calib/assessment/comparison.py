@@ -24,6 +24,7 @@ from calib.assessment.validation import (
     groups,
     held_out,
     predict_held_out,
+    some_rows,
 )
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
@@ -45,6 +46,8 @@ FRAMES, OFFSETS, DH, PLACEMENTS = "base and tool", "offsets", "DH parameters", "
 TERMS, OWN = "joint terms", "as in the job"
 # Models that say the same in other parameters differ by what the solver leaves.
 _SOLVED = 1e-6
+# Rows that models are compared by: every one is fitted once for every fold.
+_ENOUGH_ROWS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +82,8 @@ class ModelComparison:
 
     ``refused``: why a model could not be identified, by name.
     ``unit``: of the judged figures, SI; "1" where there are several quantities: the root of their mean square, each in
-    units of the least error that any model makes of it. ``groups`` of rows were held out together, in ``folds`` folds.
+    units of the least error that any model makes of it. ``rows`` of ``all_rows`` were looked at; ``groups`` were held
+    out together, in ``folds`` folds.
     """
 
     __repr__ = brief
@@ -90,6 +94,7 @@ class ModelComparison:
     refused: Mapping[str, str]
     unit: Literal["m", "rad", "px", "1"]
     rows: int
+    all_rows: int
     groups: int
     folds: int
 
@@ -97,6 +102,7 @@ class ModelComparison:
         """Return the comparison as plain data, in SI units."""
         return {
             "rows": self.rows,
+            "all_rows": self.all_rows,
             "groups": self.groups,
             "folds": self.folds,
             "unit": self.unit,
@@ -166,8 +172,9 @@ def compare_models(
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
     ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
-    more) and of one word in the column ``group`` stay together. ``choose``: names of the models to which joint terms
-    are added that :func:`calib.judging.choose_terms` finds, in every fold anew.
+    more) and of one word in the column ``group`` stay together; of more than 2000 rows it looks at
+    so many, taken at random over all groups, the same ones every time. ``choose``: names of the models to which joint
+    terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew.
     ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every row held out counts alike. ``progress`` is told
     each fit, and how many more there are.
 
@@ -183,6 +190,12 @@ def compare_models(
     group = groups(sets, places=True)
     if not group.any():
         group = groups(sets)
+    all_rows = len(group)
+    looked_at = some_rows(group, _ENOUGH_ROWS)
+    if not looked_at.all():
+        some = ChosenRows.of(sets, np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1]))
+        sets, model_sigmas, losses = some.sets, some.sigmas(model_sigmas), some.losses(losses)
+        group = np.unique(group[looked_at], return_inverse=True)[1]
     fold = _folds(group, scheme)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}
@@ -201,7 +214,7 @@ def compare_models(
     if not crossed:
         raise IdentificationError(f"no model can be identified; {next(iter(refused))}: {next(iter(refused.values()))}")
     terms = {name: _terms(fits[name]) if name in choose else () for name in crossed}
-    return _compared(fits, crossed, terms, refused, group, number)
+    return replace(_compared(fits, crossed, terms, refused, group, number), all_rows=all_rows)
 
 
 def _terms(fit: Fit) -> tuple[str, ...]:
@@ -283,6 +296,7 @@ def _compared(
         refused=dict(refused),
         unit=UNIT_OF[quantities[0]] if len(quantities) == 1 else "1",
         rows=len(group),
+        all_rows=len(group),
         groups=len(np.unique(group)),
         folds=number,
     )

@@ -135,6 +135,21 @@ def folds(group: IntArray, count: int = FOLDS) -> IntArray:
     return np.asarray(fold[group], dtype=np.intp)
 
 
+def some_rows(group: IntArray, rows: int) -> BoolArray:
+    """Return which rows (N,) of very many are looked at, given their groups (N,): ``rows`` at random, or all.
+
+    Of every group as many as of the others, where it has them: poses tell more than visits of a pose.
+    """
+    drawn = np.random.default_rng(0).permutation(len(group))
+    by_group = drawn[np.argsort(group[drawn], kind="stable")]
+    sizes = np.bincount(group)
+    visit = np.empty(len(group), dtype=np.intp)
+    visit[by_group] = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    chosen = np.zeros(len(group), dtype=np.bool_)
+    chosen[drawn[np.argsort(visit[drawn], kind="stable")[:rows]]] = True
+    return chosen
+
+
 def held_out(squares: Array, group: IntArray) -> HeldOut:
     """Return the figure of N squared errors of rows held out, which are random from group (N,) to group.
 

@@ -50,7 +50,7 @@ _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
 # By this share of the cost the data must ask for a frame that narrower priors hold elsewhere.
 # Such a search has few steps, since what there is already is a solution.
-_CLEARLY_HELD, _MOST_STEPS_OF_FREED = 0.05, 10
+_CLEARLY_HELD, _MOST_STEPS_OF_FREED = 0.05, 12
 
 
 class Solution(NamedTuple):

@@ -16,13 +16,15 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
         figures = (m.held_out.rms, m.held_out.standard_error, m.difference, m.standard_error)
         shown = (f"{value * factor:.4f}" for value in figures)
         rows.append(Row((m.name, str(m.parameters), str(m.rank), *shown), strong=m is found.recommended))
+    some = f" of {found.all_rows}, taken at random," if found.rows < found.all_rows else ""
+    rows_of = f"{found.rows} rows{some} in {found.groups} groups, {found.folds} folds"
     columns = ("model", "free", "rank", "held out", "std. error", "worse by", "std. error")
     return Sheet(
         f"Errors at rows held out, rms [{unit}]",
         columns,
         frozenset(columns[1:]),
         tuple(rows),
-        f"{found.rows} rows in {found.groups} groups, {found.folds} folds; worse by: than the best, at the same rows",
+        f"{rows_of}; worse by: than the best, at the same rows",
     )
 
 

@@ -25,6 +25,7 @@ from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, hel
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
+from calib.presentation.comparison_tables import comparison_sheet
 from calib.robot.terms.harmonic import harmonic
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching
@@ -344,3 +345,12 @@ def test_on_a_real_ur10_the_recommended_model_has_the_lowest_error_within_one_st
     assert found.recommended.held_out.rms <= lowest.held_out.rms + lowest.held_out.standard_error
     assert found.recommended.name == TERMS
     assert found.groups < found.rows == 1495
+
+
+def test_of_very_many_rows_some_of_every_pose_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(comparison, "_ENOUGH_ROWS", 60)
+    data = measured(0, 40, placed=False)
+    found = compared(data.subset(np.tile(np.arange(40), 5)), terms=False)
+    assert (found.rows, found.all_rows, found.groups) == (60, 200, 40)
+    assert "60 rows of 200, taken at random, in 40 groups" in comparison_sheet(found).caption
+    assert found.recommended.name == OFFSETS

@@ -263,7 +263,7 @@ def test_columns_of_all_parameters_match_central_differences() -> None:
     parameters = model.parameters()
     scale = np.array([parameter.typical_size for parameter in parameters])
     x = lab.rng.uniform(-20.0, 20.0, len(parameters)) * scale
-    problem = Problem(model, parameters, Frames(np.eye(4), np.eye(4)[None]), (lab.measure(),))
+    problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (lab.measure(),))
 
     def residuals(v: Array) -> Array:
         return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()

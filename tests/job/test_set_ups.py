@@ -95,6 +95,12 @@ def test_an_arm_from_two_places(folder: Path) -> None:
     # What the machine is used for, by name.
     assert run("verify", out, folder / "judge.csv", "--setup", "right", "--tool", "ball", "-q").code == 0
     assert run("verify", out, folder / "judge.csv", "--setup", "left", "--tool", "ball", "-q").code == 3
+    # Rows of two set-ups: each base is found anew by itself.
+    both = run("verify", out, folder / "both.csv", "--sigma", "0.03 mm", "--refit-base", "--json")
+    assert both.code == 0, both
+    anew = json.loads(both.out)["with_base_refitted"]
+    assert anew["test"]["degrees_of_freedom"] == 60 * 3 - 12
+    assert anew["metrics"]["position"]["rms"] < 3 * SIGMA
     machine = calib.load_machine(out)
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6))
     for setup in ("left", "right"):
