@@ -1,7 +1,6 @@
 """A sheet of cells, from whatever file holds one, and what joins two of them."""
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ from calib.measurement.layout import is_number, layout
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
 _LARGEST = 200_000_000
+# Columns that may name rows: no sheet names its rows so often.
+_MOST_NAMING = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +91,12 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     """
     if by == "order":
         return _in_order(first, second)
+    own, other = _naming(first), _naming(second)
     ways = [
         (a, b)
-        for a in range(len(first.titles))
-        for b in range(len(second.titles))
-        if by in (None, first.titles[a], second.titles[b]) and _names_rows(first, a, second, b)
+        for a, words in own.items()
+        for b, others in other.items()
+        if by in (None, first.titles[a], second.titles[b]) and len(words & others) == min(len(words), len(others))
     ]
     partners = {tuple(_partners(first, a, second, b)) for a, b in ways}
     if len(partners) > 1:
@@ -130,12 +132,16 @@ def _in_order(first: Sheet, second: Sheet) -> Sheet:
     return Sheet(_apart(first.titles, second.titles), rows, first.where, (*first.remarks, *second.remarks, said))
 
 
-def _names_rows(first: Sheet, a: int, second: Sheet, b: int) -> bool:
-    """Return whether two columns have the same words, each once; numbers with decimals name nothing."""
-    own, other = ([_name(row[k]) for row in sheet.rows] for sheet, k in ((first, a), (second, b)))
-    if not all(own) or not all(other) or max(Counter(own).values()) > 1 or max(Counter(other).values()) > 1:
-        return False
-    return len(set(own) & set(other)) == min(len(own), len(other)) and len(own) > 1
+def _naming(sheet: Sheet) -> dict[int, frozenset[str]]:
+    """Return the words of columns that may name rows, by number: two or more, each once; decimals name nothing."""
+    found: dict[int, frozenset[str]] = {}
+    for k in range(len(sheet.titles)):
+        words = [_name(row[k]) for row in sheet.rows]
+        if len(words) > 1 and all(words) and len(set(words)) == len(words):
+            found[k] = frozenset(words)
+            if len(found) == _MOST_NAMING:
+                break
+    return found
 
 
 def _name(cell: str) -> str:
