@@ -37,7 +37,7 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
         unsaid = np.full(len(table), np.nan)
         columns = {name: _sides(table, name) for name in said}
         sides = [columns.get("direction", columns.get(name, unsaid)) for name in own.values()]
-        approach = read_only(np.stack(sides, axis=-1))
+        approach = read_only(np.array(sides).reshape(len(own), len(table)).T)
     temperature = None
     if "temperature" in table.columns:
         temperature = stacked(table, {"temperature": "temperature"})[:, 0]
