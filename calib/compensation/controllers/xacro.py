@@ -18,7 +18,7 @@ from calib.robot.load import with_document
 from calib.robot.urdf import parse_urdf
 from calib.robot.urdf_writer import splice_origins
 
-_NAME = re.compile(r"[A-Za-z0-9_]+")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _COMMENTS = """\
 # Calibrated joint origins for the <origin> of each joint in a xacro file: xyz in m, rpy in rad; offsets are in them.
 """
@@ -36,7 +36,7 @@ def export_xacro(model: CalibratedMachine) -> Export:
     origins: dict[str, Mapping[str, Node]] = {}
     for chained in robot.chain:
         if _NAME.fullmatch(chained.name) is None:
-            raise OutputError(f"joint {shown(chained.name)}: a key of this file is of letters, digits and underscores.")
+            raise OutputError(f"joint {shown(chained.name)}: a key of this file is of letters, digits, underscores, dots and hyphens.")
         origin = document.joint(chained.name).origin
         origins[chained.name] = {"xyz": _three(origin[:3, 3]), "rpy": _three(rigid.rpy_of(origin[:3, :3]))}
     text = _COMMENTS + yaml_text({"origins": origins})
