@@ -179,7 +179,9 @@ def test_python_writes_the_folder_of_the_command(found: calib.Calibration, tmp_p
     calib.calibrate(copy_case(tmp_path / "case"), tmp_path / "by_command")
     there, by_command = ({path.name for path in folder.iterdir()} for folder in (out, tmp_path / "by_command"))
     assert there == by_command - {"job.json"}
-    assert (out / "report.html").read_text(encoding="utf-8") == calib.report(found)
+    # In a folder the page leads to the scene beside it.
+    page = [line for line in (out / "report.html").read_text(encoding="utf-8").splitlines() if "scene.html" not in line]
+    assert page == calib.report(found).splitlines()
     assert "Made from Python." in calib.report(found)
     assert (out / "scene.html").read_text(encoding="utf-8") == calib.scene(found)
     again = calib.load_machine(out)

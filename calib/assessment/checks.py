@@ -15,6 +15,7 @@ from calib.assessment.own_base import OwnBase
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
+from calib.foundations.units import DEG, MM
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
 from calib.machine.calibrated import CalibratedMachine
@@ -379,7 +380,7 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     if chance >= RARELY:
         return _check("drift", NOTHING, limit, True, "In the course of the rows the base does not seem to wander.")
     passed = size <= limit
-    said = f"In the course of the rows the base wanders by {size * 1e3:.2g} mm"
+    said = f"In the course of the rows the base wanders by {size / MM:.2g} mm"
     return _check("drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved.")
 
 
@@ -540,7 +541,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
         if abs(by) > worst * max(LINK * length, LINK_LENGTH):
             worst = abs(by) / max(LINK * length, LINK_LENGTH)
-            link = f"{fit.robot.chain[k].name!r} by {by * 1e3:+.0f} mm"
+            link = f"{fit.robot.chain[k].name!r} by {by / MM:+.0f} mm"
     scale, sigma = _common_scale(fit, parts, scaled, moved)
     if abs(scale) > SCALE and abs(scale) > SURE * sigma:
         said = f"The links seem {100.0 * scale:+.2g} % longer than in the URDF, all alike: is it of this robot?"
@@ -607,9 +608,9 @@ def shown(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> 
     else:
         said.append("Shown where measured")
     few = [
-        f"{reading.name} over {np.degrees(by):.0f} deg"
+        f"{reading.name} over {by / DEG:.0f} deg"
         for reading, by in zip(fit.robot.readings, np.ptp(readings, axis=0), strict=True)
-        if reading.dimension == "angle" and by < np.radians(30.0)
+        if reading.dimension == "angle" and by < 30.0 * DEG
     ]
     if few:
         said[0] += f", and for {', '.join(few[:3])}{' and others' if len(few) > 3 else ''} only"

@@ -14,6 +14,7 @@ from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.chance import exceeded
+from calib.foundations.units import MM
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
 from calib.identification.initialisation.problem import with_common_names
@@ -52,7 +53,7 @@ class OwnBase(NamedTuple):
         """What to do about it."""
         return (
             f"{self.file} asks for a base of its own: with one, it would be predicted within "
-            f"{self.moved * 1e3:.4g} mm rms in the place of {self.error * 1e3:.4g} mm. If robot or instrument was "
+            f"{self.moved / MM:.4g} mm rms in the place of {self.error / MM:.4g} mm. If robot or instrument was "
             'moved before it was measured, name its set-up (setup = "second").'
         )
 

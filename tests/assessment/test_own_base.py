@@ -57,9 +57,9 @@ def test_what_a_rigid_motion_does_not_explain_asks_for_nothing() -> None:
     for n in (3, 5, 10, 30, 200):
         for _ in range(200):
             x = rng.uniform(-1.0, 1.0, (n, 3))
-            assert not list(own_bases([("a.csv", x, rng.normal(scale=1e-4, size=(n, 3)))]))
+            assert not list(own_bases([("a.csv", x, rng.normal(scale=1e-4, size=(n, 3)))], 1.0))
     x = rng.uniform(-1.0, 1.0, (20, 3))
     r = x - (x @ pose(rotvec=(0, 0, 1e-3))[:3, :3].T + (1e-3, 0, 0)) + rng.normal(scale=1e-4, size=(20, 3))
-    (found,) = own_bases([("a.csv", x, r)])
+    (found,) = own_bases([("a.csv", x, r)], 1.0)
     assert found.moved == pytest.approx(np.sqrt(3) * 1e-4, rel=0.3)
     assert found.error > 1e-3

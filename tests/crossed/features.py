@@ -375,5 +375,11 @@ EXEMPT: Mapping[str, str] = {
         ),
         "several set-ups, tips and tools by name; tests/job/test_set_ups.py, tests/job/test_trees.py",
     ),
+    **{
+        f"about.{key}": "repeated in the report; tests/presentation/test_report.py"
+        for key in ("date", "note", "operator", "serial")
+    },
+    "accept": "answers checks of the verdict; tests/assessment/test_trust.py",
+    **{f"measurements.{key}": "how a table is read; tests/proposal" for key in ("ignore", "orientation")},
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "p1", "p2")},
 }

@@ -228,6 +228,8 @@ COMMANDS = (
     ("uncertainty", "there", "-o", "there"),
     ("export", "there", "--to", "offsets", "-o", "there"),
     ("five-point", TABLE, "-o", "there"),
+    ("import", TABLE, "-o", "there"),
+    ("init", URDF, TABLE, "-o", "there"),
 )
 
 

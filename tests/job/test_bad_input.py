@@ -40,7 +40,7 @@ def test_a_key_that_belongs_at_the_top_and_in_sections(folder: Path) -> None:
     for key, places in (
         ("schema", "at the top of the file"),
         ("base", "at the top of the file or in [robot] or [error_model]"),
-        ("tip", "in [robot] or [instruments.NAME]"),
+        ("prior", "in [error_model]"),
     ):
         write(JOB, f'schema = 1\n[[measurements]]\n{key} = "x"\n')(folder)
         said = run("check", JOB)

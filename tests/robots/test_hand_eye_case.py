@@ -82,7 +82,7 @@ JOB = "calibration.toml"
 BROKEN: dict[str, tuple[Edit, str]] = {
     "camera without its place": (edit(JOB, ('camera_on = "tip"\n', "")), "instruments.camera.camera_on: is missing"),
     "camera without focal length": (edit(JOB, ('fx = "1395.2 px"\n', "")), "instruments.camera.fx: is missing"),
-    "camera elsewhere": (edit(JOB, ('"tip"\nsigma', '"wall"\nsigma')), "'wall' is not allowed"),
+    "camera elsewhere": (edit(JOB, ('"tip"\nsigma', '"wall"\nsigma')), '\'wall\' is not "floor", "tip" or a link'),
     "focal length zero": (edit(JOB, ("1395.2 px", "0 px")), "instruments.camera.fx: '0 px' is not above 0"),
     "focal length without unit": (edit(JOB, ('"1395.2 px"', "1395.2")), "instruments.camera.fx: 1395.2 is not a text"),
     "sigma in mm": (edit(JOB, ('"0.2 px"', '"0.2 mm"')), "'0.2 mm' is not of a camera; allowed are pixels"),

@@ -36,7 +36,9 @@ def export_xacro(model: CalibratedMachine) -> Export:
     origins: dict[str, Mapping[str, Node]] = {}
     for chained in robot.chain:
         if _NAME.fullmatch(chained.name) is None:
-            raise OutputError(f"joint {shown(chained.name)}: a key of this file is of letters, digits, underscores, dots and hyphens.")
+            raise OutputError(
+                f"joint {shown(chained.name)}: a key of this file is of letters, digits, underscores, dots and hyphens."
+            )
         origin = document.joint(chained.name).origin
         origins[chained.name] = {"xyz": _three(origin[:3, 3]), "rpy": _three(rigid.rpy_of(origin[:3, :3]))}
     text = _COMMENTS + yaml_text({"origins": origins})

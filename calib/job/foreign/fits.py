@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.foundations.units import UNITS
+from calib.foundations.units import MM, UNITS
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
 from calib.job.chains import listed as tips_of
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
@@ -162,7 +162,7 @@ class Fits(Picks):
                 other = min((t.fit.share for t in trials if t.pick is pick and t.units[k] != unit), default=None)
                 said = "" if other is None else f", in another unit it would miss by {other:.0%} or more"
                 self.reasons.append(
-                    f"{what} are taken to be in {unit}: the arm follows to {1e3 * best.fit.miss:.3g} mm, "
+                    f"{what} are taken to be in {unit}: the arm follows to {best.fit.miss / MM:.3g} mm, "
                     f"{best.fit.share:.2%} of the spread{said}"
                 )
         if best.fit.miss < _COMPUTED:

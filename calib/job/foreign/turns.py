@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.units import UNITS
+from calib.foundations.units import DEG, UNITS
 from calib.identification.followed import turned_along
 from calib.job.foreign.answers import Trial, ask, of_dimension, values_of
 from calib.job.foreign.fits import TIMES, Fits
@@ -42,7 +42,7 @@ class Turns(Fits):
         if angle > _FOLLOWS_ANGLE:
             self.reasons.append(
                 f"{self._titles(one.columns)} are no orientation that turns with the arm (at best "
-                f"{np.degrees(angle):.3g} deg are left): they are left out"
+                f"{angle / DEG:.3g} deg are left): they are left out"
             )
             return None
         alike = [way for way in ways if way[0] < max(TIMES * angle, _ALIKE_ANGLE)]
@@ -69,7 +69,7 @@ class Turns(Fits):
         self.reasons.append(
             f"{self._titles(columns)} are the orientation, {_called(orientation)}"
             + ("" if orientation in (None, "matrix") else f" in {unit}")
-            + f": it turns with the arm within {np.degrees(angle):.2g} deg"
+            + f": it turns with the arm within {angle / DEG:.2g} deg"
         )
         return orientation, columns, unit
 
