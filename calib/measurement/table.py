@@ -94,7 +94,7 @@ class Columns:
     ``names``: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
     ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file
     has them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
-    (:mod:`calib.measurement.orientations`); they become a quaternion.
+    (docs/files_of_others.md); they become a quaternion.
     """
 
     names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES)
