@@ -7,15 +7,12 @@ the joint is placed, and does not turn with it. Basis: -tau about the axis, at n
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from calib.foundations.arrays import Array
-from calib.foundations.errors import JobError
 from calib.foundations.selection import select
 from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, tilting
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Rows, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Shares
+from calib.robot.terms.moment import OfMasses
 from calib.robot.terms.term import JointTerm
 
 _AXES = "xyz"
@@ -71,32 +68,18 @@ class Lateral(Kind):
         return tuple(JointTerm(name, kind) for kind in self.names[: 3 if parts.moving[name] == "length" else 2])
 
 
-class LateralMoment(Lateral):
+class LateralMoment(OfMasses, Lateral):
     """The same where masses are not known: compliance times mass, or first moment of mass, of each link."""
 
     names: ClassVar[tuple[str, ...]] = tuple(f"lateral_moment_{axis}" for axis in _AXES)
     key = "lateral_moments"
     coefficients = {"angle": Coefficient("kg m rad/Nm", 1e-4)}
     shown = {"kg m rad/Nm": "kg m urad/Nm", "kg rad/Nm": "kg urad/Nm"}
-    masses = "unknown"
-
-    def basis(self, shares: Shares) -> Basis:
-        """Return what each mass alone would have its bearing hold, the other way round."""
-
-        def found(rows: Rows) -> Array:
-            units = np.array([rows.weights.units[term.body] for term in shares.terms], dtype=np.intp)
-            return -rows.weights.of_units(rows.readings)[units, :, shares.coordinate].T
-
-        return found
 
     def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
         """Return unit and size: of a mass that slides there are no metres."""
         unit, typical_size = self.coefficients["angle"]
         return Coefficient("kg rad/Nm" if term.body.endswith("_mass") else unit, typical_size)
-
-    def well_formed(self, term: JointTerm) -> bool:
-        """Return whether it names a mass."""
-        return term.order == 0 and term.body != ""
 
     def there(self, parts: Parts, term: JointTerm) -> bool:
         """Return whether the robot has that mass, and the joint that axis."""
@@ -110,13 +93,6 @@ class LateralMoment(Lateral):
     def terms(self, parts: Parts, name: str, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
         """Return the fewest that make up whatever masses there are."""
         return tuple(term for term in parts.lateral_moments() if term.reading == name)
-
-    def chosen(self, selection: object, parts: Parts, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
-        """Return those of the chosen joints. Raises JobError where none of them would ever hold a mass."""
-        names, found = self.select(selection, parts), super().chosen(selection, parts, options)
-        if names and not found:
-            raise JobError(f"{self.key}: {names[0]!r} is never loaded by gravity; leave it out.")
-        return found
 
 
 def _axis(term: JointTerm) -> int:

@@ -1,6 +1,7 @@
 """Wind-up where masses are not known: compliance times first moment of mass. Basis: -tau of 1 kg m of one link."""
 
 from collections.abc import Mapping
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -11,7 +12,33 @@ from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, R
 from calib.robot.terms.term import JointTerm
 
 
-class Moment(Kind):
+class OfMasses(Kind):
+    """Compliance times a mass, or first moment of mass, that nobody states: a coefficient for each link."""
+
+    masses: ClassVar[Literal["none", "stated", "unknown"]] = "unknown"
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return what each mass alone would have the joint hold, the other way round."""
+
+        def found(rows: Rows) -> Array:
+            units = np.array([rows.weights.units[term.body] for term in shares.terms], dtype=np.intp)
+            return -rows.weights.of_units(rows.readings)[units, :, shares.coordinate].T
+
+        return found
+
+    def well_formed(self, term: JointTerm) -> bool:
+        """Return whether it names a mass."""
+        return term.order == 0 and term.body != ""
+
+    def chosen(self, selection: object, parts: Parts, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
+        """Return those of the chosen joints. Raises JobError where none of them would ever hold a mass."""
+        names, found = self.select(selection, parts), super().chosen(selection, parts, options)
+        if names and not found:
+            raise JobError(f"{self.key}: {names[0]!r} is never loaded by gravity; leave it out.")
+        return found
+
+
+class Moment(OfMasses):
     """Ten kilograms, or kilogram metres, on a drive as soft as an ordinary one."""
 
     names = ("moment",)
@@ -23,16 +50,6 @@ class Moment(Kind):
         "kg m/N": "kg um/N",
         "kg m2/N": "kg m um/N",
     }
-    masses = "unknown"
-
-    def basis(self, shares: Shares) -> Basis:
-        """Return what each mass alone would have its reading hold, the other way round."""
-
-        def found(rows: Rows) -> Array:
-            units = np.array([rows.weights.units[term.body] for term in shares.terms], dtype=np.intp)
-            return -rows.weights.of_units(rows.readings)[units, :, shares.coordinate].T
-
-        return found
 
     def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
         """Return unit and size: of a mass that slides there are no metres."""
@@ -40,10 +57,6 @@ class Moment(Kind):
         if term.body.endswith("_mass"):
             unit = "kg rad/Nm" if dimension == "angle" else "kg m/N"
         return Coefficient(unit, typical_size)
-
-    def well_formed(self, term: JointTerm) -> bool:
-        """Return whether it names a mass."""
-        return term.order == 0 and term.body != ""
 
     def there(self, parts: Parts, term: JointTerm) -> bool:
         """Return whether the robot has that mass."""
@@ -56,13 +69,6 @@ class Moment(Kind):
     def terms(self, parts: Parts, name: str, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
         """Return the fewest that make up whatever masses there are."""
         return tuple(term for term in parts.moments() if term.reading == name)
-
-    def chosen(self, selection: object, parts: Parts, options: Mapping[str, object]) -> tuple[JointTerm, ...]:
-        """Return those of the chosen readings. Raises JobError where none of them would ever hold a mass."""
-        names, found = self.select(selection, parts), super().chosen(selection, parts, options)
-        if names and not found:
-            raise JobError(f"moments: {names[0]!r} is never loaded by gravity; leave it out.")
-        return found
 
     def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
         """Return whether masses are not stated: where they are, compliances say it with fewer coefficients."""
