@@ -10,11 +10,14 @@ from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
+from calib.measurement.streams.rest import at_rest
+from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
     "Camera",
+    "Clock",
     "Columns",
     "Conditions",
     "Finding",
@@ -27,6 +30,7 @@ __all__ = [
     "SetUp",
     "Target",
     "TouchingArm",
+    "at_rest",
     "distances",
     "poses",
     "positions",

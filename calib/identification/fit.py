@@ -13,6 +13,7 @@ from calib.identification.identifiability import NullDirection
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
+from calib.identification.memory import Memory
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.measurements import Measurements
@@ -37,6 +38,7 @@ class Fit:
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
     much the widths that hold parameters without a prior were narrower than usual; 1 where the search did not need it.
+    ``memories``: how rows with times err together, which the covariance knows of.
     """
 
     model: ErrorModel
@@ -63,6 +65,7 @@ class Fit:
     converged: bool
     learned: tuple[LearnedPrior, ...] = ()
     narrowed: float = 1.0
+    memories: tuple[Memory, ...] = ()
 
     @property
     def robot(self) -> Robot:

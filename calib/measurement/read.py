@@ -9,10 +9,15 @@ from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements
+from calib.measurement.streams.join import streamed
+from calib.measurement.streams.samples import joint_stream, times_of
+from calib.measurement.streams.stream import Clock, ClockFreedom
 from calib.measurement.table import (
     AS_WRITTEN,
     Columns,
     DataFrameLike,
+    HeaderError,
+    Table,
     read_table,
     table_from_arrays,
     table_from_frame,
@@ -31,6 +36,8 @@ def read_measurements(
     offset: str | None = None,
     in_order: bool = False,
     columns: Mapping[str, str] | Columns | None = None,
+    readings: str | Path | Mapping[str, Any] | DataFrameLike | None = None,
+    clock: ClockFreedom | Clock = "free",
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
@@ -42,22 +49,48 @@ def read_measurements(
     :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean. Of a robot with several tips,
     the rows are about the one that it looks at, ``robot.with_tip("left_hand")``, and need the joints that move it.
 
+    ``readings``: of a stream, where the joints are, another file with a column ``time``; ``source`` has one as well, by
+    the instrument's clock, and no joints. ``clock``: whether that clock is "free", its offset and skew being found with
+    the machine, or "given", the same as the controller's; as :class:`calib.measuring.Clock` it says more:
+
+        moving = calib.read_measurements("tracker.csv", robot, readings="joints.csv", clock="free")
+
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
-    renamed = AS_WRITTEN if columns is None else columns
-    if isinstance(source, str | Path):
-        table = read_table(source, renamed)
-    elif isinstance(source, Mapping):
-        table = table_from_arrays(source, columns=renamed)
-    else:
-        table = table_from_frame(source, columns=renamed)
-    return measurements_from_table(
+    table, joints = _table(source, AS_WRITTEN if columns is None else columns), Joints.of(robot)
+    of_stream = readings is not None
+    found = measurements_from_table(
         table,
         robot.readings,
         observes,
         sigma=sigma,
         instrument=instrument,
         offset=offset,
-        in_order=in_order,
-        joints=Joints.of(robot),
+        in_order=in_order and not of_stream,
+        joints=_elsewhere(table, robot, joints) if of_stream else joints,
     )
+    if readings is None:
+        return found
+    known = clock if isinstance(clock, Clock) else Clock(clock)
+    times_of(table)
+    own = joint_stream(_table(readings, AS_WRITTEN), robot.readings, known.gap, joints)
+    return streamed(found, own, known, robot, ordered=in_order)
+
+
+def _table(source: str | Path | Mapping[str, Any] | DataFrameLike, columns: Mapping[str, str] | Columns) -> Table:
+    if isinstance(source, str | Path):
+        return read_table(source, columns)
+    if isinstance(source, Mapping):
+        return table_from_arrays(source, columns=columns)
+    return table_from_frame(source, columns=columns)
+
+
+def _elsewhere(table: Table, robot: Robot, joints: Joints) -> Joints:
+    """Return what is asked of a stream's own table: no joints, since they are elsewhere."""
+    names = tuple(reading.name for reading in robot.readings)
+    if both := [name for name in (*names, *joints.idle) if name in table.columns]:
+        raise HeaderError(
+            f"{table.where}: column {both[0]!r} is of a joint, and another file has the readings of this stream; keep "
+            "one of them."
+        )
+    return joints._replace(spare=names)
