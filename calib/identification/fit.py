@@ -38,7 +38,8 @@ class Fit:
     ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
     much the widths that hold parameters without a prior were narrower than usual; 1 where the search did not need it.
-    ``memories``: how rows with times err together, which the covariance knows of.
+    ``memories``: how rows with times err together, which the covariance knows of; ``covariance_alone`` (p, p): what it
+    would be if all rows erred alone.
     """
 
     model: ErrorModel
@@ -46,6 +47,7 @@ class Fit:
     parameters: tuple[Parameter, ...]
     values: Array
     covariance: Array
+    covariance_alone: Array
     rank: int
     numerical_rank: int
     singular_values: Array

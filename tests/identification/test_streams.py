@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment import checks
+from calib.assessment.effects import Stretch, delay, stretches
+from calib.assessment.influence import Residue
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
@@ -162,3 +165,25 @@ def test_rows_that_err_alone_keep_their_sigmas() -> None:
     made = streams.streams(9, seconds=30.0, sigma=1e-4, moved=False)
     fit = calib.identify(calib.error_model(made.robot), streams.read(made, sigma=1e-4))
     assert all(memory.rows_as_one < 1.5 for memory in fit.memories)
+
+
+@pytest.mark.parametrize("late", [0.01, -0.01])
+def test_a_clock_that_was_given_wrongly_is_told_in_milliseconds(late: float) -> None:
+    made = streams.streams(13, seconds=30.0, offset=late, skew=0.0, memories=(0.05, 0.5))
+    data = calib.read_measurements(made.seen, made.robot, readings=made.joints, clock="given", sigma=1e-4)
+    model = calib.error_model(made.robot, offsets="all", placements="all")
+    found, step = delay(*_effects(calib.identify(model, data)))
+    assert found.value == pytest.approx(late, abs=max(4.0 * found.sigma, 1e-3))
+    check = checks.late(found, step)
+    assert not check.passed
+    assert " ms later than" in check.sentence if late > 0 else " ms earlier than" in check.sentence
+    # A clock that is free takes it all.
+    free = calib.read_measurements(
+        made.seen, made.robot, readings=made.joints, clock=Clock("given", latency=True), sigma=1e-4
+    )
+    assert checks.late(*delay(*_effects(calib.identify(model, free)))).passed
+
+
+def _effects(fit: calib.Fit) -> tuple[tuple[Stretch, ...], np.ndarray]:
+    residue = Residue.of(fit, {})
+    return stretches(residue), residue.C

@@ -169,3 +169,14 @@ def test_a_subset_keeps_the_clock_of_the_whole(made: Streams) -> None:
     half = data.subset(np.arange(len(data) // 2))
     at = np.array([one.start for one in data.scalars])
     np.testing.assert_array_equal(half.readings_at(at), data.readings_at(at)[: len(half)])
+
+
+def test_stretches_of_a_stream_are_held_out_whole(made: Streams) -> None:
+    data = streams.read(made)
+    some, rest = calib.hold_out(data, 0.3)
+    assert len(some) + len(rest) == len(data)
+    assert some.stream is not None
+    assert rest.stream is not None
+    of_some, of_rest = (set(np.floor(part.stream.since / 5.0)) for part in (some, rest) if part.stream is not None)
+    assert of_some.isdisjoint(of_rest)
+    assert 0.2 < len(rest) / len(data) < 0.4
