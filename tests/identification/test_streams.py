@@ -95,8 +95,8 @@ def test_clock_and_machine_are_found_from_streams_without_noise() -> None:
     data = streams.read(made, sigma=1e-6)
     fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), data)
     assert data.stream is not None
-    assert fit.value("clock.offset") == pytest.approx(made.offset_at(data.stream.middle), abs=2e-7)
-    assert fit.value("clock.skew") == pytest.approx(made.skew, abs=1e-7)
+    assert fit.value("clock.offset") == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-7)
+    assert fit.value("clock.skew") == pytest.approx(made.recorded.skew, abs=1e-7)
     assert machines.miss(fit, made.machine, made.motion.at(np.linspace(3.0, 37.0, 50))) < 1e-6
     # What the fit has made of its rows: the readings then.
     np.testing.assert_allclose(fit.measurements[0].readings, made.motion.at(_true_times(made, fit)), atol=1e-6)
@@ -105,7 +105,7 @@ def test_clock_and_machine_are_found_from_streams_without_noise() -> None:
 def _true_times(made: Streams, fit: calib.Fit) -> np.ndarray:
     t = fit.measurements[0].times
     assert t is not None
-    return np.asarray(t - made.offset + made.skew * (t - made.middle))
+    return np.asarray(t - made.recorded.offset + made.recorded.skew * (t - made.recorded.middle))
 
 
 def test_the_world_may_move_clocks_may_be_set_and_units_changed() -> None:

@@ -50,7 +50,7 @@ def test_the_start_needs_no_guess(seed: int, offset: float, skew: float) -> None
     data = streams.read(made)
     assert data.stream is not None
     found = {one.name: one.start for one in data.scalars}
-    assert found["clock.offset"] == pytest.approx(made.offset_at(data.stream.middle), abs=2e-3)
+    assert found["clock.offset"] == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
     assert found["clock.skew"] == pytest.approx(skew, abs=1e-4)
 
 
@@ -59,7 +59,7 @@ def test_an_hour_with_a_skew_needs_no_guess() -> None:
     made = streams.streams(4, seconds=3600.0, offset=20.0, skew=2e-3, rates=(25.0, 12.0))
     data = streams.read(made)
     assert data.stream is not None
-    assert data.scalars[0].start == pytest.approx(made.offset_at(data.stream.middle), abs=2e-3)
+    assert data.scalars[0].start == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
     assert data.scalars[1].start == pytest.approx(2e-3, abs=1e-5)
 
 
