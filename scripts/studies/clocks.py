@@ -139,7 +139,8 @@ def simulate(path: Path, chosen: Sequence[str], sessions: int, until: float) -> 
 
 HEAD = (
     "| streams | sessions | tip speed, rms | clock error, rms / largest [ms] | its sigma [ms] "
-    "| as if rows erred alone [ms] | offset in 95 % | skew in 95 % | points in 95 % regions | machine / with the clock known |",
+    "| as if rows erred alone [ms] | offset in 95 % | skew in 95 % | points in 95 % regions "
+    "| machine / with the clock known |",
     "|---|---|---|---|---|---|---|---|---|---|",
 )
 
