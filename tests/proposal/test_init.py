@@ -1,6 +1,7 @@
 """``calib init``, and ``calib check`` of files before there is a job."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,16 @@ def test_from_files_to_a_report_in_two_commands(folder: Path) -> None:
     result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
     assert result["trusted"]
     assert result["metrics"]["validation"]["after"]["position"]["rms"] < 1e-4
+
+
+def test_titles_of_any_characters_are_written_whole(folder: Path) -> None:
+    put(folder, "no units")
+    text = (folder / "measured.csv").read_text(encoding="utf-8")
+    title = 'X "\\\x7f\U0001f916-'
+    (folder / "measured.csv").write_text(text.replace("X", title, 1), encoding="utf-8")
+    assert run("init", UR10, "measured.csv", "-q").code == 0
+    job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+    assert job["measurements"][0]["columns"]["x [mm]"] == title
 
 
 def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Path) -> None:
