@@ -159,7 +159,7 @@ class Robot:
     def with_tip(self, link: str) -> "Robot":
         """Return the same robot, looked at another one of its ``links``. Raises RobotError for any other link.
 
-            left = robot.with_tip("left_hand")
+        left = robot.with_tip("left_hand")
         """
         if link == self.tip:
             return self

@@ -78,6 +78,12 @@ class Trial:
     rows: IntArray
     fit: Followed
 
+    @property
+    def point(self) -> Point:
+        """The point of the pick: nothing is tried without one."""
+        assert self.pick.point is not None
+        return self.pick.point
+
 
 def run_of(names: Sequence[str]) -> str:
     """Return a row of names, the middle of a long one left out."""
