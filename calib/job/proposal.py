@@ -11,7 +11,7 @@ from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 
-About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "columns"]
+About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from calib.foundations.units import MM, UNITS
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
 from calib.job.chains import listed as tips_of
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
+from calib.job.foreign.parts import parts_question
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.raw import RawColumn
@@ -36,7 +37,7 @@ def trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
     columns = [seen.raw.columns[k] for k in pick.joints.columns]
     point = [seen.raw.columns[k] for k in pick.point.columns]
     numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
-    rows = np.flatnonzero(np.isfinite(numbers).all(axis=1))
+    rows = np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
     if len(rows) > _MOST_ROWS:
         rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
     if len(rows) < 2 or not of_dimension(point, "length"):
@@ -53,7 +54,7 @@ def trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
             if np.abs(position).max() > 1e4:
                 continue
             fit = followed(tips, position) if len(rows) >= FEWEST_ROWS else Followed(np.inf, np.inf, np.eye(4))
-            found.append(Trial(pick, (angle, slide, unit), tips, rows, fit))
+            found.append(Trial(pick, (angle, slide, unit), tips, position, rows, fit))
     return found
 
 
@@ -206,6 +207,9 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     if enough and not np.isfinite(trials[0].fit.share):
         raise ask("columns", f"{where}: {seen.titles(trials[0].point.columns)} never change")
     if enough and not ((written or answered) and (pick.joints.exact or seen.answers.columns)):
+        parts = parts_question(seen, trials)
+        if parts is not None:
+            raise parts
         best = trials[0]
         raise ask(
             "columns",

@@ -34,7 +34,8 @@ def picks_of(seen: Seen) -> list[Pick]:
             for way in without_names(seen.raw, len(arm.joints)):
                 joints = Joints(way.joints, 1, "by their place", False)
                 point = None if way.point is None else Point(way.point, frozenset(), 1)
-                found.append(Pick(arm, joints, point, () if way.orientation is None else (way.orientation,)))
+                turned = () if way.orientation is None else (way.orientation,)
+                found.append(Pick(arm, joints, point, turned, way.target))
         return _as_answered(seen, found)
     points: list[Point | None] = [*_points(seen)] or [None]
     return _as_answered(

@@ -1,6 +1,7 @@
 """One table of somebody else, read."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,13 +22,13 @@ from calib.job.foreign.fits import (
     units_of_joints,
 )
 from calib.job.foreign.picks import no_joints, picks_of
-from calib.job.foreign.seen import Seen
+from calib.job.foreign.seen import Seen, is_ours
 from calib.job.foreign.turns import orientation_of
 from calib.measurement.columns import KNOWN
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
-from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Columns, holds_words
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Columns
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
@@ -99,6 +100,10 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             "a job file with instruments.NAME of kind camera",
         )
     whole = [pick for pick in picks if pick.point is None] or list(picks)
+    if not seen.raw.named:
+        # Where it is not said that sockets were touched, only rows that touch points show it.
+        others = [pick for pick in whole if pick.target is not None] if kind else [replace(whole[0], target=None)]
+        whole = _that_touch(seen, whole) or others or whole
     if len({(pick.joints.columns, pick.arm) for pick in whole}) > 1:
         ranks = {pick.joints.rank for pick in whole}
         whole = [pick for pick in whole if pick.joints.rank == min(ranks)]
@@ -106,6 +111,10 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             raise ask("joints", f"{where}: several columns may be the joints", (), "--column 'JOINT=TITLE' or --tip")
     pick = whole[0]
     targets = [k for k in known.targets if k not in pick.joints.columns]
+    if "target" in seen.named:
+        targets = [seen.column(seen.named["target"])]
+    elif pick.target is not None:
+        targets = [pick.target]
     lengths = [k for k in known.lengths if k not in pick.joints.columns]
     if kind is None and lengths and targets:
         kind = "distance"
@@ -141,37 +150,59 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
 
 def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
     """Return the units in which rows of one socket touch one point; by limits where they do not tell."""
-    robot = seen.robot(pick.arm)
-    columns = [seen.raw.columns[k] for k in pick.joints.columns]
-    ways = units_of_joints(seen, robot, columns)
-    words = list(dict.fromkeys(target.words))
-    number = np.array([words.index(word) for word in target.words])
-    shares = []
-    for angle, slide in ways:
-        q = readings_in(robot, columns, angle, slide)
-        rows = np.flatnonzero(np.isfinite(q).all(axis=1) & (np.abs(q).max(axis=1) < 1e4))
-        if 3 * len(rows) > 2 * (3 + 3 * len(words)):
-            shares.append((pivots(robot.tips(q[rows]), number[rows]), angle, slide))
-    shares.sort()
-    clear = len(shares) == 1 or (len(shares) > 1 and shares[1][0] > max(TIMES * shares[0][0], ALIKE))
-    if shares and shares[0][0] < FOLLOWS and clear:
-        if len(ways) > 1:
+    shares = _shares(seen, pick, target)
+    if shares and shares[0][0] < FOLLOWS and _is_clear(shares):
+        share, angle, slide = shares[0]
+        if len(shares) > 1:
             seen.reasons.append(
-                f"angles are taken to be in {shares[0][1]}: rows of one target then touch one point within "
-                f"{shares[0][0]:.2%} of what the tip moves"
+                f"angles are taken to be in {angle}: rows of one target then touch one point within "
+                f"{share:.2%} of what the tip moves"
             )
-        return shares[0][1], shares[0][2], "m"
-    if shares and len(ways) == 1:
+        return angle, slide, "m"
+    if len(shares) == 1:
         seen.reasons.append(f"rows of one target do not touch one point: {shares[0][0]:.0%} of the motion is left")
-        return ways[0][0], ways[0][1], "m"
+        return shares[0][1], shares[0][2], "m"
     if shares:
         raise ask(
             "columns",
-            f"{seen.raw.where}: in no unit do rows of one {target.title!r} touch one point",
+            f"{seen.raw.where}: in no unit, or in several, do rows of one {target.title!r} touch one point",
             (),
             "--angles, and --observes where it is no socket",
         )
     return (*units_by_limits(seen, pick), "m")
+
+
+_Shares = list[tuple[float, str, str]]
+
+
+def _shares(seen: Seen, pick: Pick, target: RawColumn) -> _Shares:
+    """Return what touches of one target leave of the tip's motion in each unit, least first; none of too few rows."""
+    robot = seen.robot(pick.arm)
+    columns = [seen.raw.columns[k] for k in pick.joints.columns]
+    words = list(dict.fromkeys(target.words))
+    number = np.array([words.index(word) for word in target.words])
+    shares = []
+    for angle, slide in units_of_joints(seen, robot, columns):
+        q = readings_in(robot, columns, angle, slide)
+        rows = np.flatnonzero(np.isfinite(q).all(axis=1) & (np.abs(q).max(axis=1) < 1e4) & seen.alike())
+        if 3 * len(rows) > 2 * (3 + 3 * len(words)):
+            shares.append((pivots(robot.tips(q[rows]), number[rows]), angle, slide))
+    return sorted(shares)
+
+
+def _is_clear(shares: _Shares) -> bool:
+    return len(shares) < 2 or shares[1][0] > max(TIMES * shares[0][0], ALIKE)
+
+
+def _that_touch(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
+    """Return the pick of a table without a header whose rows of one target touch one point; none where not clear."""
+    found = []
+    for pick in picks:
+        if pick.target is not None:
+            found += [(one, pick) for one in _shares(seen, pick, seen.raw.columns[pick.target])]
+    found.sort(key=lambda one: one[0])
+    clear = _is_clear([share for share, _ in found])
+    return [found[0][1]] if found and found[0][0][0] < FOLLOWS and clear else []
 
 
 def _names(seen: Seen, pick: Pick, units: tuple[str, str, str]) -> dict[str, str]:
@@ -184,15 +215,17 @@ def _names(seen: Seen, pick: Pick, units: tuple[str, str, str]) -> dict[str, str
 
 def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientation: str | None) -> Found:
     robot = seen.robot(pick.arm)
+    own = KNOWN - {*"xyz", *QUATERNION_COLUMNS}
+    given = {ours: theirs for ours, theirs in (seen.answers.columns or {}).items() if split_title(ours)[0] in own}
+    names |= {ours: seen.raw.columns[seen.column(theirs)].title for ours, theirs in given.items()}
     taken = set(names.values())
     ours = {split_title(name)[0] for name in names}
-    own = KNOWN - {*"xyz", *QUATERNION_COLUMNS}
     told = {f"{what}{reading.name}" for what in (TORQUE, APPROACH) for reading in robot.readings}
     ignore = []
     for column in seen.raw.columns:
         if column.title in taken:
             continue
-        kept = column.name in own | told and column.name not in ours and _reads(column)
+        kept = column.name in own | told and column.name not in ours and is_ours(column)
         if not kept:
             ignore.append(column.title)
     if ignore:
@@ -204,13 +237,3 @@ def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientati
     if pick.arm.base is not None:
         seen.reasons.append(f"the base is {pick.arm.base}: joints before it are in no column")
     return Found(robot, kind, Columns(names, tuple(ignore), orientation), tuple(seen.reasons))
-
-
-def _reads(column: RawColumn) -> bool:
-    """Return whether a column that has our name is one of ours: words, or numbers with a unit, whole."""
-    if not all(column.words):
-        return False
-    if holds_words(column.name):
-        few = column.name in ("tool", "target") and len(set(column.words)) > 0.34 * len(column.words)
-        return column.symbol is None and not few
-    return column.numbers is not None and column.symbol is not None
