@@ -80,9 +80,11 @@ def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask:
 
 
 def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
-    typer.echo(f"{question.text}:", err=True)
+    from calib.presentation.console import printable
+
+    typer.echo(printable(f"{question.text}:").plain, err=True)
     for k, choice in enumerate(question.choices, start=1):
-        typer.echo(f"  {k}  {choice}", err=True)
+        typer.echo(printable(f"  {k}  {choice}").plain, err=True)
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
