@@ -1,4 +1,4 @@
-"""From a fit to all that is known of its doubts: noise, what is not seen, and what the model leaves out.
+"""From a fit to all that is known of its errors: noise, what is not seen, and what the model leaves out.
 
 With whitened rows ``[J B r]`` of the data, B of what no parameter stands for (:mod:`calib.machine.systematic`), and
 rows S of the priors, stated and weak, the solution x follows from the data by ``A = C J^T``, ``C = (J^T J + S^T
@@ -43,7 +43,7 @@ _LONGEST_LAG = 100
 _SINGULAR = 1e-14
 
 
-class Doubts(NamedTuple):
+class ErrorsByCause(NamedTuple):
     """The error of a solution by its causes: columns (p, k) for errors of size 1, in parameter scales.
 
     ``instrument``: of noise and drift of the instrument; ``unseen``: of priors, stated and weak; ``scatter``: of what
@@ -61,16 +61,16 @@ class Doubts(NamedTuple):
     noise: Array
 
 
-def doubts_of(fit: Fit, identified: Array) -> Doubts:
-    """Return the doubts of a fit, at the machine that it found; ``identified`` (nr, 2): least and greatest readings.
+def errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
+    """Return the errors of a fit, at the machine that it found; ``identified`` (nr, 2): least and greatest readings.
 
     What policy "minimal" held is among what is not seen.
     """
     with one_thread():
-        return _doubts_of(fit, identified)
+        return _errors_by_cause(fit, identified)
 
 
-def _doubts_of(fit: Fit, identified: Array) -> Doubts:
+def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     parameters = (*fit.parameters, *fit.held)
     frames, held = fit.machine.frames, fit.machine.deviations
     relations = fit.model.relations
@@ -108,7 +108,7 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
     seen = np.repeat(np.minimum(taught.instrument / noise, 1.0), of_rows)
     through = from_data * np.repeat(noise * np.sqrt(rows_as_one), of_rows)
     bias = from_data @ data[:, p : p + m] * sizes[taught.group]
-    return Doubts(
+    return ErrorsByCause(
         parameters,
         at,
         _short(np.hstack([through * seen, bias[:, waves.many :]])),

@@ -12,7 +12,7 @@ from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import residuals
-from calib.machine.budget import doubts_of
+from calib.machine.budget import errors_by_cause
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -260,17 +260,17 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
     readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
     identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
-    doubts = doubts_of(fit, identified)
-    state = _to_state(fit, doubts.parameters, doubts.at) * scales(doubts.parameters)
-    parts = (doubts.instrument, doubts.unseen, doubts.scatter, doubts.waves)
+    errors = errors_by_cause(fit, identified)
+    state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
+    parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
     null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
-        doubts.left_out,
+        errors.left_out,
         read_only(null_basis),
-        _level(fit, doubts.noise, "m"),
-        _level(fit, doubts.noise, "rad"),
+        _level(fit, errors.noise, "m"),
+        _level(fit, errors.noise, "rad"),
         read_only(identified),
     )
 
