@@ -12,13 +12,14 @@ blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. We
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.influence import Residue
 from calib.foundations.arrays import Array, IntArray
-from calib.foundations.chance import exceeded
+from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
 from calib.measurement.measurements import Measurements
@@ -187,16 +188,8 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
 
 def memory(parts: Sequence[Array]) -> float:
     """Return how many rows residuals (n, d) remember: the sum of their autocorrelations until one is small."""
-    square = sum(float(np.sum(r * r)) for r in parts)
-    if square <= 0.0:
-        return 0.0
-    total, most = 0.0, max((len(r) for r in parts), default=0) // 6
-    for lag in range(1, most):
-        rho = sum(float(np.sum(r[lag:] * r[:-lag])) for r in parts if len(r) > lag) / square
-        if rho < _FORGOTTEN:
-            break
-        total += rho
-    return total
+    most = max((len(r) for r in parts), default=0) // 6
+    return sum(takewhile(lambda rho: rho >= _FORGOTTEN, autocorrelations(parts, most)))
 
 
 def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:

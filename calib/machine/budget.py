@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.chance import autocorrelations
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
 from calib.identification.fit import Fit
@@ -233,14 +234,11 @@ def _rows_as_one(problem: Problem, systematic: Systematic, coefficients: Array) 
 
 def _correlation_time(r: Array) -> float:
     """Return the integrated autocorrelation of rows (N, d): 1 where rows err alone."""
-    N, power = len(r), float(np.sum(r**2))
-    found = 1.0
-    if power > 0.0:
-        for lag in range(1, min(_LONGEST_LAG, N // 4)):
-            correlation = float(np.sum(r[lag:] * r[:-lag])) / power
-            if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * r.shape[1]):
-                break
-            found += 2.0 * correlation
+    (N, d), found = r.shape, 1.0
+    for lag, correlation in enumerate(autocorrelations([r], min(_LONGEST_LAG, N // 4)), 1):
+        if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * d):
+            break
+        found += 2.0 * correlation
     return found
 
 
