@@ -24,7 +24,7 @@ from calib_start import loading
 _ROBOT = (".urdf", ".xacro")
 _TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc")
 
-Every = Annotated[bool, typer.Option("--all", help="List all that the data do not determine, one by one.")]
+Every = Annotated[bool, typer.Option("--all", help="List every direction of the null space.")]
 
 
 @command("check", PATH, "calib check calibration.toml")
@@ -71,7 +71,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
         from calib.job.inputs import load
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
-        say("looking at what the poses can see")
+        say("computing what the poses determine")
     tell_check(telling, inputs, every=every)
 
 

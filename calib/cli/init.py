@@ -32,7 +32,7 @@ def init(
     output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
         "calibration.toml"
     ),
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse where two readings fit alike.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse what can be read in two ways.")] = False,
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
     ] = False,
