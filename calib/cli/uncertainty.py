@@ -18,11 +18,13 @@ def uncertainty(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="How many random poses.")
+    ] = 2000,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool to tell the uncertainty of.")] = "tool",
     setup: SetupName = None,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
+        bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
