@@ -9,7 +9,7 @@ from calib.measurement.arrays import distances, poses, positions, sockets
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, read_stream
 from calib.measurement.streams.rest import at_rest
 from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
@@ -35,6 +35,7 @@ __all__ = [
     "poses",
     "positions",
     "read_measurements",
+    "read_stream",
     "sockets",
     "touched",
 ]

@@ -16,7 +16,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx; or a recording of ROS.",
+            help="One file, or joints and points apart: text, records, .xlsx, .npz; or a recording of ROS.",
             show_default=False,
             readable=False,
         ),
@@ -25,14 +25,15 @@ def import_(
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)
     ] = None,
     by: Annotated[
-        str | None, typer.Option("--by", help="Title of the column that names rows, or: order.", show_default=False)
+        str | None,
+        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR: write its own URDF.",
+            help="FILE is the maker's calibration of this UR arm: write the URDF of this arm.",
             show_default=False,
         ),
     ] = None,

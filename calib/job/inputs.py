@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from calib.measurement.checks import Finding, table_findings
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, stream_of
 from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
@@ -262,7 +262,8 @@ def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) ->
         for name in given:
             if name not in there:
                 raise JobError(
-                    f"{path}: {what}: {name!r} is in no measurement; they have {', '.join(map(repr, there))}."
+                    f"{path}: {what}: {name!r} is in no measurement; the measurements have "
+                    f"{', '.join(map(repr, there))}."
                 )
     for tool in tools:
         if job.tools and tool not in job.tools:
@@ -293,8 +294,8 @@ def _found_from_held_out(
             yield Finding(
                 "warning",
                 "found-from-held-out",
-                f"{data.where}: the {what} {name!r} is in no table to identify from, and is found from the rows that "
-                "judge; where these are few, that flatters them.",
+                f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
+                "held-out rows; where they are few, their errors look too small.",
             )
 
 
@@ -304,7 +305,7 @@ def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> 
     listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
         if name not in found:
-            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements; they have {listed}.")
+            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {listed}.")
         if not target.says_where:
             continue
         said = "point" if target.normal is None else "plane"
@@ -494,25 +495,25 @@ def _measurements(
         return data.named(tool=section.tool, setup=section.setup)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
-        data = read_measurements(
-            folder / section.file,
-            seen_from,
-            section.observes,
-            sigma=(_si(section.sigma), _si(section.sigma_angle)),
-            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-            offset=section.length_offset,
-            in_order=section.in_order,
-            columns=_columns(section),
-            readings=None if section.readings is None else folder / section.readings,
-            clock=clock or "free",
-        )
+        how: dict[str, Any] = {
+            "sigma": (_si(section.sigma), _si(section.sigma_angle)),
+            "instrument": None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+            "offset": section.length_offset,
+            "in_order": section.in_order,
+            "columns": _columns(section),
+        }
+        if section.readings is None or clock is None:
+            data = read_measurements(folder / section.file, seen_from, section.observes, **how)
+        else:
+            joints = folder / section.readings
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
-            raise MeasurementError(f"{data.where}: there is no target {name!r} to call otherwise; there are {known}.")
+            raise MeasurementError(f"{data.where}: there is no target {name!r} to rename; there are {known}.")
     names = tuple(section.targets.get(name, name) for name in data.targets)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")

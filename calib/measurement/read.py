@@ -24,10 +24,13 @@ from calib.measurement.table import (
 )
 from calib.robot.robot import Robot
 
+# A CSV file, a mapping of arrays, or a DataFrame.
+Source = str | Path | Mapping[str, Any] | DataFrameLike
+
 
 @checked
 def read_measurements(
-    source: str | Path | Mapping[str, Any] | DataFrameLike,
+    source: Source,
     robot: Robot,
     observes: Kind = "position",
     *,
@@ -36,8 +39,6 @@ def read_measurements(
     offset: str | None = None,
     in_order: bool = False,
     columns: Mapping[str, str] | Columns | None = None,
-    readings: str | Path | Mapping[str, Any] | DataFrameLike | None = None,
-    clock: ClockFreedom | Clock = "free",
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
@@ -49,16 +50,63 @@ def read_measurements(
     :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean. Of a robot with several tips,
     the rows are about the one that it looks at, ``robot.with_tip("left_hand")``, and need the joints that move it.
 
-    ``readings``: of a stream, where the joints are, another file with a column ``time``; ``source`` has one as well, by
-    the instrument's clock, and no joints. ``clock``: whether that clock is "free", its offset and skew being found with
-    the machine, or "given", the same as the controller's; as :class:`calib.measuring.Clock` it says more:
+    Raises MeasurementError, or JobError for an option, with one sentence.
+    """
+    return measurements_from_table(
+        _table(source, AS_WRITTEN if columns is None else columns),
+        robot.readings,
+        observes,
+        sigma=sigma,
+        instrument=instrument,
+        offset=offset,
+        in_order=in_order,
+        joints=Joints.of(robot),
+    )
 
-        moving = calib.read_measurements("tracker.csv", robot, readings="joints.csv", clock="free")
+
+@checked
+def read_stream(
+    source: Source,
+    robot: Robot,
+    readings: Source,
+    observes: Kind = "position",
+    *,
+    clock: ClockFreedom | Clock = "free",
+    sigma: Sigma = None,
+    instrument: LaserTracker | Camera | None = None,
+    columns: Mapping[str, str] | Columns | None = None,
+) -> Measurements:
+    """Return what was measured of ``robot`` while it moved, and where the joints were then.
+
+        moving = calib.measuring.read_stream("tracker.csv", robot, "joints.csv", clock="free")
+
+    ``source`` has a column ``time`` by the instrument's clock, and no joints; ``readings`` has ``time`` by the
+    controller's, and the joints. ``clock``: whether the instrument's is "free", so that offset and skew are found with
+    the machine, or "given", the same as the controller's; :class:`calib.measuring.Clock` says more. All else as of
+    :func:`read_measurements`. Rows for which no joint is known are left out.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
+    return stream_of(
+        source, readings, robot, observes, sigma=sigma, instrument=instrument, columns=columns, clock=clock
+    )
+
+
+def stream_of(
+    source: Source,
+    readings: Source,
+    robot: Robot,
+    observes: Kind,
+    *,
+    clock: ClockFreedom | Clock,
+    sigma: Sigma = None,
+    instrument: LaserTracker | Camera | None = None,
+    offset: str | None = None,
+    in_order: bool = False,
+    columns: Mapping[str, str] | Columns | None = None,
+) -> Measurements:
+    """Return what :func:`read_stream` does; ``offset`` and ``in_order`` as of :func:`read_measurements`."""
     table, joints = _table(source, AS_WRITTEN if columns is None else columns), Joints.of(robot)
-    of_stream = readings is not None
     found = measurements_from_table(
         table,
         robot.readings,
@@ -66,18 +114,15 @@ def read_measurements(
         sigma=sigma,
         instrument=instrument,
         offset=offset,
-        in_order=in_order and not of_stream,
-        joints=_elsewhere(table, robot, joints) if of_stream else joints,
+        joints=_elsewhere(table, robot, joints),
     )
-    if readings is None:
-        return found
     known = clock if isinstance(clock, Clock) else Clock(clock)
     times_of(table)
     own = joint_stream(_table(readings, AS_WRITTEN), robot.readings, known.gap, joints)
     return streamed(found, own, known, robot, ordered=in_order)
 
 
-def _table(source: str | Path | Mapping[str, Any] | DataFrameLike, columns: Mapping[str, str] | Columns) -> Table:
+def _table(source: Source, columns: Mapping[str, str] | Columns) -> Table:
     if isinstance(source, str | Path):
         return read_table(source, columns)
     if isinstance(source, Mapping):

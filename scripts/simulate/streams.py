@@ -1,6 +1,6 @@
 """What a controller and a tracker write down while an arm moves: two clocks, jitter, lost samples, correlated noise.
 
-Whoever has the kinematics of an arm passes them in; nothing of calib is used.
+Nothing of calib's mathematics is used.
 
     python scripts/simulate/streams.py [output folder] [--seed 1] [--seconds 80]
 
@@ -14,8 +14,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
 import numpy as np
 from numpy.typing import NDArray
+
+from scripts.development.judge_machines import arm
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -147,9 +151,6 @@ def write_table(path: Path, titles: Sequence[str], *columns: Array) -> None:
 
 def write_case(folder: Path, seed: int, seconds: float) -> None:
     """Write the job of a badly made UR10."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-    from scripts.development.judge_machines import arm  # noqa: PLC0415 - it is needed here alone
-
     rng = np.random.default_rng(seed)
     found = arm(*UR10)
     deviations = rng.normal(scale=np.repeat((0.5e-3, 1e-3), 3), size=(1, len(found.joints), 6))

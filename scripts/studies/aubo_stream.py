@@ -73,7 +73,7 @@ class Recording(NamedTuple):
         """The rows of both streams by a clock that is found."""
         joints = {"time [s]": self.joint_times} | {f"{n} [rad]": self.readings[:, k] for k, n in enumerate(JOINTS)}
         seen = {"time [s]": self.times} | {f"{axis} [m]": self.points[:, k] for k, axis in enumerate("xyz")}
-        return calib.read_measurements(seen, robot, readings=joints, clock="free")
+        return calib.measuring.read_stream(seen, robot, joints, clock="free")
 
 
 def read(folder: Path, joints: str, tracker: str, unit: float) -> Recording:

@@ -91,7 +91,7 @@ def fitted(
     model: calib.ErrorModel, robot: calib.Robot, made: Recorded, times: Array, joints: Mapping[str, Array], clock: str
 ) -> tuple[calib.Fit, calib.Measurements]:
     seen = {"time [s]": times} | {f"{axis} [m]": made.points[:, k] for k, axis in enumerate("xyz")}
-    data = calib.read_measurements(seen, robot, readings=joints, clock=clock, sigma=SIGMA)
+    data = calib.measuring.read_stream(seen, robot, joints, clock=clock, sigma=SIGMA)
     return calib.identify(model, data), data
 
 

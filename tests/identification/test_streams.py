@@ -48,8 +48,8 @@ def test_the_columns_of_a_clock_are_minus_the_velocity(observes: str, terms: dic
     seen = dict(made.seen)
     if observes == "pose":
         seen |= {"qw": np.ones(len(seen["time [s]"]))} | {f"q{c}": np.zeros(len(seen["time [s]"])) for c in "xyz"}
-    data = calib.read_measurements(
-        seen, made.robot, observes, readings=made.joints, sigma=(1e-4, 1e-4 if observes == "pose" else None)
+    data = calib.measuring.read_stream(
+        seen, made.robot, made.joints, observes, sigma=(1e-4, 1e-4 if observes == "pose" else None)
     )
     model = calib.error_model(made.robot, offsets="all", placements="all", terms=terms, tool="pose")
     problem = initial_problem(model, (data.subset(np.arange(0, len(data), 100)),))
@@ -69,7 +69,7 @@ def test_the_velocity_follows_closed_loops_and_links_that_carry_targets() -> Non
     x = robot.tips(q)[:, :3, 3]
     seen = {"time [s]": t} | {f"{a} [m]": x[:, j] for j, a in enumerate("xyz")}
     clock = Clock("given", latency=True)
-    data = calib.read_measurements(seen, robot, readings=joints, clock=clock, sigma=1e-4)
+    data = calib.measuring.read_stream(seen, robot, joints, clock=clock, sigma=1e-4)
     model = calib.error_model(robot, offsets="all", placements="all")
     problem = initial_problem(model, (data.subset(np.arange(0, len(data), 10)),))
     at = values_at(model.robot, problem.parameters, problem.reference)
@@ -116,7 +116,7 @@ def test_the_world_may_move_clocks_may_be_set_and_units_changed() -> None:
     points = np.column_stack([made.seen[f"{axis} [m]"] for axis in "xyz"]) @ T[:3, :3].T + T[:3, 3]
     seen = {"time [ms]": 1e3 * (made.seen["time [s]"] + 500.0)}
     seen |= {f"{axis} [mm]": 1e3 * points[:, k] for k, axis in enumerate("xyz")}
-    other = calib.identify(model, calib.read_measurements(seen, made.robot, readings=made.joints, sigma=1e-4))
+    other = calib.identify(model, calib.measuring.read_stream(seen, made.robot, made.joints, sigma=1e-4))
     assert other.value("clock.offset") == pytest.approx(fit.value("clock.offset") + 500.0, abs=1e-7)
     assert other.value("clock.skew") == pytest.approx(fit.value("clock.skew"), abs=1e-8)
     q = made.motion.at(np.linspace(3.0, 27.0, 20))
@@ -133,7 +133,7 @@ def test_a_constant_velocity_does_not_show_a_latency() -> None:
     x = machine.see(q)[:, :3, 3] + 1e-5 * np.random.default_rng(2).normal(size=(len(t), 3))
     joints = {"time [s]": t} | {f"{name} [rad]": q[:, k] for k, name in enumerate(arm.ranges)}
     seen = {"time [s]": t} | {f"{axis} [m]": x[:, k] for k, axis in enumerate("xyz")}
-    data = calib.read_measurements(seen, robot, readings=joints, clock=Clock("given", latency=True), sigma=1e-5)
+    data = calib.measuring.read_stream(seen, robot, joints, clock=Clock("given", latency=True), sigma=1e-5)
     fit = calib.identify(calib.error_model(robot), data)
     names = [parameter.name for parameter in fit.parameters]
     assert fit.unidentifiable[names.index("clock.latency")]
@@ -170,7 +170,7 @@ def test_rows_that_err_alone_keep_their_sigmas() -> None:
 @pytest.mark.parametrize("late", [0.01, -0.01])
 def test_a_clock_that_was_given_wrongly_is_told_in_milliseconds(late: float) -> None:
     made = streams.streams(13, seconds=30.0, offset=late, skew=0.0, memories=(0.05, 0.5))
-    data = calib.read_measurements(made.seen, made.robot, readings=made.joints, clock="given", sigma=1e-4)
+    data = calib.measuring.read_stream(made.seen, made.robot, made.joints, clock="given", sigma=1e-4)
     model = calib.error_model(made.robot, offsets="all", placements="all")
     found, step = delay(*_effects(calib.identify(model, data)))
     assert found.value == pytest.approx(late, abs=max(4.0 * found.sigma, 1e-3))
@@ -178,8 +178,8 @@ def test_a_clock_that_was_given_wrongly_is_told_in_milliseconds(late: float) -> 
     assert not check.passed
     assert " ms later than" in check.sentence if late > 0 else " ms earlier than" in check.sentence
     # A clock that is free takes it all.
-    free = calib.read_measurements(
-        made.seen, made.robot, readings=made.joints, clock=Clock("given", latency=True), sigma=1e-4
+    free = calib.measuring.read_stream(
+        made.seen, made.robot, made.joints, clock=Clock("given", latency=True), sigma=1e-4
     )
     assert checks.late(*delay(*_effects(calib.identify(model, free)))).passed
 

@@ -33,9 +33,9 @@ def test_readings_between_samples_follow_a_cubic_and_rates_are_their_derivative(
 def test_longer_gaps_are_not_bridged_and_shorter_ones_are(made: Streams) -> None:
     t = made.joints["time [s]"]
     without = {name: x[(t < 15.0) | (t > 15.5)] for name, x in made.joints.items()}
-    bridged = calib.read_measurements(made.seen, made.robot, readings=without, clock=Clock(gap=0.6))
+    bridged = calib.measuring.read_stream(made.seen, made.robot, without, clock=Clock(gap=0.6))
     whole = streams.read(made)
-    apart = calib.read_measurements(made.seen, made.robot, readings=without)
+    apart = calib.measuring.read_stream(made.seen, made.robot, without)
     assert len(bridged) == len(whole)
     assert 25 <= len(whole) - len(apart) <= 35
     assert apart.stream is not None
@@ -65,7 +65,7 @@ def test_an_hour_with_a_skew_needs_no_guess() -> None:
 
 def test_an_arm_that_goes_and_stops_in_turn_is_told_by_positions() -> None:
     seen, joints, robot, poses = stops(12)
-    data = calib.read_measurements(seen, robot, readings=joints)
+    data = calib.measuring.read_stream(seen, robot, joints)
     assert data.scalars[0].start == pytest.approx(5.0, abs=5e-3)
     rests = at_rest(data, least=0.5)
     assert len(rests) == 13
@@ -92,7 +92,7 @@ def stops(moves: int) -> tuple[dict[str, Any], dict[str, Any], calib.Robot, np.n
 
 def refused(made: Streams, seen: dict[str, Any], joints: dict[str, Any], clock: str | Clock = "free") -> str:
     with pytest.raises(CalibError) as caught:
-        calib.read_measurements(seen, made.robot, readings=joints, clock=clock)  # type: ignore[arg-type]
+        calib.measuring.read_stream(seen, made.robot, joints, clock=clock)  # type: ignore[arg-type]
     return str(caught.value)
 
 
@@ -141,7 +141,7 @@ def test_a_motion_that_repeats_itself_is_refused() -> None:
     joints = {"time [s]": u} | {f"{n} [rad]": q[:, j] for j, n in enumerate(arm.ranges)}
     seen = {"time [s]": u[1000:5000:2]} | {f"{axis} [m]": x[:, j] for j, axis in enumerate("xyz")}
     with pytest.raises(CalibError, match=r"at two lags alike.*a motion that does not repeat itself"):
-        calib.read_measurements(seen, robot, readings=joints)
+        calib.measuring.read_stream(seen, robot, joints)
 
 
 def test_options_of_clocks_are_checked() -> None:
@@ -155,8 +155,8 @@ def test_options_of_clocks_are_checked() -> None:
 
 def test_a_latency_is_found_where_the_clock_is_given() -> None:
     made = streams.streams(12, seconds=30.0, offset=0.012, skew=0.0)
-    data = calib.read_measurements(
-        made.seen, made.robot, readings=made.joints, clock=Clock("given", latency=True), sigma=1e-4
+    data = calib.measuring.read_stream(
+        made.seen, made.robot, made.joints, clock=Clock("given", latency=True), sigma=1e-4
     )
     fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), data)
     assert [p.name for p in fit.parameters][-1] == "clock.latency"

@@ -43,4 +43,4 @@ def streams(seed: int, *, arm: tuple[str, str] = UR10, swing: float = 0.35, move
 
 def read(made: Streams, **options: Any) -> calib.Measurements:
     """The streams as calib reads them."""
-    return calib.read_measurements(made.seen, made.robot, readings=made.joints, **options)
+    return calib.measuring.read_stream(made.seen, made.robot, made.joints, **options)

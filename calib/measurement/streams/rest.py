@@ -8,8 +8,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.chance import correlation_time
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.series import correlation_time
 from calib.measurement.measurements import Measurements
 
 # A joint is still while its reading stays within so many rad or m: above the jitter of encoders.
@@ -26,7 +26,7 @@ _LEAST_SHARE = 0.3
 def at_rest(data: Measurements, least: float = 0.5, still: float = STILL) -> Measurements:
     """Return one row for every time when all joints stood still: readings and points are means over it.
 
-        stops = calib.measuring.at_rest(calib.read_measurements("tracker.csv", robot, readings="joints.csv"))
+        stops = calib.measuring.at_rest(calib.measuring.read_stream("tracker.csv", robot, "joints.csv"))
 
     ``data``: positions or poses with a column ``time``. ``least``: how long a rest is at least, in s, the first and
     last 0.2 s left out; ``still``: within which readings stay, in rad or m. ``sigma`` of the means is what the rows of
