@@ -10,7 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.choices import Observed
+from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.units import DEG
 from calib.identification.error_model import ErrorModel
@@ -203,6 +203,8 @@ def random_candidates(
     """
     if count < 1:
         raise JobError(f"{count} random poses are asked for; it takes one at least.")
+    if count > MOST_POSES:
+        raise JobError(f"{count} random poses are asked for; allowed are {MOST_POSES}.")
     limits = joint_limits(robot)
     rng = np.random.default_rng(seed)
     parts: list[Array] = []

@@ -15,6 +15,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
+from calib.foundations.ranges import refuse_beyond
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import indices
 from calib.identification.parameters import scales
@@ -94,13 +95,17 @@ def plan(
     measured, and where the tool shall be right; by default positions by a tracker. ``measured`` (M, nr): poses measured
     already, which the new ones complete. ``target`` in m: how many poses keep the forecast within it is searched for.
 
-    Raises JobError when there are fewer candidates than ``count``, or they see nothing.
+    Raises JobError when there are fewer candidates than ``count``, or they see nothing; RobotError for candidates that
+    are no readings.
     """
     how = setup or Setup()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
     if count < 1:
         raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
+    if target is not None:
+        refuse_beyond(target, "sigma", "target")
+    model.urdf_robot.own(candidates)
     working, seed = how.working, 0
     if count > len(candidates):
         raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")

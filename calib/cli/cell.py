@@ -63,9 +63,10 @@ def cell(
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    write_new(out, found.cell.document)
+    # The cell last: where the scene cannot be written, neither is the cell.
     if scene is not None and page is not None:
         write_new(scene, page)
+    write_new(out, found.cell.document)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(

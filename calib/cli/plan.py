@@ -100,7 +100,7 @@ def plan(
             setup=setup,
             criterion=criterion,
             measured=None if measured is None else given.table_readings(measured, robot),
-            target=None if target is None else given.parsed_length(target, "target"),
+            target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
     rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())

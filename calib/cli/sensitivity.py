@@ -1,5 +1,7 @@
 """``calib sensitivity``: how far every parameter moves the tip."""
 
+import logging
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -71,6 +73,9 @@ def sensitivity(
             except JobError as e:
                 raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
+        # matplotlib refuses to load for a window that it does not know, though none is opened, and tells of its cache.
+        os.environ.pop("MPLBACKEND", None)
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         write_new(plot, figure_bytes(sensitivity_figure(found), plot))
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},

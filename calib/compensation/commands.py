@@ -158,7 +158,7 @@ def for_poses(
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
-    elif len(poses) and not _are_placements(poses):
+    elif len(poses) and not rigid.are_placements(poses).all():
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses
@@ -224,10 +224,6 @@ def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array
         if name not in model.tools:
             raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(map(repr, model.tools))}.")
     return np.array([model.tools[name] for name in names]).reshape(-1, 4, 4)
-
-
-def _are_placements(poses: Array) -> bool:
-    return bool(rigid.are_rotations(poses[:, :3, :3]).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def _out_of_reach(model: CalibratedMachine, poses: Array, tools: Array) -> tuple[str, ...]:

@@ -127,7 +127,8 @@ class CalibratedMachine:
         rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
         """
         number = list(self.tools).index(self.tool_named(tool))
-        return tool_jacobian(self.of(tool).robot, self.state, readings, conditions, number)
+        own = self.of(tool).robot
+        return tool_jacobian(own, self.state, own.own(readings), conditions, number)
 
     @checked
     def residuals(self, data: Measurements) -> Array:
