@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import stdtrit
 
 from calib.assessment.effects import Effect, Step, Stretch, memory
+from calib.assessment.gain import ONE_POSE, gain
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
@@ -25,8 +25,6 @@ from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 
 NOTHING = float("nan")
-# Readings (rad or m) within this of each other are of one pose, as in calib.assessment.validation.
-ONE_POSE = 1e-3
 # Degrees of freedom with which a scatter is told from a sigma.
 ENOUGH = 10.0
 # A sigma is said to be too large from this factor.
@@ -180,13 +178,12 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         return _check("improvement", NOTHING, NOTHING, True, "No parameter of the robot was free.", least=True)
     best, limit, worse = -np.inf, NOTHING, ""
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
-        x = gained(judged, name)
-        if len(x) < 2:
+        found = gain(judged, name)
+        if not found.freedom:
             continue
-        t = float(np.mean(x)) / max(float(np.std(x, ddof=1)) / np.sqrt(len(x)), 1e-15)
-        if t > best:
-            best, limit = t, float(stdtrit(len(x) - 1, SURELY))
-        if t < WORSE or (name in ("position", "pixels") and _worse(judged, name)):
+        if found.t > best:
+            best, limit = found.t, found.needed(SURELY)
+        if found.t < WORSE or (name in ("position", "pixels") and found.after >= found.before):
             worse = name
     if not np.isfinite(best):
         return _check(
@@ -207,38 +204,6 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
     more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance."
     return _check("improvement", best, limit, passed, said + more, least=True)
-
-
-def _worse(judged: Sequence[JudgedSet], name: str) -> bool:
-    """Return whether the rms error of a quantity is no smaller than before."""
-    before, after = (
-        np.concatenate([error_norms(one.data.kind, r).get(name, np.zeros(0)) for one, r in pairs])
-        for pairs in ([(one, one.before) for one in judged], [(one, one.after) for one in judged])
-    )
-    return bool(np.sum(after**2) >= np.sum(before**2))
-
-
-def gained(judged: Sequence[JudgedSet], name: str) -> Array:
-    """Return how much smaller the error has become, as a logarithm, in stretches of rows that go together.
-
-    Ratios: where errors were large before, they have most to lose, and their mean would say less surely that they did.
-    """
-    found = []
-    for one in judged:
-        before, after = (error_norms(one.data.kind, r).get(name) for r in (one.before, one.after))
-        if before is None or after is None or not len(before):
-            continue
-        cells, cell = np.unique(np.round(_readings(one.data) / ONE_POSE), axis=0, return_inverse=True)
-        order = np.argsort(cell.reshape(-1), kind="stable")
-        # Poses in order of their first rows.
-        _, first = np.unique(cell.reshape(-1)[order], return_index=True)
-        rank = np.argsort(order[first])
-        squares = [np.bincount(cell.reshape(-1), weights=r**2)[rank] for r in (before, after)]
-        x = 0.5 * np.log(np.maximum(squares[0], 1e-24) / np.maximum(squares[1], 1e-24))
-        length = min(1 + int(2.0 * memory([(x - x.mean())[:, None]])), max(len(cells) // 4, 1))
-        starts = np.arange(0, len(x) - length + 1, length)
-        found.append(np.add.reduceat(x[: starts[-1] + length], starts) / length)
-    return np.concatenate(found)
 
 
 def _readings(data: Measurements) -> Array:

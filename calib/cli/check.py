@@ -15,7 +15,8 @@ from calib.cli.proposing import (
     OrientationName,
     Tip,
     answers,
-    looked_into,
+    loaded,
+    looked_at,
     proposed,
     tell_check,
 )
@@ -72,16 +73,19 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("computing what the poses determine")
-    tell_check(telling, inputs, every=every)
+        looked = looked_at(inputs, every=every)
+    tell_check(telling, looked)
 
 
 def _check_files(urdf: str, tables: list[Path], given: dict[str, object], telling: Telling, *, every: bool) -> None:
     with loading():
         from calib.job.calibrate import STEPS_OF_LOADING
     found = proposed(urdf, tables, given, ask=False)
-    with telling.progress(STEPS_OF_LOADING) as say:
-        inputs = looked_into(found, Path("calibration.toml"), say)
-    tell_check(telling, inputs, found.reasons, {"toml": found.job(Path.cwd())}, every=every)
+    with telling.progress(STEPS_OF_LOADING + 1) as say:
+        inputs = loaded(found, Path("calibration.toml"), say)
+        say("computing what the poses determine")
+        looked = looked_at(inputs, every=every)
+    tell_check(telling, looked, found.reasons, {"toml": found.job(Path.cwd())})
 
 
 def _tell_one(robots: list[str], tables: list[str], telling: Telling) -> None:

@@ -16,7 +16,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx.",
+            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx, .npz.",
             show_default=False,
             readable=False,
         ),

@@ -22,8 +22,8 @@ from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
-from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
+from calib.robot.links import arm_of
 from calib.robot.robot import Deviations
 
 ADDRESS = "127.0.0.1"

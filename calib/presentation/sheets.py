@@ -130,17 +130,17 @@ _CAUSES = {
 }
 
 
-def budget_sheet(shares: Mapping[str, Sequence[float]], poses: int) -> Sheet:
+def budget_sheet(budget: Mapping[str, Sequence[float]], poses: int) -> Sheet:
     """Return what every cause adds to the tool's standard deviations, rms in m and rad over so many configurations."""
     (length, mm), (turn, degrees) = SHOWN["m"], SHOWN["rad"]
-    total = [math.hypot(*(float(share[k]) for share in shares.values())) for k in range(2)]
-    rows = [(_CAUSES[cause], share) for cause, share in shares.items()]
+    total = [math.hypot(*(float(rms[k]) for rms in budget.values())) for k in range(2)]
+    rows = [(_CAUSES[cause], rms) for cause, rms in budget.items()]
     return Sheet(
         "Budget of the tool, in the instrument's frame",
         ("cause", f"position [{mm}]", f"orientation [{degrees}]"),
         frozenset((f"position [{mm}]", f"orientation [{degrees}]")),
         (
-            *(Row((name, f"{share[0] * length:.4f}", f"{share[1] * turn:.4f}")) for name, share in rows),
+            *(Row((name, f"{rms[0] * length:.4f}", f"{rms[1] * turn:.4f}")) for name, rms in rows),
             Row(("all", f"{total[0] * length:.4f}", f"{total[1] * turn:.4f}"), strong=True),
         ),
         f"one standard deviation, all coordinates together, rms over {poses} configurations; squares add up",

@@ -24,9 +24,9 @@ import pytest
 from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.machine.model_file import load_machine
-from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
 from calib.results.folder import write_results
+from calib.robot.links import arm_of
 from scripts.development.browser import CHROMIUM, browser
 from tests.support.cases import CASE, JOB, run
 

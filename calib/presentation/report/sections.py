@@ -18,6 +18,7 @@ from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty import rms_by_cause
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.presentation.report.charts import (
@@ -287,20 +288,21 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
 
 
 def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None:
-    """Return how sure the first tool's pose is, and what its doubts come from; None where the machine does not say."""
+    """Return how sure the first tool's pose is, and what its errors come from; None where the machine does not say."""
     if machine.uncertainty is None:
         return None
     readings = np.concatenate([judged.data.readings for judged in sets])
     readings = readings[np.unique(np.linspace(0, len(readings) - 1, _MOST_CONFIGURATIONS).astype(np.intp))]
     tool = next(iter(machine.tools))
     found = tool_uncertainty(machine, readings, tool)
-    shares = {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in found.budget.items()}
     said = (
         f"Of {tool!r}, at configurations that were measured. Parameters that the data do not determine have the "
         "standard deviation of their prior, or of their weak prior. What the model leaves out is estimated from what "
         "the residuals have in common."
     )
-    return Section("budget", "How sure the tool is", (budget_sheet(shares, len(readings)), Prose((said,))))
+    return Section(
+        "budget", "How sure the tool is", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
+    )
 
 
 def parameters(fit: Fit) -> Section:
