@@ -301,7 +301,7 @@ def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None
         "the residuals have in common."
     )
     return Section(
-        "budget", "How sure the tool is", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
+        "budget", "Uncertainty of the tool", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
     )
 
 
