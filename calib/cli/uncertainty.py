@@ -29,7 +29,7 @@ def uncertainty(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show the uncertainty of a calibrated machine's tool, and its causes.
+    """Show the uncertainty of the tool, and its causes.
 
     Over the identified range of readings, or with --whole over the joints' limits; in the instrument's frame.
     """
