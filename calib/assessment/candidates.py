@@ -41,8 +41,8 @@ class Setup:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
     ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
-    model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool shall be
-    right; when None, the candidates.
+    model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool must be
+    accurate; when None, the candidates.
     """
 
     __repr__ = brief

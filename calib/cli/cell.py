@@ -44,8 +44,8 @@ def cell(
 ) -> None:
     """Put an arm and the positioner it touched into one URDF.
 
-    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
-    use. It may as well be another arm, a turntable or a track.
+    The positioner is fixed to the arm's base link, at its calibrated pose. Names that both use are changed in the
+    positioner. It may also be another arm, a turntable or a track.
     """
     with loading():
         from calib.compensation.cell import calibrated_cell

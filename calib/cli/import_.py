@@ -38,9 +38,9 @@ def import_(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make one table of files of others.
+    """Make one table from files of other programs.
 
-    Joints and points are joined by the names of their rows, or in order. What columns mean, calib init says then.
+    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean.
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():

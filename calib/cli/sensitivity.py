@@ -35,8 +35,8 @@ def sensitivity(
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
 
-    At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
-    the tip error when one kind of errors, identified or assumed, is ten times as large, and a tenth.
+    At the poses of the job's measurements, for 1 mm or 1 mrad of each parameter. With --errors also how the tip error
+    changes if one kind of errors, identified or assumed, is ten times as large, or a tenth.
     """
     with loading():
         import numpy as np

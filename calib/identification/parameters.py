@@ -45,14 +45,15 @@ TOOL = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Standard deviations that deviations are expected to have, about zero; None where nobody knows.
+    """Priors: the standard deviations, about zero, that parameters are expected to have; None for no prior.
 
     ``length`` (m) and ``angle`` (rad): of every offset and placement. Of the coefficients of joint terms: ``harmonics``
     in rad; ``elastic``, compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those
     that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
-    rotations, all joint offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
+    rotations, all joint offsets, the harmonics of one reading, all compliances - then share one standard deviation, the
+    most likely one.
 
-    Raises JobError for a width out of range.
+    Raises JobError for one that is out of range.
     """
 
     length: Prior | None = None

@@ -43,7 +43,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several."""
+    """A joint whose position is a sum of multiples of other joints' positions, plus ``offset`` (rad or m)."""
 
     joint: str
     drivers: Mapping[str, float]
@@ -158,7 +158,7 @@ class Robot:
 
     @checked
     def with_tip(self, link: str) -> "Robot":
-        """Return the same robot, looked at another one of its ``links``. Raises RobotError for any other link.
+        """Return the same robot with another one of its ``links`` as the tip. Raises RobotError for any other link.
 
         left = robot.with_tip("left_hand")
         """
