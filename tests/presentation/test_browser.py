@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,24 @@ def pixels(page: Page, file: Path) -> Any:
 
     page.screenshot(file)
     return np.asarray(Image.open(file).convert("RGB")).astype(int)
+
+
+# Both. ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["report", "scene"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_axe_finds_nothing_that_shuts_people_out(page: Page, out: Path, name: str, scheme: str, width: int) -> None:
+    axe = find_spec("axe_core_python")
+    if axe is None or axe.submodule_search_locations is None:
+        pytest.skip("axe-core-python is not installed")
+    page.size(width, 800)
+    page.media(prefers_color_scheme=scheme)
+    page.open((out / f"{name}.html").as_uri())
+    page.evaluate(Path(axe.submodule_search_locations[0], "axe.min.js").read_text(encoding="utf-8") + "; true")
+    found = "axe.run().then(({ violations: v }) => v.map(({ id, nodes }) => [id, nodes[0].html.slice(0, 100)]))"
+    assert page.evaluate(found) == []
 
 
 # The report. ------------------------------------------------------------------------------------------------------

@@ -10,6 +10,9 @@ const boxes = [...document.querySelectorAll("[data-layer]")];
 const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 // meshcat's own panel: boxes and numbers without names, for things that the legend has switches for.
 viewer.gui.domElement.remove();
+const canvas = pane.querySelector("canvas");
+canvas.setAttribute("role", "img");
+canvas.setAttribute("aria-label", document.title + ": the arm, measured points and errors in space");
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
 // The nominal arm: the shapes of the calibrated one, seen through. It joins the second picture: the first comes sooner.
@@ -244,7 +247,7 @@ function fit() {
 
 // Names of the frames beside their origins, the first place where they cover no other; a hidden frame hides its name.
 const labels = page.labels.map(([path, text]) => {
-  const element = document.body.appendChild(document.createElement("div"));
+  const element = byId("stage").appendChild(document.createElement("div"));
   element.className = "label";
   element.textContent = text;
   return { element, object: nodeAt(path).object, w: element.offsetWidth, h: element.offsetHeight };
