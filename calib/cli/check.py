@@ -25,7 +25,7 @@ from calib_start import loading
 _ROBOT = (".urdf", ".xacro")
 _TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc")
 
-Every = Annotated[bool, typer.Option("--all", help="List all that the data do not determine, one by one.")]
+Every = Annotated[bool, typer.Option("--all", help="List every direction of the null space.")]
 
 
 @command("check", PATH, "calib check calibration.toml")
@@ -72,7 +72,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
         from calib.job.inputs import load
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
-        say("looking at what the poses can see")
+        say("computing what the poses determine")
         looked = looked_at(inputs, every=every)
     tell_check(telling, looked)
 
@@ -83,7 +83,7 @@ def _check_files(urdf: str, tables: list[Path], given: dict[str, object], tellin
     found = proposed(urdf, tables, given, ask=False)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = loaded(found, Path("calibration.toml"), say)
-        say("looking at what the poses can see")
+        say("computing what the poses determine")
         looked = looked_at(inputs, every=every)
     tell_check(telling, looked, found.reasons, {"toml": found.job(Path.cwd())})
 

@@ -23,14 +23,15 @@ def import_(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)],
     by: Annotated[
-        str | None, typer.Option("--by", help="Title of the column that names rows, or: order.", show_default=False)
+        str | None,
+        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR: write its own URDF.",
+            help="FILE is the maker's calibration of this UR arm: write the URDF of this arm.",
             show_default=False,
         ),
     ] = None,

@@ -33,7 +33,7 @@ def init(
     output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
         "calibration.toml"
     ),
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse where two readings fit alike.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse what can be read in two ways.")] = False,
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
     ] = False,
@@ -63,7 +63,7 @@ def init(
     found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = loaded(found, output, say)
-        say("looking at what the poses can see")
+        say("computing what the poses determine")
         looked = looked_at(inputs)
     write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
