@@ -1,6 +1,6 @@
 """The scene of a calibration."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,12 +11,17 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
+from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty import squared_bound
 from calib.measurement.kinds import size
 from calib.presentation.scene import Mark, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
 from calib.robot.links import Arm, arm_of
 from calib.robot.robot import Deviations
+
+# Ellipsoids of all rows would hide one another, and take longer than the fit.
+_MOST_REGIONS = 60
 
 
 def scene_of(found: Calibration) -> Scene:
@@ -64,7 +69,36 @@ def scene_of(found: Calibration) -> Scene:
         judged=bool(with_points),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
+        groups={
+            "table": [judged.file for judged in sets for _ in range(len(judged.data))],
+            "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
+        },
+        regions=_regions(found, sets) if with_points else {},
     )
+
+
+def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
+    """Return the half axes (3, 3) of the region of the tool with 95 %, in the first set-up's axes, of some rows."""
+    if found.machine.uncertainty is None:
+        return {}
+    known = found.machine.uncertainty
+    radius = np.sqrt(squared_bound(0.95, 3, known.degrees_of_freedom))
+    total = sum(len(judged.data) for judged in sets)
+    chosen = np.unique(np.linspace(0, total - 1, _MOST_REGIONS).astype(int))
+    axes: dict[int, Array] = {}
+    start = 0
+    for judged in sets:
+        data, own = judged.data, chosen[(chosen >= start) & (chosen < start + len(judged.data))] - start
+        turned = _carried(found, judged)[:, :3, :3]
+        for setup, tool in sorted({(data.setups[data.setup[n]], data.tools[data.tool[n]]) for n in own}):
+            rows = np.array([n for n in own if (data.setups[data.setup[n]], data.tools[data.tool[n]]) == (setup, tool)])
+            told = data.conditions.subset(rows)
+            sure = tool_uncertainty(found.machine.at(setup), data.readings[rows], tool, conditions=told)
+            sizes, ways = np.linalg.eigh(sure.covariance[:, :3, :3])
+            half = turned[rows] @ ways * (radius * np.sqrt(np.maximum(sizes, 0.0)))[:, None, :]
+            axes |= {start + int(n): one for n, one in zip(rows, half, strict=True)}
+        start += len(data)
+    return dict(sorted(axes.items()))
 
 
 def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
