@@ -2,8 +2,8 @@
 
     python scripts/benchmarks/first_picture.py [--poses 1000] [--times 7]
 
-Prints the shortest times and their ratio, and how many pictures a second are drawn while the scene is turned; exits with
-1 where the ratio is above 3 or the page above 15 MB.
+Prints the shortest times and their ratio, and how many pictures a second are drawn while the scene is turned; exits
+with 1 where the ratio is above 3 or the page above 15 MB.
 """
 
 import argparse
