@@ -72,16 +72,21 @@ _PAGE = "scene.html.jinja"
 _SCRIPT = "scene.js"
 
 
+MarkKind = Literal["point", "ball", "socket", "plane", "axis"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
-    """Something beside the arm: a ball at a point, a plate in x and y, or a line along z of ``T`` (4, 4) in the world.
+    """Something beside the arm, at ``T`` (4, 4) in the world.
 
-    Marks of one ``layer`` are shown and hidden together. ``size`` in m: the ball's radius, or half the side or length.
+    A point is drawn as a ball, a ball is seen through, a socket is a cup that is open along z, a plane a plate in x and
+    y, an axis a line along z. Marks of one ``layer`` are shown and hidden together. ``size`` in m: the radius, or half
+    the side or length.
     """
 
     layer: str
     name: str
-    kind: Literal["point", "plane", "axis"]
+    kind: MarkKind
     T: Array
     size: float
 
@@ -385,7 +390,7 @@ def _regions(scene: Scene, rows: IntArray, R_base_world: Array) -> list[tuple[in
 
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
     for mark in marks:
-        opacity = 0.35 if mark.kind == "plane" else 1.0
+        opacity = 0.35 if mark.kind in ("plane", "ball") else 1.0
         path = ("marks", _node(mark.layer), _node(mark.name))
         yield _Drawing(path, [_shape(mark)], T_base_world @ mark.T, opacity=opacity)
 
@@ -393,6 +398,13 @@ def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
 def _shape(mark: Mark) -> Triangles:
     if mark.kind == "point":
         return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=2)
+    if mark.kind == "ball":
+        return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+    if mark.kind == "socket":
+        whole = balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+        lower = whole.faces[whole.vertices[whole.faces][:, :, 2].mean(axis=1) < 0.0]
+        # Both sides: it is looked into.
+        return Triangles(whole.vertices, np.concatenate([lower, lower[:, ::-1]]), MARK)
     if mark.kind == "axis":
         end = np.array([[0.0, 0.0, mark.size]])
         return sticks(-end, end, 0.02 * mark.size, MARK, sides=12)

@@ -1,7 +1,6 @@
 """The scene of a calibration."""
 
-from collections.abc import Iterator, Sequence
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import squared_bound
-from calib.measurement.kinds import size
-from calib.presentation.scene import Mark, Scene, magnification
+from calib.measurement.kinds import Kind, size
+from calib.measurement.measurements import Measurements
+from calib.presentation.scene import Mark, MarkKind, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
 from calib.robot.links import Arm, arm_of
@@ -101,15 +101,62 @@ def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
     return dict(sorted(axes.items()))
 
 
+# What targets of a kind of rows are: their layer, and how they are drawn.
+_DRAWN: Mapping[Kind, tuple[str, MarkKind]] = {
+    "socket": ("sockets", "socket"),
+    "sphere": ("balls", "ball"),
+    "plane": ("planes", "plane"),
+    "indicator": ("indicated planes", "plane"),
+    "distance": ("anchors", "point"),
+    "pixels": ("boards and cameras", "plane"),
+}
+
+
 def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
-    """Yield the sockets, anchors, balls, planes, boards and cameras where the calibration has found them."""
-    fit = found.fit
+    """Yield sockets, anchors, balls, planes, boards and cameras where the calibration has found them.
+
+    Planes are as large as they were touched, balls as far away from their centres as the tool's point was; sockets are
+    open to where the tip was.
+    """
+    fit, own = found.fit, found.fit.measurements[0]
     known = shapes(fit.measurements)
-    for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
-        shape = known.get(name)
-        if shape and name not in fit.measurements[0].target_links:
-            kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
-            yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
+    for t, (name, T) in enumerate(zip(own.targets, fit.machine.frames.targets, strict=True)):
+        if name not in known or name in own.target_links:
+            continue
+        sets = [data for data in fit.measurements if t in data.target and data.kind in _DRAWN]
+        layer, kind = _DRAWN[sets[0].kind]
+        if known[name] == "point" and kind == "plane":
+            layer, kind = "marks", "point"
+        touched = np.concatenate([_tool_points(found, data)[data.target == t] for data in sets])
+        placed, size = _as_touched(kind, T, touched[:, 0], touched[:, 1], extent)
+        yield Mark(layer, name, kind, placed, size)
+
+
+def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: float) -> tuple[Array, float]:
+    """Return the place (4, 4) and the size of a target that tools at ``points`` (N, 3), on ``tips``, have touched."""
+    off = (points - T[:3, 3]) @ T[:3, :3]
+    if kind == "ball":
+        return T, float(np.median(np.linalg.norm(off, axis=1)))
+    if kind == "plane" and np.abs(off[:, 2]).max() < 0.1 * max(float(np.ptp(off[:, :2])), 1e-6):
+        middle = np.append((off[:, :2].min(axis=0) + off[:, :2].max(axis=0)) / 2.0, 0.0)
+        half = float(np.abs(off[:, :2] - middle[:2]).max())
+        return rigid.placement(T[:3, :3], T[:3, 3] + T[:3, :3] @ middle), max(1.1 * half, 0.01 * extent)
+    if kind == "socket":
+        up = (tips - points).mean(axis=0)
+        size = float(np.linalg.norm(up))
+        if size > 0.0:
+            across = np.cross(np.eye(3)[np.argmin(np.abs(up))], up / size)
+            across /= np.linalg.norm(across)
+            R = np.column_stack([across, np.cross(up / size, across), up / size])
+            return rigid.placement(R, T[:3, 3]), 0.018 * extent
+    return T, (0.08 if kind == "plane" else 0.012) * extent
+
+
+def _tool_points(found: Calibration, data: Measurements) -> Array:
+    """Return the points (N, 2, 3) of tools and of the tips that carry them, in the instrument's frame of the set-up."""
+    fit = found.fit
+    tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
+    return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 
 def _points(found: Calibration, judged: JudgedSet) -> Array:
