@@ -4,8 +4,11 @@ const byId = name => document.getElementById(name);
 const legend = byId("legend"), pane = byId("pane"), THREE = MeshCat.THREE;
 // Nothing is drawn before everything is there.
 const viewer = new MeshCat.Viewer(pane, false);
-for (const command of page.commands)
-  viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
+for (const command of page.commands) {
+  const text = atob(command), bytes = new Uint8Array(text.length);  // a call for each would take ten times as long
+  for (let k = 0; k < bytes.length; k++) bytes[k] = text.charCodeAt(k);
+  viewer.handle_command_bytearray(bytes);
+}
 const boxes = [...document.querySelectorAll("[data-layer]")];
 const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 // meshcat's own panel: boxes and numbers without names, for things that the legend has switches for.
@@ -56,7 +59,7 @@ function copies(shape, matrices, tint) {
 
 // Of thousands of points each is one of the graphics card's own, and an error is a line. ``outline``: none is a square.
 function specks(points, tint, size, outline) {
-  const geometry = new THREE.BufferGeometry().setFromPoints(points), across = size / Math.tan(viewer.camera.fov * Math.PI / 360);
+  const geometry = new THREE.BufferGeometry().setFromPoints(points), across = size / Math.tan(VIEW * Math.PI / 360);
   geometry.setAttribute("color", new THREE.Float32BufferAttribute(points.flatMap((_, n) => tint(n).toArray()), 3));
   const look = new THREE.PointsMaterial({ size: across, vertexColors: true });
   if (outline) {
@@ -68,6 +71,7 @@ function specks(points, tint, size, outline) {
   }
   return new THREE.Points(geometry, look);
 }
+const VIEW = 35;  // degrees of the camera
 const ROUND = "M16 0a16 16 0 1 0 .01 0z", EDGED = "M16 0L32 16 16 32 0 16z";
 const many = measured.length > 2000;
 
@@ -79,7 +83,7 @@ function vectors(name, cloud, shape, outline, tint) {
     const lines = new THREE.BufferGeometry().setFromPoints(at.flatMap((p, n) => [p, ends[n]]));
     const colours = at.flatMap((_, n) => { const rgb = tint(n).toArray(); return [...rgb, ...rgb]; });
     lines.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
-    group.add(new THREE.LineSegments(lines, thread), specks(ends, tint, 2 * page.radius, outline));
+    group.add(new THREE.LineSegments(lines, thread), specks(ends, tint, 1.3 * page.radius, outline));
   } else {
     const one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
     const sticks = at.map((p, n) => {
@@ -152,7 +156,7 @@ function draw() {
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
   const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
-  put("measured", many ? specks(places, ofDots, 2 * r, ROUND)
+  put("measured", many ? specks(places, ofDots, 1.3 * r, ROUND)
     : copies(dot, places.map(p => new THREE.Matrix4().makeTranslation(p.x, p.y, p.z)), ofDots));
   vectors("before", before, ball, null, tint(before));
   vectors("after", after, diamond, EDGED, tint(after));
@@ -306,7 +310,7 @@ function fit() {
   const wide = cover.width < 0.5 * w;
   const free = wide ? [cover.right, 0, w, h] : [0, 24, w, cover.top];
   const [fw, fh] = [free[2] - free[0], free[3] - free[1]];
-  camera.fov = 35;
+  camera.fov = VIEW;
   const t = Math.tan(camera.fov * Math.PI / 360), tx = t * fw / h, ty = t * fh / h;
   const right = up.clone().cross(back).normalize(), above = back.clone().cross(right);
   const target = new THREE.Vector3();
@@ -375,9 +379,10 @@ const told = byId("told");
 let pressed = [0, 0];
 function pointed(event) {
   let best = -1, least = 14;
-  const p = new THREE.Vector3(), T = viewer.scene.matrixWorld;
-  measured.forEach((point, n) => {
-    p.set(...point).applyMatrix4(T).project(camera);
+  const p = new THREE.Vector3(), T = camera.projectionMatrix.clone();
+  T.multiply(camera.matrixWorldInverse).multiply(viewer.scene.matrixWorld);
+  measured.forEach(([px, py, pz], n) => {
+    p.set(px, py, pz).applyMatrix4(T);
     const x = (p.x + 1) / 2 * pane.offsetWidth, y = (1 - p.y) / 2 * window.innerHeight;
     const d = Math.hypot(x - event.clientX, y - event.clientY);
     if (p.z < 1 && d < least) [best, least] = [n, d];
