@@ -158,8 +158,10 @@ function draw() {
   const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
   put("measured", many ? specks(places, ofDots, 1.3 * r, ROUND)
     : copies(dot, places.map(p => new THREE.Matrix4().makeTranslation(p.x, p.y, p.z)), ofDots));
-  vectors("before", before, ball, null, tint(before));
-  vectors("after", after, diamond, EDGED, tint(after));
+  if (page.judged) {
+    vectors("before", before, ball, null, tint(before));
+    vectors("after", after, diamond, EDGED, tint(after));
+  }
   if (page.regions.length) regions();
   for (const name of ["before", "after"]) if (byId("drawn-" + name)) byId("drawn-" + name).textContent = "\u00d7" + factor;
 }
