@@ -9,12 +9,15 @@ from calib.measurement.arrays import distances, poses, positions, sockets
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, read_stream
+from calib.measurement.streams.rest import at_rest
+from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
     "Camera",
+    "Clock",
     "Columns",
     "Conditions",
     "Finding",
@@ -27,10 +30,12 @@ __all__ = [
     "SetUp",
     "Target",
     "TouchingArm",
+    "at_rest",
     "distances",
     "poses",
     "positions",
     "read_measurements",
+    "read_stream",
     "sockets",
     "touched",
 ]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -44,7 +44,8 @@ from calib.measurement.checks import Finding, table_findings
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, stream_of
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -120,7 +121,8 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
-    stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
+    named = list(dict.fromkeys(name for section in sections for name in (section.file, section.readings) if name))
+    stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     sets = [_shared_out(_measurements(section, job, robot, folder, arms, doubts), section) for section in sections]
@@ -146,7 +148,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
-        **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
+        **{name: sha256(read_bytes(folder / name, JobError)) for name in named},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
@@ -170,7 +172,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         files=(
             path,
             urdf,
-            *(folder / section.file for section in sections),
+            *(folder / name for name in named),
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
     )
@@ -484,22 +486,27 @@ def _measurements(
     arms: Mapping[str, ReadArm],
     doubts: list[Finding],
 ) -> Measurements:
+    clock = _clock(section, job)
     if section.instrument is not None and section.instrument in arms:
+        if clock is not None:
+            raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
         return data.named(tool=section.tool, setup=section.setup)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
-        data = read_measurements(
-            folder / section.file,
-            seen_from,
-            section.observes,
-            sigma=(_si(section.sigma), _si(section.sigma_angle)),
-            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-            offset=section.length_offset,
-            in_order=section.in_order,
-            columns=_columns(section),
-        )
+        how: dict[str, Any] = {
+            "sigma": (_si(section.sigma), _si(section.sigma_angle)),
+            "instrument": None if section.instrument is None else _instrument(job.instruments[section.instrument]),
+            "offset": section.length_offset,
+            "in_order": section.in_order,
+            "columns": _columns(section),
+        }
+        if section.readings is None or clock is None:
+            data = read_measurements(folder / section.file, seen_from, section.observes, **how)
+        else:
+            joints = folder / section.readings
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
@@ -518,6 +525,21 @@ def _measurements(
             if on.setdefault(name, link) != link:
                 raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
     return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+
+
+def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+    """Return what a job says of the clock of a stream, None of other tables."""
+    if section.readings is None:
+        for key in ("clock", "latency", "gap"):
+            if getattr(section, key) is not None:
+                raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
+        return None
+    streams = list(dict.fromkeys(other.file for other in job.measurements if other.readings is not None))
+    stems = [Path(file).stem for file in streams]
+    own = Path(section.file).stem
+    name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
+    gap = GAP if section.gap is None else section.gap.si
+    return Clock(section.clock or "free", section.latency is not None, gap, name)
 
 
 def _columns(section: MeasurementsSection) -> Columns:

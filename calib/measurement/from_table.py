@@ -17,6 +17,7 @@ from calib.measurement.columns import (
     SIGMA_ANGLES,
     SIGMAS,
     filled,
+    numbers,
     orientations,
     refuse_unknown,
     require,
@@ -159,6 +160,7 @@ def measurements_from_table(
         tip=joints.tip,
         absent=absent,
         unused=tuple(name for name in joints.idle if name in table.columns),
+        times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 

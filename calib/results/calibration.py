@@ -18,7 +18,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY, MM
 from calib.identification.fit import Fit
-from calib.identification.identify import residuals_of
+from calib.identification.identify import at_clocks, residuals_of
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.in_urdf import machine_in_urdf
@@ -146,7 +146,8 @@ def assess(
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
-    tables = (*own, *validation)
+    tables = at_clocks(fit, (*own, *validation))
+    own, validation = tables[: len(own)], tables[len(own) :]
     given = tuple(names) if names is not None else tuple(table.where for table in tables)
     if len(given) != len(tables):
         raise MeasurementError(f"{len(given)} names are given for {len(tables)} tables.")
