@@ -225,7 +225,8 @@ def _pixels(table: Table, camera: Camera) -> Array:
     """Return u and v in px and the mark's place on its board in m, zero where no column says it (N, 5)."""
     require(table, PIXELS, "of the pixel that was seen")
     pixels = stacked(table, dict.fromkeys(PIXELS, "pixel"))
-    seen = undistort(camera, pixels)[1]
+    # Of a lens that is to be found nothing is known that a pixel could contradict.
+    seen = np.ones(len(pixels), dtype=np.bool_) if camera.free else undistort(camera.lens, pixels)[1]
     if not seen.all():
         row = int(np.argmin(seen))
         u, v = pixels[row]

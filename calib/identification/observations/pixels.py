@@ -16,7 +16,7 @@ def residual(seen: Seen) -> Linearised:
     by_tool = camera.camera_on == "tip"
     cameras, boards = (seen.tools, seen.targets) if by_tool else (seen.targets, seen.tools)
     turn, marks = marks_seen(cameras, boards, value[:, 2:])
-    projected = project(camera, marks)
+    projected = project(camera.lens, marks)
     # The board moved by (v, w): dY = R (v + w x p); the camera: dY = -v - w x Y.
     by_board = -projected.by_point @ np.concatenate([turn, -turn @ rigid.skew(value[:, 2:])], axis=2)
     by_camera = projected.by_point @ np.concatenate(
