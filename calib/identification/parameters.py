@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
 
-ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
+ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target", "instrument"]
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
@@ -83,6 +83,11 @@ class Parameter:
     def of_robot(self) -> bool:
         """Whether the parameter belongs to the robot itself rather than to a frame of the set-up."""
         return self.kind in ("offset", "placement", "term")
+
+    @property
+    def nuisance(self) -> bool:
+        """Whether nobody knows it and it is of no use elsewhere: a target, or a number of an instrument."""
+        return self.kind in ("target", "instrument")
 
     @property
     def scale(self) -> float:

@@ -119,7 +119,7 @@ def check_columns(found: Problem, x: Array) -> None:
 @pytest.mark.parametrize("name", ["ur10", "skew", "loop"])
 def test_columns_match_central_differences(name: str, kind: str, known: bool, offset: bool) -> None:
     found, x = at_random(name, kind, known=known, offset=offset)
-    of_targets = [parameter.name for parameter in found.parameters if parameter.kind == "target"]
+    of_targets = [parameter.name for parameter in found.parameters if parameter.nuisance]
     free = {"pair_distance": 0, "plane": 6, "indicator": 2}.get(kind, 6)
     assert len(of_targets) == (0 if known and kind != "indicator" else free) + offset
     check_columns(found, x)
