@@ -18,15 +18,10 @@ from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.identification.initialisation.resection import camera_pose, rays
 from calib.measurement.boards import places_of
-from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
+from calib.measurement.lens import FOCAL, NAMES, Lens
+from calib.measurement.optics import MODE_WIDTH, lens_width
 from calib.measurement.projection import by_lens, project, undistort
 
-# By how much the numbers of a lens are expected to be off, relative to the focal length or by themselves; weak priors
-# are ten times as wide, those of the focal length a hundred times.
-_SCALES = {"fx": 0.01, "fy": 0.01, "cx": 0.01, "cy": 0.01, "p1": 0.01, "p2": 0.01, "k1": 0.1, "k4": 0.1}
-_WEAK, _WEAK_FOCAL = 10.0, 100.0
-# Of the modes of a board's shape, in m rms.
-MODE_SCALE, MODE_WIDTH = 1e-4, 1e-2
 _MOST_STEPS, _NEGLIGIBLE = 60, 1e-7
 _LEAST_DAMPING, _MOST_DAMPING, _TINY = 1e-9, 1e9, 1e-12
 # Residuals beyond so many times their robust spread weigh less.
@@ -74,17 +69,6 @@ def rms(residuals: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([np.sum(r * r, axis=1) for r in residuals]))))
 
 
-def scale_of(name: str, lens: Lens) -> float:
-    """Return the scale of a number of a lens, in its unit."""
-    share = _SCALES.get(name, 1.0)
-    return share * lens.fx if name in (*FOCAL, *CENTRE) else share
-
-
-def weak_width(name: str, lens: Lens) -> float:
-    """Return the standard deviation of the weak prior of a number of a lens, in its unit."""
-    return (_WEAK_FOCAL if name in FOCAL else _WEAK) * scale_of(name, lens)
-
-
 def first_lens(photographs: Sequence[Photograph], lens: Lens) -> Lens:
     """Return a lens with square pixels whose focal length photographs of flat boards tell in closed form.
 
@@ -108,7 +92,7 @@ def first_lens(photographs: Sequence[Photograph], lens: Lens) -> Lens:
 
 
 def _homography(photograph: Photograph, centre: Array, unit: float) -> Array | None:
-    """Return the homography (3, 3), of unit norm, from a plane of marks to (pixels - centre) / unit; None for others."""
+    """Return the homography (3, 3), of unit norm, from a plane of marks to pixels less the centre, by a unit; else None."""
     middle = photograph.marks.mean(axis=0)
     _, spread, axes = np.linalg.svd(photograph.marks - middle, full_matrices=False)
     if len(photograph.marks) < 4 or spread[2] > 1e-6 * spread[0] or spread[1] <= 1e-3 * spread[0]:
@@ -181,7 +165,7 @@ class _Sought(NamedTuple):
     def of(cls, free: Sequence[str], optics: Optics, *, shape: bool) -> "_Sought":
         index = np.array([NAMES.index(name) for name in free], dtype=np.intp)
         modes = optics.shape if shape else optics.shape[:0]
-        widths = [weak_width(name, optics.lens) for name in free] + [MODE_WIDTH] * len(modes)
+        widths = [lens_width(name, optics.lens) for name in free] + [MODE_WIDTH] * len(modes)
         return cls(optics, index, shape, np.concatenate([optics.lens.numbers[index], modes]), np.array(widths))
 
     def at(self, common: Array) -> Optics:

@@ -35,6 +35,7 @@ class Board:
 
     ``marks`` (m, 3): where its marks should be, in m; needed where its ``shape`` is not flat. ``scale_sigma``: standard
     deviation of its scale, a share; 0 where its size is known. ``name``: tables of one name are of one board.
+    ``modes`` (m, 3, k): of its shape, each moving marks by 1 m rms.
 
     Raises JobError when a number cannot be used, or the marks cannot have that shape.
     """
@@ -45,6 +46,7 @@ class Board:
     marks: Array = field(default_factory=lambda: read_only(np.zeros((0, 3))))
     scale_sigma: float = SQUARE_SIGMA
     shape: BoardShape = "flat"
+    modes: Array = field(init=False, default_factory=lambda: read_only(np.zeros((0, 3, 0))))
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -55,17 +57,20 @@ class Board:
             raise JobError(f"board: a {self.shape} shape needs the places of six marks or more; write a board.toml.")
         if self.shape == "quadratic" and np.ptp(self.marks[:, 2]) > _FLAT:
             raise JobError("board: its marks are not in a plane, so that its shape cannot be quadratic.")
-
-    @property
-    def modes(self) -> Array:
-        """The modes of its shape (m, 3, k), each moving marks by 1 m rms."""
-        return shape_modes(self.marks, self.shape)
+        object.__setattr__(self, "modes", shape_modes(self.marks, self.shape))
 
     @property
     def mode_names(self) -> tuple[str, ...]:
         """What the modes (k,) are called."""
         count = self.modes.shape[2]
         return (*_QUADRATIC[:count], *(f"shape_{k + 1}" for k in range(len(_QUADRATIC), count)))
+
+    def same_as(self, other: "Board | None") -> bool:
+        """Return whether another board is this one."""
+        return other is not None and (
+            (self.name, self.scale_sigma, self.shape) == (other.name, other.scale_sigma, other.shape)
+            and np.array_equal(self.marks, other.marks)
+        )
 
     def numbers(self, places: Array) -> IntArray:
         """Return which of the marks (n,) are at places (n, 3); -1 for none."""

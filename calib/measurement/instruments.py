@@ -13,6 +13,7 @@ from calib.foundations.ranges import refuse_beyond
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
 
 CameraPlace = Literal["floor", "tip"]
+ONLY_CAMERA = "camera"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ class Camera:
     k6: float = 0.0
     free: tuple[str, ...] = ()
     size: tuple[int, int] | None = None
-    name: str = "camera"
+    name: str = ONLY_CAMERA
 
     def __post_init__(self) -> None:
         refuse_fields(self)
