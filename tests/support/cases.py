@@ -1,11 +1,12 @@
 """The shipped case in a folder of its own, to be run as a user runs it, and to be broken."""
 
 import contextlib
+import csv
 import hashlib
 import io
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -97,6 +98,14 @@ def write(name: str, contents: str | bytes) -> Edit:
     return apply
 
 
+def write_table(path: Path, columns: Mapping[str, object]) -> None:
+    """Write columns as a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
 def cut(name: str, end: int) -> Edit:
     """Return an edit that truncates a file to its first bytes, or for a negative end takes away its last ones."""
 
@@ -133,7 +142,7 @@ def by_another_machine(folder: Path) -> None:
     arm = machines.arm(str(folder / "arm_cmm.urdf"), "probe")
     machine = machines.Machine(arm, fit.nominal.frames.base, {"tool": fit.nominal.frames.tools[0]})
     readings = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 6))
-    columns = machines.table(arm, readings, machine.see(readings), "position")
+    columns = machines.write_table(arm, readings, machine.see(readings), "position")
     rows = np.column_stack([np.asarray(column) for column in columns.values()])
     lines = [", ".join(columns), *(", ".join(map(repr, map(float, row))) for row in rows)]
     write("validation.csv", "\n".join(lines) + "\n")(folder)
