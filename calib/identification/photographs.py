@@ -92,7 +92,7 @@ def first_lens(photographs: Sequence[Photograph], lens: Lens) -> Lens:
 
 
 def _homography(photograph: Photograph, centre: Array, unit: float) -> Array | None:
-    """Return the homography (3, 3), of unit norm, from a plane of marks to pixels less the centre, by a unit; else None."""
+    """Return the homography (3, 3) from a plane of marks to pixels, from the centre in units; None of other marks."""
     middle = photograph.marks.mean(axis=0)
     _, spread, axes = np.linalg.svd(photograph.marks - middle, full_matrices=False)
     if len(photograph.marks) < 4 or spread[2] > 1e-6 * spread[0] or spread[1] <= 1e-3 * spread[0]:

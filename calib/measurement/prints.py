@@ -12,6 +12,8 @@ from calib.foundations.ranges import refuse_beyond
 from calib.measurement.boards import ONLY_BOARD, SQUARE_SIGMA, Board, BoardShape
 
 PrintKind = Literal["charuco", "chessboard"]
+# The shape of the board that is sought, or the one that photographs ask for.
+PrintShape = Literal["flat", "quadratic", "free", "auto"]
 LEAST_SQUARES, MOST_SQUARES = 3, 100
 # As large a share of a square may a marker be: its edge needs white beside it.
 _LARGEST_MARKER = 0.95
@@ -22,7 +24,8 @@ class Print:
     """What is printed: ``squares`` across and down, the side of a ``square`` and of a ``marker`` in m.
 
     ``dictionary``: OpenCV's name of the markers, which a chessboard has none of. ``square_sigma``: standard deviation
-    of the print's scale, a share. ``shape``: what is sought of the print beside its scale.
+    of the print's scale, a share. ``shape``: what is sought of the print beside its scale; "auto" is what photographs
+    ask for.
 
     Raises JobError when a number cannot be used.
     """
@@ -33,12 +36,14 @@ class Print:
     marker: float = 0.0
     dictionary: str = ""
     square_sigma: float = SQUARE_SIGMA
-    shape: BoardShape = "flat"
+    shape: PrintShape = "auto"
 
     def __post_init__(self) -> None:
         refuse_fields(self)
         if self.kind not in get_args(PrintKind):
             raise JobError(f"board: kind is {self.kind!r}; allowed are {', '.join(get_args(PrintKind))}.")
+        if self.shape not in get_args(PrintShape):
+            raise JobError(f"board: shape is {self.shape!r}; allowed are {', '.join(get_args(PrintShape))}.")
         for count in self.squares:
             if not LEAST_SQUARES <= count <= MOST_SQUARES:
                 raise JobError(f"board: has {count} squares; allowed are {LEAST_SQUARES} to {MOST_SQUARES}.")
@@ -69,5 +74,10 @@ class Print:
         return read_only(self.square * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
 
     def board(self, name: str = ONLY_BOARD) -> Board:
-        """Return the board with its marks and what of it is unknown."""
-        return Board(name, self.marks, self.square_sigma, self.shape)
+        """Return the board with its marks and what of it is unknown, in the simplest shape."""
+        return Board(name, self.marks, self.square_sigma, self.shapes[0])
+
+    @property
+    def shapes(self) -> tuple[BoardShape, ...]:
+        """The shapes that the board may have, from the simplest on."""
+        return get_args(BoardShape) if self.shape == "auto" else (self.shape,)

@@ -176,7 +176,7 @@ def robot_errors(folder: Path) -> dict[str, float]:
         raise OutputError(f"{path}: is not a result of this tool.") from e
     if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
         raise OutputError(f"{path}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}.")
-    of_set_up = ("base", "tool", "target", "length")
+    of_set_up = ("base", "tool", "target", "length", "lens", "board")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
