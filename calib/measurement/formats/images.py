@@ -23,6 +23,8 @@ LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 200_000_000, 16
 _SHARE = 0.85
 # Below so many corners a photograph tells no pose worth having.
 LEAST_CORNERS = 6
+# Width of a small copy, in px.
+_SMALL = 480
 # Blur, in px, beyond which a photograph is said to be blurred.
 MOST_BLUR = 4.0
 
@@ -93,6 +95,15 @@ def read_image(file: Path) -> Array:
     if min(height, width) < SMALLEST_SIDE:
         raise MeasurementError(f"{file}: has {width} x {height} pixels; the smallest side allowed is {SMALLEST_SIDE}.")
     return np.asarray(image)
+
+
+def thumbnail(grey: Array) -> bytes:
+    """Return a small copy of an image as JPEG."""
+    cv2 = opencv()
+    h, w = grey.shape
+    share = min(1.0, _SMALL / w)
+    small = cv2.resize(grey, (max(round(w * share), 1), max(round(h * share), 1)), interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 70])[1])
 
 
 def detector(print_: Print) -> Callable[[Array], Detection]:
