@@ -109,6 +109,7 @@ class Imported:
             "",
             "[error_model]",
             *free,
+            'base = "fixed"  # cameras see how board and arm are to each other: the base is the world',
             'tool = "pose"',
             *prior,
             "",

@@ -57,7 +57,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
     if choice is None and not inputs.job.levels and trace is None:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
-    return replace(found, levels=reports, choice=choice).accepting(inputs.job.accept)
+    return replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:

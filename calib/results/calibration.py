@@ -19,6 +19,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY, MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
+from calib.identification.optics_choice import OpticsChoice
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.in_urdf import machine_in_urdf
@@ -69,7 +70,7 @@ class Calibration:
     before it was, ``shown``: for which range, and what would make it more certain. ``findings``: what was doubtful, but
     usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches, where it
     cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``: on the way
-    to the fit. ``origin``: what it was made from.
+    to the fit. ``origin``: what it was made from. ``optics``: how many numbers lenses and boards have, and why.
     """
 
     fit: Fit
@@ -86,6 +87,7 @@ class Calibration:
     origin: Origin = FROM_PYTHON
     checks: tuple[Check, ...] = ()
     shown: tuple[str, ...] = ()
+    optics: tuple[OpticsChoice, ...] = ()
 
     @property
     def trusted(self) -> bool:

@@ -6,6 +6,8 @@ say.
 
 from collections.abc import Callable
 
+from calib.assessment.hand_eye import hand_eyes
+from calib.presentation.hand_eye import hand_eye_section
 from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
 from calib.presentation.report.outlying import outlier_section
@@ -18,6 +20,7 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: None if c.trace is None else sections.trace(c.trace),
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),
+    lambda c: hand_eye_section(hand_eyes(c.fit, c.sets)),
     lambda c: sections.distribution(c.sets),
     lambda c: sections.pose_section(c.sets),
     lambda c: sections.joints(c.fit, c.sets),

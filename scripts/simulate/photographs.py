@@ -145,6 +145,14 @@ class Renderer:
 
     def image(self, T: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The photograph of a sheet whose middle is at T (4, 4) in the camera."""
+        return self.exposed(self.light(T), rng)
+
+    def exposed(self, light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """What the sensor makes of light (h, w): its noise, and 8 bit."""
+        return np.clip(np.rint(light + rng.normal(scale=self.look.noise, size=light.shape)), 0, 255).astype(np.uint8)
+
+    def light(self, T: Array) -> Array:
+        """The light on the sensor (h, w), without its noise."""
         w, h = self.lens.size
         edge = self.sheet.square * np.array(self.sheet.squares)
         border = np.array([[x, y] for x in np.linspace(-0.03, edge[0] + 0.03, 9) for y in (-0.03, edge[1] + 0.03)])
@@ -174,9 +182,7 @@ class Renderer:
         grey[box] = small
         grey = gaussian_filter(grey, self.look.blur, mode="nearest") if self.look.blur else grey
         v, u = np.mgrid[:h, :w]
-        grey = grey * (1 + self.look.falling[0] * (u / w - 0.5) + self.look.falling[1] * (v / h - 0.5))
-        grey = grey + rng.normal(scale=self.look.noise, size=grey.shape) if self.look.noise else grey
-        return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+        return np.asarray(grey * (1 + self.look.falling[0] * (u / w - 0.5) + self.look.falling[1] * (v / h - 0.5)))
 
     def corners(self, T: Array) -> Array:
         """Where the corners truly are (n, 2), in px."""
