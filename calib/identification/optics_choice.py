@@ -48,7 +48,7 @@ def choose_optics(
     """Return the camera and the board of sets of one of each, with as many numbers as photographs ask for.
 
     ``shapes``: that the board may have, from the simplest on; ``rational``: whether the distortion may have eight
-    numbers. A richer model is taken where it foretells photographs held out clearly better. The camera's numbers are
+    numbers. A richer model is taken where it foretells photographs held out clearly better. A camera's numbers are
     then those that photographs alone have found. None where there are not enough of them.
     """
     camera, board = sets[0].camera, sets[0].board
@@ -68,7 +68,7 @@ def choose_optics(
             taken = new if new.better_than(taken) else taken
     if taken is None:
         return None
-    lens = taken.bundle.optics.lens._asdict() if camera.free else {}
+    lens = taken.bundle.optics.lens._asdict() | {"found": True} if camera.unknown else {}
     choice = OpticsChoice(
         camera.name,
         board.name,

@@ -55,7 +55,8 @@ class Camera:
     ``fx``, ``fy``, ``cx``, ``cy`` in px: the camera matrix; ``k1``, ``k2``, ``p1``, ``p2``, ``k3``, ``k4``, ``k5``,
     ``k6``: the distortion, in OpenCV's order. ``sigma``: one standard deviation of each pixel coordinate, in px; 0
     where it is not known. ``free``: which of these numbers are to be found, from what is given or, where nothing is,
-    from the ``size`` of the images in px and what they show. ``name``: tables of one name are of one camera.
+    from the ``size`` of the images in px and what they show. ``name``: tables of one name are of one camera. ``found``:
+    whether its numbers are what photographs have shown at first, and nobody gave them.
 
         calib.measuring.Camera("tip", free=calib.measuring.LENS, size=(1920, 1080))
 
@@ -81,6 +82,7 @@ class Camera:
     free: tuple[str, ...] = ()
     size: tuple[int, int] | None = None
     name: str = ONLY_CAMERA
+    found: bool = False
 
     def __post_init__(self) -> None:
         refuse_fields(self)

@@ -5,9 +5,11 @@ from html import escape
 
 import numpy as np
 
+from calib.assessment.blame import Blame
 from calib.assessment.hand_eye import HandEye
 from calib.foundations import rigid
 from calib.foundations.units import MM
+from calib.identification.optics_choice import OpticsChoice
 from calib.measurement.lens import RATIONAL
 from calib.presentation.report.document import Prose, Row, Section, Sheet
 
@@ -21,6 +23,67 @@ def hand_eye_section(found: Sequence[HandEye]) -> Section | None:
         return None
     blocks = [block for one in found for block in _blocks(one)]
     return Section("hand-eye", "Where the camera is", tuple(blocks))
+
+
+def optics_section(found: Sequence[OpticsChoice]) -> Section | None:
+    """Return what was compared to choose how many numbers lens and board have; None where nothing was."""
+    sheets = []
+    for one in found:
+        rows = [
+            Row(
+                (
+                    f"{candidate.shape}, {candidate.distortion} of distortion",
+                    f"{candidate.rms:.4f}",
+                    "-" if candidate.held_out is None else f"{candidate.held_out:.4f}",
+                ),
+                strong=k == one.chosen,
+            )
+            for k, candidate in enumerate(one.candidates)
+        ]
+        sheets.append(
+            Sheet(
+                f"{one.camera} and {one.board}, {one.photographs} photographs",
+                ("board and lens", "rms [px]", "held out [px]"),
+                frozenset(("rms [px]", "held out [px]")),
+                tuple(rows),
+                "photographs alone, each with a pose of its own; held out by whole photographs; strong: what was taken",
+            )
+        )
+    return Section("optics", "How many numbers lens and board have", tuple(sheets)) if sheets else None
+
+
+def blame_section(found: Blame) -> Section:
+    """Return what lens, print, arm and corners explain of the photographs held out."""
+    rows = [
+        Row(
+            (
+                _CAUSES[cause.name],
+                "not free" if cause.explains is None else f"{cause.explains:.3f}",
+                "-" if cause.name == "corners" else f"{cause.tool / MM:.3f}",
+            ),
+            strong=cause.name == found.named,
+        )
+        for cause in found.causes
+    ]
+    sheet = Sheet(
+        "Which is to blame",
+        ("cause", "explains [px]", "tool's doubt [mm]"),
+        frozenset(("explains [px]", "tool's doubt [mm]")),
+        tuple(rows),
+        "explains: what photographs held out lose when the cause is taken away and all else is fitted anew; the tool's "
+        f"doubt, of {found.tool / MM:.3f} mm in all, is what would go if the cause were known",
+        brief=True,
+    )
+    return Section("blame", "Which is to blame", (Prose((found.sentence, found.advice), brief=True), sheet))
+
+
+_CAUSES = {
+    "lens": "lens, as given",
+    "scale": "size of the print",
+    "shape": "shape of the print",
+    "arm": "arm",
+    "corners": "corners, and what nothing explains",
+}
 
 
 def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.assessment.blame import Blame
 from calib.assessment.checking import looks_wrong
 from calib.assessment.checks import answered
 from calib.assessment.choice import Choice
@@ -71,6 +72,7 @@ class Calibration:
     usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches, where it
     cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``: on the way
     to the fit. ``origin``: what it was made from. ``optics``: how many numbers lenses and boards have, and why.
+    ``blame``: what lens, print, arm and corners explain, where boards were seen.
     """
 
     fit: Fit
@@ -88,6 +90,7 @@ class Calibration:
     checks: tuple[Check, ...] = ()
     shown: tuple[str, ...] = ()
     optics: tuple[OpticsChoice, ...] = ()
+    blame: Blame | None = None
 
     @property
     def trusted(self) -> bool:

@@ -269,6 +269,9 @@ def result(found: Calibration) -> dict[str, Any]:
             for one in hand_eyes(fit, found.sets)
         },
         "optics": [asdict(one) for one in found.optics],
+        "blame": None
+        if found.blame is None
+        else asdict(found.blame) | {"sentence": found.blame.sentence, "advice": found.blame.advice},
         "trace": None if found.trace is None else {"reason": found.trace.reason, "iterations": found.trace.records()},
         "versions": versions(),
         "inputs": dict(found.origin.hashes),
