@@ -1,12 +1,16 @@
 """Which is to blame: lens, print, arm or corners - what each explains on photographs held out, and what it leaves open.
 
-A cause is taken away - the lens held as it was given, the print as it was to be, the arm nominal - and everything else
-is fitted anew: by how much photographs held out are then foretold worse is what the cause explains, and nothing else
-can. What several could explain as well, such as a print that is too large and an arm that is, no one of them explains.
+First nothing is wrong but where camera and board are: the lens as it was given, the print as it was to be, the arm
+nominal. Then one cause at a time is let free, and photographs held out are foretold better by what it explains *alone*;
+and each is taken away while all others stay free, which shows what it explains *beside* them. What alone explains
+nearly all, and beside the others nothing, they could explain as well: of such causes the simplest is named, as a print
+that is too large is likelier than an arm whose every link is. Where none alone explains nearly all, none is named.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from glob import escape
 from typing import Literal
 
 import numpy as np
@@ -17,22 +21,24 @@ from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of
 from calib.measurement.measurements import Measurements
-from calib.measurement.optics import seen_by
+from calib.measurement.optics import SCALE, seen_by
 
-CauseName = Literal["lens", "scale", "shape", "arm", "corners"]
-# The one to blame explains so many times more than any other.
-_STANDS_OUT = 2.0
-# What is explained, in units of what is left, and in px, below which nobody would call it an explanation.
-_LITTLE, _LEAST = 0.3, 0.01
+CauseName = Literal["scale", "shape", "lens", "arm", "corners"]
+# From the simplest on.
+_CAUSES: tuple[CauseName, ...] = ("scale", "shape", "lens", "arm")
+# Nearly all is explained by one cause: so much of what all explain together, as squares.
+_NEARLY_ALL = 0.9
+# What all causes explain is nothing to speak of below this share of what is left, as squares.
+_LITTLE = 0.25
 
-_WORDS = {
-    "lens": "the lens, as it was given",
+_WORDS: Mapping[CauseName, str] = {
+    "lens": "the lens, which is not as it was given",
     "scale": "the size of the print",
     "shape": "the print, which is bent or not square",
     "arm": "the arm, which is not as its URDF says",
-    "corners": "the corners, which are found no better",
+    "corners": "how well corners are found",
 }
-_NEXT = {
+_NEXT: Mapping[CauseName, str] = {
     "lens": "photograph from nearer and from farther, and with the board in the corners of the image",
     "scale": "measure the ruler of the print and write its side and square_sigma, or move farther between photographs",
     "shape": "photograph the board tilted to all sides, or glue it to glass",
@@ -43,24 +49,28 @@ _NEXT = {
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause: what it ``explains`` of photographs held out, in px (two-dimensional rms), None where it was not free.
+    """One cause: what it explains of photographs held out, ``alone`` and ``beside`` all others, in px.
 
-    ``tool``: by how much, in m, the tool's place would be surer if the cause were known, in quadrature.
+    Two-dimensional rms; None where it was not free. ``tool``: by how much less sure the tool's place is as the cause
+    is not known, in quadrature, in m.
     """
 
     name: CauseName
-    explains: float | None
+    alone: float | None
+    beside: float | None
     tool: float
 
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What every cause explains, ``left`` in px that none does, and ``tool``, the standard deviation of the tool in m.
+    """What every cause explains of ``whole``, in px, and what all leave, ``left``.
 
-    ``named``: the cause that explains clearly more than all others, None where no one does.
+    ``tool``: standard deviation of the tool's place in m. ``named``: the simplest cause that alone explains nearly all,
+    None where there is none.
     """
 
     causes: tuple[Cause, ...]
+    whole: float
     left: float
     tool: float
     named: CauseName | None
@@ -69,114 +79,115 @@ class Blame:
     def sentence(self) -> str:
         """What is to be said of it."""
         if self.named is None:
-            return "No one cause explains clearly more of the photographs held out than the others."
+            return "No one cause explains by itself what photographs held out ask for."
+        if self.named == "corners":
+            return f"What is left is {_WORDS['corners']}: nothing else explains much of the photographs held out."
         return f"Most is explained by {_WORDS[self.named]}."
 
     @property
     def advice(self) -> str:
         """What to photograph next."""
-        worst = max((cause for cause in self.causes if cause.name != "corners"), key=lambda one: one.tool, default=None)
-        name = "corners" if worst is None or worst.tool <= self.tool * 0.5 else worst.name
+        worst = max(self.causes, key=lambda cause: cause.tool)
+        name = worst.name if worst.tool > 0.5 * self.tool else "corners"
         return f"To be surer where the tool is, {_NEXT[name]}."
 
 
 def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     """Return what explains the photographs of boards that are held out, or all where none are; None without boards."""
     own = fit.measurements
-    if not any(data.board is not None for data in own):
-        return None
     used = [one for one in sets if one.use == "validation"] or list(sets)
     judged = [one for one in used if one.data.board is not None]
-    if not judged:
+    free = [name for name in _CAUSES if _of(fit, name).any() and not (name == "lens" and _found(own))]
+    if not judged or not free:
         return None
-    now = _square([one.after for one in judged])
-    explains: dict[CauseName, float | None] = {}
-    for name, change in _CHANGES.items():
-        some = [change(data) for data in own]
-        explains[name] = None
-        if any(a is not b for a, b in zip(some, own, strict=True)):
-            explains[name] = _explained(fit, some, [change(one.data) for one in judged], now)
-    of_robot = any(parameter.of_robot for parameter in fit.parameters)
-    explains["arm"] = _gain(_square([one.before for one in judged]), now) if of_robot else None
-    left = float(np.sqrt(now))
-    explains["corners"] = left
+    left = _square([one.after for one in judged])
+    whole = _without(fit, judged, free)
+    if whole is None:
+        return None
+    alone: dict[CauseName, float | None] = {}
+    beside: dict[CauseName, float | None] = {}
+    for name in free:
+        alone[name] = _without(fit, judged, [other for other in free if other != name]) if len(free) > 1 else left
+        beside[name] = _without(fit, judged, [name]) if len(free) > 1 else whole
     tool = np.array([p.kind == "tool" and p.unit == "m" for p in fit.parameters])
-    causes = tuple(Cause(name, value, _share(fit, tool, _of(fit, name))) for name, value in explains.items())
-    total = (
-        float(np.sqrt(np.trace(fit.covariance[np.ix_(tool, tool)]) / max(tool.sum() // 3, 1))) if tool.any() else 0.0
+    causes = tuple(
+        Cause(name, _gain(whole, alone.get(name)), _gain(beside.get(name), left), _share(fit, tool, _of(fit, name)))
+        for name in _CAUSES
     )
-    return Blame(causes, left, total, _named(explains, left))
+    return Blame(
+        causes,
+        float(np.sqrt(whole)),
+        float(np.sqrt(left)),
+        float(np.sqrt(np.trace(fit.covariance[np.ix_(tool, tool)]))),
+        _named(whole, left, alone),
+    )
 
 
-def _explained(fit: Fit, own: Sequence[Measurements], judged: Sequence[Measurements], now: float) -> float | None:
-    """Return what goes with a cause that is taken away, None where nothing can be found without it."""
+def _found(own: Sequence[Measurements]) -> bool:
+    """Return whether nobody gave the numbers of the lens."""
+    return all(data.camera is None or data.camera.unknown or data.camera.found for data in own)
+
+
+def _without(fit: Fit, judged: Sequence[JudgedSet], held: Collection[CauseName]) -> float | None:
+    """Return the mean square, in px^2, of photographs held out where some causes are held; None if that fails."""
+    own = [_held(data, held) for data in fit.measurements]
+    frames = [escape(p.name) for p in fit.parameters if not p.of_robot and not p.nuisance]
+    named = [escape(p.name) for p in fit.parameters if p.of_robot and "arm" not in held]
     try:
-        again = identify(fit.model, own, losses=fit.losses)
-        left = residuals_of(again, judged, again.machine)
+        again = identify(fit.model, own, free=[*frames, *named], losses=fit.losses)
+        return _square(residuals_of(again, [_held(one.data, held) for one in judged], again.machine))
     except (IdentificationError, MeasurementError):
         return None
-    return _gain(_square(left), now)
 
 
-def _given_lens(data: Measurements) -> Measurements:
-    camera = data.camera
-    if camera is None or not camera.free or camera.unknown or camera.found:
+def _held(data: Measurements, held: Collection[CauseName]) -> Measurements:
+    """Return what a camera saw, with lens and board as they were given where these are held."""
+    camera, board = data.camera, data.board
+    if camera is None or board is None:
         return data
-    return seen_by(data, replace(camera, free=()), data.board)
-
-
-def _known_scale(data: Measurements) -> Measurements:
-    if data.camera is None or data.board is None or data.board.scale_sigma == 0.0:
-        return data
-    return seen_by(data, data.camera, replace(data.board, scale_sigma=0.0))
-
-
-def _flat(data: Measurements) -> Measurements:
-    if data.camera is None or data.board is None or data.board.shape == "flat":
-        return data
-    return seen_by(data, data.camera, replace(data.board, shape="flat"))
-
-
-_CHANGES: dict[CauseName, Callable[[Measurements], Measurements]] = {
-    "lens": _given_lens,
-    "scale": _known_scale,
-    "shape": _flat,
-}
+    if "lens" in held:
+        camera = replace(camera, free=())
+    if "scale" in held:
+        board = replace(board, scale_sigma=0.0)
+    if "shape" in held:
+        board = replace(board, shape="flat")
+    return seen_by(data, camera, board)
 
 
 def _square(residuals: Sequence[Array]) -> float:
     return float(np.mean(np.concatenate([np.sum(r * r, axis=1) for r in residuals])))
 
 
-def _gain(without: float, now: float) -> float:
-    return float(np.sqrt(max(without - now, 0.0)))
+def _gain(without: float | None, now: float | None) -> float | None:
+    return None if without is None or now is None else float(np.sqrt(max(without - now, 0.0)))
 
 
-def _named(explains: dict[CauseName, float | None], left: float) -> CauseName | None:
-    """Return the cause that stands out; what is left counts where nothing explains more than a part of it."""
-    found = sorted(((value or 0.0, name) for name, value in explains.items() if name != "corners"), reverse=True)
-    (most, name), second = found[0], found[1][0]
-    if most < max(_LITTLE * left, _LEAST):
+def _named(whole: float, left: float, alone: Mapping[CauseName, float | None]) -> CauseName | None:
+    """Return the simplest cause that alone explains nearly all; corners where there is little to explain."""
+    if whole - left < _LITTLE * left:
         return "corners"
-    return name if most > _STANDS_OUT * max(second, 0.5 * left) else None
+    for name, square in alone.items():
+        if square is not None and whole - square > _NEARLY_ALL * (whole - left):
+            return name
+    return None
 
 
 def _of(fit: Fit, name: CauseName) -> BoolArray:
     """Return which parameters (p,) a cause has."""
-    if name == "arm":
-        return np.array([parameter.of_robot for parameter in fit.parameters])
-    first = {"lens": "lens", "scale": "board", "shape": "board"}.get(name)
-    found = [
-        parameter.name.partition(".")[0] == first and ((name == "scale") == parameter.name.endswith(".scale"))
-        for parameter in fit.parameters
-    ]
-    if name == "lens":
-        found = [parameter.name.partition(".")[0] == first for parameter in fit.parameters]
+    patterns = {"scale": f"board*.{SCALE}", "shape": "board*", "lens": "lens*"}
+
+    def of(parameter_name: str, *, of_robot: bool, instrument: bool) -> bool:
+        if name == "arm":
+            return of_robot
+        of_scale = fnmatchcase(parameter_name, patterns["scale"])
+        return instrument and fnmatchcase(parameter_name, patterns[name]) and (name == "scale" or not of_scale)
+
+    found = [of(p.name, of_robot=p.of_robot, instrument=p.kind == "instrument") for p in fit.parameters]
     return np.array(found, dtype=np.bool_)
 
 
 def _share(fit: Fit, tool: BoolArray, cause: BoolArray) -> float:
-    """Return by how much the tool's place depends on a cause: its standard deviation with, less that without, squared."""
+    """Return by how much less sure the tool's place is as the cause is not known, in quadrature, in m."""
     if not tool.any() or not cause.any():
         return 0.0
     cross = fit.covariance[np.ix_(tool, cause)]

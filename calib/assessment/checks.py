@@ -585,7 +585,7 @@ def tool_and_base(fit: Fit) -> Check:
 
 
 def lens(fit: Fit) -> Check:
-    """Whether the lens is an unknown where the arm's placements are: an error of it is then not taken for one of theirs.
+    """Whether the lens is an unknown where the arm's placements are, so that they do not pay for its errors.
 
     Pixels held out do not tell: on photographs of a real arm a lens that was given a little wrong foretold them better
     and left the arm worse.
@@ -596,9 +596,9 @@ def lens(fit: Fit) -> Check:
     if not given:
         return _check("lens", NOTHING, 0.0, True, "No lens is taken as given.")
     said = (
-        f"The lens of {given[0]!r} is taken as given and placements are free: an error of the lens is then taken for one "
-        'of the arm, and no uncertainty counts it. Write lens = "free", and the size of the images; or, where the lens '
-        'was calibrated for this, accept = ["lens"].'
+        f"The lens of {given[0]!r} is taken as given and placements are free: an error of the lens is then taken for "
+        'one of the arm, and no uncertainty counts it. Write lens = "free", and the size of the images; or, where the '
+        'lens was calibrated for this, accept = ["lens"].'
     )
     return _check("lens", len(given), 0.0, False, said)
 

@@ -48,8 +48,8 @@ def choose_optics(
     """Return the camera and the board of sets of one of each, with as many numbers as photographs ask for.
 
     ``shapes``: that the board may have, from the simplest on; ``rational``: whether the distortion may have eight
-    numbers. A richer model is taken where it foretells photographs held out clearly better. A camera's numbers are
-    then those that photographs alone have found. None where there are not enough of them.
+    numbers. A richer model is taken where it foretells photographs held out clearly better. Numbers of a lens
+    that nobody gave are then those that photographs alone have found. None where there are not enough of them.
     """
     camera, board = sets[0].camera, sets[0].board
     assert camera is not None and board is not None, "photographs are of a board by a camera"

@@ -264,18 +264,18 @@ def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> A
     """Return readings (N, nr) with which a nominal robot has its tip at poses, each near to the one before."""
     nominal = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {"tool": read_only(np.eye(4))})
     found = for_poses(nominal, poses)
-    readings = np.array(found.readings)
-    # One configuration for all, as far as there is one: an arm seldom changes it between photographs.
-    for k in range(1, len(readings)):
-        near = for_poses(nominal, poses[k : k + 1], readings[k - 1 : k])
-        if near.reached[0]:
-            readings[k] = near.readings[0]
     if not found.reached.all():
         k = int(np.argmin(found.reached))
         raise JobError(
             f"{path}: the robot does not reach the pose of {shown(images[k])} ({found.reasons[k]}); are the flange and "
             "the base of the controller the tip and the base of the URDF?"
         )
+    readings = np.array(found.readings)
+    # One configuration for all, as far as there is one: an arm seldom changes it between photographs.
+    for k in range(1, len(readings)):
+        near = for_poses(nominal, poses[k : k + 1], readings[k - 1 : k])
+        if near.reached[0]:
+            readings[k] = near.readings[0]
     return readings
 
 

@@ -58,20 +58,21 @@ def blame_section(found: Blame) -> Section:
         Row(
             (
                 _CAUSES[cause.name],
-                "not free" if cause.explains is None else f"{cause.explains:.3f}",
-                "-" if cause.name == "corners" else f"{cause.tool / MM:.3f}",
+                *("not free" if value is None else f"{value:.3f}" for value in (cause.alone, cause.beside)),
+                f"{cause.tool / MM:.3f}",
             ),
             strong=cause.name == found.named,
         )
         for cause in found.causes
     ]
+    numbers = ("alone [px]", "beside others [px]", "tool's doubt [mm]")
     sheet = Sheet(
-        "Which is to blame",
-        ("cause", "explains [px]", "tool's doubt [mm]"),
-        frozenset(("explains [px]", "tool's doubt [mm]")),
+        "What each explains",
+        ("cause", *numbers),
+        frozenset(numbers),
         tuple(rows),
-        "explains: what photographs held out lose when the cause is taken away and all else is fitted anew; the tool's "
-        f"doubt, of {found.tool / MM:.3f} mm in all, is what would go if the cause were known",
+        f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; the tool's doubt, "
+        f"{found.tool / MM:.3f} mm in all, is what would go if the cause were known",
         brief=True,
     )
     return Section("blame", "Which is to blame", (Prose((found.sentence, found.advice), brief=True), sheet))
@@ -82,7 +83,6 @@ _CAUSES = {
     "scale": "size of the print",
     "shape": "shape of the print",
     "arm": "arm",
-    "corners": "corners, and what nothing explains",
 }
 
 
