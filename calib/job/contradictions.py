@@ -129,7 +129,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "laser_tracker": ("sigma_per_metre", "station"),
     "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
-    "camera": ("camera_on", *NAMES, "lens", "size"),
+    "camera": ("camera_on", *NAMES, "lens", "size", "lens_file"),
 }
 
 
@@ -164,6 +164,11 @@ def _of_lens(at: str, section: InstrumentSection) -> Iterator[str]:
     if section.camera_on is None:
         yield f"{at}.camera_on: is missing."
     numbers = (*FOCAL, *CENTRE)
+    if section.lens_file is not None:
+        for key in (*NAMES, "size"):
+            if key in section.model_fields_set:
+                yield f"{at}.{key}: is given by lens_file as well; keep one of them."
+        return
     missing = [key for key in numbers if getattr(section, key) is None]
     free = numbers if section.lens == "free" else () if section.lens == "given" else section.lens
     if missing and (len(missing) < 4 or not set(numbers) <= set(free)):

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -42,9 +42,10 @@ from calib.job.schema import (
 )
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding, table_findings
+from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
-from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL
+from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL, Lens
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
@@ -127,11 +128,13 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     sections = job.measurements
     stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
     prints = _prints(job, folder)
-    stamps |= {folder / name: stamp(folder / name) for name in prints}
+    lenses = _lenses(job, folder)
+    stamps |= {folder / name: stamp(folder / name) for name in (*prints, *lenses)}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     sets = [
-        _shared_out(_measurements(section, job, robot, folder, arms, prints, doubts), section) for section in sections
+        _shared_out(_measurements(section, job, robot, folder, arms, prints, lenses, doubts), section)
+        for section in sections
     ]
     sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
@@ -157,7 +160,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
         **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
-        **{name: sha256(read_bytes(folder / name, JobError)) for name in prints},
+        **{name: sha256(read_bytes(folder / name, JobError)) for name in (*prints, *lenses)},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
@@ -182,7 +185,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             path,
             urdf,
             *(folder / section.file for section in sections),
-            *(folder / name for name in prints),
+            *(folder / name for name in (*prints, *lenses)),
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
         optics=optics,
@@ -193,6 +196,13 @@ def _prints(job: Job, folder: Path) -> dict[str, Print]:
     """Return what is printed on the boards of a job, by the names of their files."""
     names = dict.fromkeys(section.board for section in job.measurements if section.board is not None)
     return {name: read_board(folder / name) for name in names}
+
+
+def _lenses(job: Job, folder: Path) -> dict[str, tuple[Lens, tuple[int, int] | None]]:
+    """Return the lenses that files of a job state, by the names of these."""
+    used = {section.instrument for section in job.measurements}
+    names = (eye.lens_file for name, eye in job.instruments.items() if name in used)
+    return {name: read_lens(folder / name) for name in dict.fromkeys(names) if name is not None}
 
 
 def _with_optics(
@@ -544,6 +554,7 @@ def _measurements(
     folder: Path,
     arms: Mapping[str, ReadArm],
     prints: Mapping[str, Print],
+    lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
 ) -> Measurements:
     if section.instrument is not None and section.instrument in arms:
@@ -559,7 +570,7 @@ def _measurements(
             sigma=(_si(section.sigma), _si(section.sigma_angle)),
             instrument=None
             if section.instrument is None
-            else _instrument(section.instrument, job.instruments[section.instrument]),
+            else _instrument(section.instrument, job.instruments[section.instrument], lenses),
             offset=section.length_offset,
             in_order=section.in_order,
             columns=_columns(section),
@@ -589,14 +600,21 @@ def _columns(section: MeasurementsSection) -> Columns:
     return Columns(section.columns, section.ignore, section.orientation)
 
 
-def _instrument(name: str, section: InstrumentSection) -> LaserTracker | Camera:
+def _instrument(
+    name: str, section: InstrumentSection, lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]]
+) -> LaserTracker | Camera:
     sigma = 0.0 if section.sigma is None else section.sigma.si
     if section.kind == "camera":
         fx, fy, cx, cy = (None if q is None else q.si for q in (section.fx, section.fy, section.cx, section.cy))
         place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
         free = {"given": (), "free": (*FOCAL, *CENTRE, *BENT)}.get(section.lens, section.lens)
         bent = {key: getattr(section, key) for key in (*BENT, *RATIONAL)}
-        return Camera(place, fx, fy, cx, cy, **bent, sigma=sigma, free=tuple(free), size=section.size, name=name)
+        numbers: dict[str, Any] = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **bent}
+        size = section.size
+        if section.lens_file is not None:
+            lens, size = lenses[section.lens_file]
+            numbers = lens._asdict()
+        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name)
     x, y, z = (length.si for length in section.station)
     return LaserTracker(sigma, section.sigma_per_metre.si, (x, y, z))
 

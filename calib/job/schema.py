@@ -232,6 +232,7 @@ class InstrumentSection(_Section):
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
     touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a
     ``lens`` that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
+    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
@@ -261,6 +262,7 @@ class InstrumentSection(_Section):
     k6: Distortion = 0.0
     lens: Annotated[Any, BeforeValidator(free_of_lens)] = "given"
     size: Counts | None = None
+    lens_file: Name | None = None
 
 
 class BoardSection(_Section):

@@ -383,7 +383,7 @@ EXEMPT: Mapping[str, str] = {
     **{f"measurements.{key}": "how a table is read; tests/proposal" for key in ("ignore", "orientation")},
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "k4", "k5", "k6", "p1", "p2")},
     **dict.fromkeys(
-        ("instruments.lens", "instruments.size", "measurements.board"),
+        ("instruments.lens", "instruments.size", "instruments.lens_file", "measurements.board"),
         "lens and board as unknowns; tests/identification/test_lenses.py, tests/job/test_photographs.py",
     ),
 }

@@ -135,6 +135,10 @@ BROKEN: dict[str, tuple[Edit, str]] = {
         edit(JOB, *((f'{key} = "{value} px"\n', "") for key, value in LENS.items())),
         "instruments.camera.k1: means nothing without fx, fy, cx, cy",
     ),
+    "lens twice": (
+        edit(JOB, ("size = [1280, 1024]", 'lens_file = "lens.yaml"')),
+        "instruments.camera.fx: is given by lens_file as well; keep one of them",
+    ),
     "lens of a word": (edit(JOB, ('"free"', '"wide"')), '\'wide\' is not "given", "free" or a list of fx, fy, cx'),
     "lens of a number twice": (edit(JOB, ('"free"', '["fx", "fx"]')), "names a number twice"),
     "size of one number": (edit(JOB, ("[1280, 1024]", "[1280]")), "is not a list of two whole numbers, like [7, 5]"),
