@@ -13,6 +13,7 @@ from calib.measurement.lens import BENT, RATIONAL, Lens
 _LARGEST = 1_000_000
 # What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
+_ANCHOR = re.compile(r"(^|[\s:\[{,-])&\w")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
 _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
@@ -27,8 +28,8 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
     if isinstance(cam := found.get("cam0"), Mapping):  # Kalibr: camera_model, intrinsics fu fv pu pv, resolution
         if cam.get("camera_model") != "pinhole" or cam.get("distortion_model") not in ("radtan", "none", None):
             raise JobError(
-                f"{path}: cam0 is of the models {cam.get('camera_model')!r} and {cam.get('distortion_model')!r}; read are "
-                "'pinhole' and 'radtan'."
+                f"{path}: cam0 is of the models {cam.get('camera_model')!r} and {cam.get('distortion_model')!r}; read "
+                "are 'pinhole' and 'radtan'."
             )
         focal = _numbers(path, "intrinsics", cam.get("intrinsics"))
         if len(focal) != 4:
@@ -57,12 +58,15 @@ def _yaml(path: Path) -> Mapping[str, Any]:
         raise JobError(f"{path}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
     try:
         text = read_bytes(path, JobError, _LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
-        text = _TAG.sub("", _HEADER.sub("", text))
-        # An alias could make megabytes of a few lines.
-        if re.search(r"(^|[\s:\[{,-])&\w", text):
-            raise JobError(f"{path}: has anchors, which are not read.")
+    except UnicodeDecodeError as e:
+        raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
+    text = _TAG.sub("", _HEADER.sub("", text))
+    # An alias could make megabytes of a few lines.
+    if _ANCHOR.search(text):
+        raise JobError(f"{path}: has anchors, which are not read.")
+    try:
         found = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except (UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as e:
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as e:
         raise JobError(f"{path}: is no YAML that can be read.") from e
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
@@ -72,11 +76,9 @@ def _yaml(path: Path) -> Mapping[str, Any]:
 def _numbers(path: Path, what: str, value: Any) -> list[float]:
     """Return numbers of a list, of rows, or of a matrix with data."""
     data = value.get("data") if isinstance(value, Mapping) else value
-    flat = (
-        [one for row in data or [] for one in (row if isinstance(row, list) else [row])] if data is not None else None
-    )
-    ok = flat is not None and all(type(one) in (int, float) and math.isfinite(one) for one in flat)
-    if not ok or flat is None:
+    rows = data if isinstance(data, list) else [None]
+    flat = [one for row in rows for one in (row if isinstance(row, list) else [row])]
+    if not all(type(one) in (int, float) and math.isfinite(one) for one in flat):
         raise JobError(f"{path}: {what} is not a list of numbers.")
     return [float(one) for one in flat]
 
