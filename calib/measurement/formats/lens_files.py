@@ -76,7 +76,7 @@ def _yaml(path: Path) -> Mapping[str, Any]:
 def _numbers(path: Path, what: str, value: Any) -> list[float]:
     """Return numbers of a list, of rows, or of a matrix with data."""
     data = value.get("data") if isinstance(value, Mapping) else value
-    rows = data if isinstance(data, list) else [None]
+    rows: list[Any] = data if isinstance(data, list) else [None]
     flat = [one for row in rows for one in (row if isinstance(row, list) else [row])]
     if not all(type(one) in (int, float) and math.isfinite(one) for one in flat):
         raise JobError(f"{path}: {what} is not a list of numbers.")
