@@ -18,7 +18,7 @@ def cell(
     ],
     positioner: Annotated[
         Path,
-        typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False, readable=False),
+        typer.Argument(metavar="POSITIONER", help="Results of the positioner.", show_default=False, readable=False),
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
@@ -27,14 +27,16 @@ def cell(
         Path | None,
         typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
     ] = None,
-    placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
+    placed_in: Annotated[
+        PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
+    ] = "arm",
     prefix: Annotated[
-        str | None, typer.Option("--prefix", metavar="NAME", help="Before names that both use.", show_default=False)
+        str | None, typer.Option("--prefix", metavar="NAME", help="Put before names that both use.", show_default=False)
     ] = None,
     mesh_root: Annotated[
         list[Path] | None,
         typer.Option(
-            "--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False, readable=False
+            "--mesh-root", metavar="FOLDER", help="A folder to read meshes from.", show_default=False, readable=False
         ),
     ] = None,
     as_json: Json = False,

@@ -24,10 +24,11 @@ def fleet(
         ),
     ] = Path("fleet"),
     workers: Annotated[
-        int | None, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.  [default: one for every core]")
+        int | None,
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Number of processes.  [default: one for every core]"),
     ] = None,
     dask: Annotated[
-        str | None, typer.Option("--dask", metavar="ADDRESS", help="Of a Dask scheduler, as tcp://host:8786.")
+        str | None, typer.Option("--dask", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
     as_json: Json = False,

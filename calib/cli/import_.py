@@ -19,21 +19,22 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx; or: images FOLDER.",
+            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx, .npz; or: images FOLDER.",
             show_default=False,
             readable=False,
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)],
     by: Annotated[
-        str | None, typer.Option("--by", help="Title of the column that names rows, or: order.", show_default=False)
+        str | None,
+        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR: write its own URDF. Of images: the arm, and write a job.",
+            help="FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job.",
             show_default=False,
         ),
     ] = None,

@@ -14,7 +14,8 @@ from calib_start import loading
 def models(
     job: JobFile,
     folds: Annotated[
-        int | None, typer.Option("--folds", metavar="N", min=2, help=f"Parts to hold out in turn.  [default: {FOLDS}]")
+        int | None,
+        typer.Option("--folds", metavar="N", min=2, help=f"Number of parts, held out in turn.  [default: {FOLDS}]"),
     ] = None,
     leave_one_group_out: Annotated[
         bool, typer.Option("--leave-one-group-out", help="Hold out every pose, socket or group by itself.")

@@ -10,9 +10,10 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
+from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import residuals
-from calib.machine.budget import doubts_of
+from calib.machine.budget import errors_by_cause
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -260,17 +261,17 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
     readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
     identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
-    doubts = doubts_of(fit, identified)
-    state = _to_state(fit, doubts.parameters, doubts.at) * scales(doubts.parameters)
-    parts = (doubts.instrument, doubts.unseen, doubts.scatter, doubts.waves)
+    errors = errors_by_cause(fit, identified)
+    state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
+    parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
     null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
-        doubts.left_out,
+        errors.left_out,
         read_only(null_basis),
-        _level(fit, doubts.noise, "m"),
-        _level(fit, doubts.noise, "rad"),
+        _level(fit, errors.noise, "m"),
+        _level(fit, errors.noise, "rad"),
         read_only(identified),
     )
 
@@ -311,6 +312,18 @@ def _factor(covariance: Array, s: Array) -> Array:
     return np.asarray(s[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
+def _beyond(variance: float, noise: Noise) -> float:
+    """Return by how much a variance is beyond the instrument's, shrunk the more the less sure that is.
+
+    What is within chance is none: a variance less one that is known is positive in half of all cases where nothing is
+    left out. The positive part of W. James and C. Stein's estimate (1961).
+    """
+    beyond, chance = variance - noise.instrument**2, variance**2 * 2.0 / max(noise.degrees_of_freedom, 1.0)
+    if noise.instrument == 0.0 or beyond <= 0.0:
+        return max(beyond, 0.0)
+    return max(beyond - chance / beyond, 0.0)
+
+
 def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
     parts = [(noise, share) for noise, share in zip(fit.noise, shares, strict=True) if UNIT_OF[noise.quantity] == unit]
     freedom = np.array([noise.degrees_of_freedom for noise, _ in parts])
@@ -321,7 +334,7 @@ def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
         return float(np.sqrt(np.average(squares, weights=freedom)))
 
     total = mean([(share * noise.total) ** 2 for noise, share in parts])
-    model = mean([max((share * noise.total) ** 2 - noise.instrument**2, 0.0) for noise, share in parts])
+    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share in parts])
     estimated = any(noise.model > 0.0 for noise, _ in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
     return NoiseLevel(model, total, float(freedom.sum()) if estimated else float("inf"))

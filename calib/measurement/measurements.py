@@ -134,8 +134,8 @@ class Measurements:
         for target, carrier in links.items():
             if carrier == self.tip:
                 raise MeasurementError(
-                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row is "
-                    "about two frames that move against each other."
+                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row "
+                    "needs two frames that move relative to each other."
                 )
         for what, name, own, only in (
             ("tool", tool, self.tools, self.tools[0] if self.tools == (self.tip,) else ONLY_TOOL),

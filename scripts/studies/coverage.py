@@ -33,7 +33,15 @@ from calib.job.inputs import load
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, squared_bound
-from scripts.development.judge_cases import case, free_placements, known_arm, reading_columns
+from scripts.development.judge_cases import (
+    SOCKETS_PRIOR,
+    Errors,
+    case,
+    free_placements,
+    known_arm,
+    reading_columns,
+    sockets,
+)
 from scripts.development.judge_machines import Arm, Array, State, placed, predict
 from scripts.simulate.irb2400 import Machine, noise, poses, truth_text
 from scripts.studies.irb2400_levels import CASE, CRANK, grid_of, measured
@@ -53,6 +61,7 @@ FEWEST, NORMAL = 20, 1.959964
 
 LEFT_OUT = {
     "white": "nothing",
+    "zeros": "nothing, of machines whose zeros alone are off, and alone are sought",
     "harmonics_0.05": "joint harmonics of 0.05 mrad, two orders a joint",
     "harmonics_0.15": "joint harmonics of 0.15 mrad, two orders a joint",
     "wind_up": "wind-up under gravity, 1 to 5 urad/Nm",
@@ -172,7 +181,7 @@ def tracked(robot: str, kind: str, n: int, seed: int) -> Told:
     """A session of positions from an instrument that states its noise."""
     rng = np.random.default_rng([seed, n, *robot.encode(), *kind.encode()])
     found, arm = known_arm(robot)
-    names = free_placements(robot, found)
+    names = () if kind == "zeros" else free_placements(robot, found)
     components = ("tx", "ty", "tz", "rx", "ry", "rz")
     free = np.array([[f"{joint.name}.{c}" in names for c in components] for joint in found.joints])
     deviations = free * rng.normal(scale=np.repeat((LENGTH, ANGLE), 3), size=free.shape)
@@ -201,7 +210,8 @@ def tracked(robot: str, kind: str, n: int, seed: int) -> Told:
         seen += hit[:, None] * way
     columns = reading_columns(found, q[:n]) | {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, arm, sigma=SIGMA)
-    model = calib.error_model(arm, offsets="all", placements="all", base="pose", tool="position")
+    chosen = "none" if kind == "zeros" else "all"
+    model = calib.error_model(arm, offsets="all", placements=chosen, base="pose", tool="position")
     fit = calib.identify(model, data, losses=["huber"] if kind == "gross" else None)
     return judged(machine_of(fit), q[n:], position[n:], "rigid" if kind == "drift" else "no")
 
@@ -245,9 +255,14 @@ def four_bar(truth: Machine, fit: calib.Fit, machine: CalibratedMachine) -> dict
 
 
 def other(family: str, seed: int) -> Told:
-    """A session of another way to measure: the first of its thousand with twenty rows, and priors for sockets."""
+    """A session of another way to measure: the first of its thousand with twenty rows, and priors for sockets.
+
+    These machines are as far from nominal as the priors say: evenly distributed, with the stated standard deviations.
+    """
+    length, angle = np.sqrt(3.0) * np.array(SOCKETS_PRIOR)
     for k in range(1000):
-        told = case(1000 * seed + k, family)
+        number = 1000 * seed + k
+        told = sockets(number, Errors(angle, length, angle)) if family == "sockets" else case(number, family)
         if told.label["rows"] >= FEWEST and told.label.get("prior", True):
             break
     machine = machine_of(calib.identify(told.model, told.data))

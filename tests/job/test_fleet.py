@@ -126,7 +126,7 @@ def test_json_and_doubts(folder: Path) -> None:
     assert said.out == (folder / "fleet/summary.json").read_text(encoding="utf-8")
     (one,) = json.loads(said.out)["fleet"]
     assert (one["name"], one["word"]) == ("jobs", "not trusted")
-    assert "On data that the fit never saw the position error is no smaller than before calibration." in one["why"]
+    assert "On held-out data the position error is no smaller than before calibration." in one["why"]
 
 
 # Before anything runs. --------------------------------------------------------------------------------------------

@@ -145,7 +145,7 @@ WRONG = {
     "set-up by key and column": ((table("both", setup="left"),), "both.csv: the setup is given twice, as 'left'"),
     "set-up of nothing": (
         (LEFT, f"[setups.moon]\n{FRAME}"),
-        "job.toml: setups: 'moon' is in no measurement; they have 'left'.",
+        "job.toml: setups: 'moon' is in no measurement; the measurements have 'left'.",
     ),
     "base of no set-up": (
         (LEFT, f'[base]\n{FRAME}prior = {{ length = "1 mm", angle = "1 mrad" }}\n'),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.presentation.arm import arm_of, link_placements
+from calib.robot.links import arm_of, link_placements
 from calib.robot.urdf import parse_urdf
 from tests.support.cases import run, write_table
 from tests.support.machines import anywhere, pose

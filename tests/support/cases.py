@@ -142,7 +142,7 @@ def by_another_machine(folder: Path) -> None:
     arm = machines.arm(str(folder / "arm_cmm.urdf"), "probe")
     machine = machines.Machine(arm, fit.nominal.frames.base, {"tool": fit.nominal.frames.tools[0]})
     readings = np.random.default_rng(1).uniform(-1.5, 1.5, (30, 6))
-    columns = machines.write_table(arm, readings, machine.see(readings), "position")
+    columns = machines.table(arm, readings, machine.see(readings), "position")
     rows = np.column_stack([np.asarray(column) for column in columns.values()])
     lines = [", ".join(columns), *(", ".join(map(repr, map(float, row))) for row in rows)]
     write("validation.csv", "\n".join(lines) + "\n")(folder)

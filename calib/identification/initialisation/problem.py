@@ -240,7 +240,9 @@ def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> N
     names = sets[0].setups
     for name in model.setups:
         if name not in names:
-            raise JobError(f"setups: {name!r} is in no measurement; they have {', '.join(map(repr, names))}.")
+            raise JobError(
+                f"setups: {name!r} is in no measurement; the measurements have {', '.join(map(repr, names))}."
+            )
     _refuse_unplaced(model, sets)
 
 
@@ -296,7 +298,7 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
     for name in model.targets:
         if name not in found:
             there = ", ".join(found) or "no targets"
-            raise JobError(f"targets: {name!r} does not appear in the measurements; they have {there}.")
+            raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
@@ -305,7 +307,7 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
         if a != b:
             raise JobError(
                 f"relations: {relation.targets[0]!r} is on {a} and {relation.targets[1]!r} on {b}; a relation is "
-                "between targets that do not move against each other."
+                "between targets that do not move relative to each other."
             )
         for name in relation.targets:
             if found.get(name) != shape:
