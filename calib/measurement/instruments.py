@@ -58,7 +58,7 @@ class Camera:
     from the ``size`` of the images in px and what they show. ``name``: tables of one name are of one camera. ``found``:
     whether its numbers are what photographs have shown at first, and nobody gave them.
 
-        calib.measuring.Camera("tip", free=calib.measuring.LENS, size=(1920, 1080))
+        calib.measuring.Camera("tip", free=("fx", "fy", "cx", "cy", "k1", "k2"), size=(1920, 1080))
 
     Raises JobError when a number cannot be used.
     """

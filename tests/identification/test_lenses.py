@@ -16,7 +16,7 @@ from calib.identification.system import Problem
 from calib.measurement.boards import Board, shape_modes
 from calib.measurement.lens import NAMES
 from calib.measurement.optics import seen_by
-from tests.support import jacobians, machines
+from tests.support import cameras, jacobians, machines
 from tests.support.cameras import BENT, BOARD, MARK, TIP, UR5, Scene, eye, scene
 
 ROBOT, NOMINAL = machines.load(UR5, TIP), machines.arm(UR5, TIP)
@@ -33,14 +33,14 @@ def unknown(camera_on: str, free: tuple[str, ...] = FIVE, sigma: float = 0.0) ->
 
 
 def photographed(
-    true: Scene, n: int, camera: calib.measuring.Camera, board: Board, rng=None, sigma: float = 0.0
+    true: Scene,
+    n: int,
+    camera: calib.measuring.Camera,
+    board: Board,
+    rng: np.random.Generator | None = None,
+    sigma: float = 0.0,
 ) -> calib.Measurements:
-    """Rows of a board as printed, in the places where it was to be printed."""
-    draw = np.random.default_rng(4) if rng is None else rng
-    data = replace(true, places=PRINTED).measure(ROBOT, true.draw(draw, n), rng, sigma)
-    value = data.value.copy()
-    value[:, 2:] = np.tile(BOARD, (n, 1))
-    return seen_by(replace(data, value=value), camera, board)
+    return cameras.photographed(ROBOT, replace(true, places=PRINTED), n, camera, board, rng, sigma)
 
 
 def hand_eye(*offsets: str) -> calib.ErrorModel:
