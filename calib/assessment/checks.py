@@ -125,7 +125,12 @@ def stated_sigma(fit: Fit) -> Check:
 
 def _small(fit: Fit, unit: str) -> float:
     """Return a standard deviation that is small for an arm of its reach, in the unit."""
-    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0) if unit != "px" else 0.0
+    if unit == "px":
+        # As an angle is seen: the sigma of a sharp corner is far below what any arm repeats.
+        return OF_REACH * max(
+            (data.camera.lens.fx for data in fit.measurements if data.camera is not None), default=0.0
+        )
+    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0)
 
 
 # ---- what was shown

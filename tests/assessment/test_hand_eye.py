@@ -57,7 +57,7 @@ def test_the_camera_is_where_it_is_and_its_errors_are_told_in_pixels_and_metres(
     assert (one.parent, one.on_tip) == (("tool0", True) if true.camera.camera_on == "tip" else (ROBOT.base, False))
     pose = true.tool if one.on_tip else true.target
     np.testing.assert_allclose(one.pose, pose, atol=2e-3)
-    assert one.pixels == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.15)
+    assert one.pixels == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.25)
     assert one.across == pytest.approx(one.pixels * one.distance / one.lens.fx, rel=0.4)
     for name in ("fx", "cy", "k1"):
         k = NAMES.index(name)
