@@ -6,6 +6,7 @@ from calib.identification.targets import Target
 from calib.job.proposal import Proposal, ProposedTable, Question
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
+from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
@@ -16,6 +17,7 @@ from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
+    "Board",
     "Camera",
     "Clock",
     "Columns",

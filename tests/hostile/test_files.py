@@ -228,6 +228,7 @@ COMMANDS = (
     ("uncertainty", "there", "-o", "there"),
     ("export", "there", "--to", "offsets", "-o", "there"),
     ("five-point", TABLE, "-o", "there"),
+    ("board", "-o", TABLE),
     ("import", TABLE, "-o", "there"),
     ("init", URDF, TABLE, "-o", "there"),
 )
