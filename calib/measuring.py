@@ -1,4 +1,4 @@
-"""What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
+"""Instruments, targets, relations and conditions: with what is measured, and what is known of what is measured."""
 
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
@@ -6,6 +6,7 @@ from calib.identification.targets import Target
 from calib.job.proposal import Proposal, ProposedTable, Question
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
+from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
@@ -16,6 +17,7 @@ from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
+    "Board",
     "Camera",
     "Clock",
     "Columns",

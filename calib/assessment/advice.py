@@ -60,10 +60,10 @@ class Advice:
 
 @checked
 def advice(fit: Fit) -> tuple[Advice, ...]:
-    """Return what the data of a fit leave open: the null space with remedies, weak and correlated parameters.
+    """Return what the data of a fit leave open: null space with remedies, weakly determined and correlated parameters.
 
-    A parameter is weak when its sigma exceeds half its scale; correlated are pairs beyond 0.95, of identifiable
-    parameters.
+    A parameter is weakly determined when its sigma exceeds half its scale. Correlated are pairs of identifiable
+    parameters whose correlation exceeds 0.95.
     """
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
     factor = {**DISPLAY, "rad": (1.0 / MRAD, "mrad")}

@@ -75,6 +75,7 @@ def verdict(
             checks.joints(fit, own),
             checks.lengths(fit, parts),
             checks.tool_and_base(fit),
+            checks.lens(fit),
             checks.warnings(findings),
         )
     return Verdict(told, checks.shown(fit, own, held_out))

@@ -9,6 +9,9 @@ from calib.cli.application import PREPARE, Telling, command
 from calib.cli.options import Json, Quiet
 from calib_start import loading
 
+# The first word for photographs.
+_IMAGES = "images"
+
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
 def import_(
@@ -16,7 +19,7 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, records, .xlsx, .npz; or a recording of ROS.",
+            help="One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER.",
             show_default=False,
             readable=False,
         ),
@@ -33,7 +36,7 @@ def import_(
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR arm: write the URDF of this arm.",
+            help="FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job.",
             show_default=False,
         ),
     ] = None,
@@ -43,13 +46,35 @@ def import_(
             "--topic", metavar="NAME", help="Of a recording: the topic, or rigid body, to be read.", show_default=False
         ),
     ] = None,
+    board: Annotated[
+        Path | None,
+        typer.Option("--board", metavar="FILE", help="Of images: board.toml.", show_default=False, readable=False),
+    ] = None,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            "--readings",
+            metavar="FILE",
+            help="Of images: a table of the joints, or of the flange's pose, with the column image.",
+            show_default=False,
+            readable=False,
+        ),
+    ] = None,
+    tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None,
+    orientation: Annotated[
+        str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")
+    ] = None,
+    camera_on: Annotated[
+        str, typer.Option("--camera-on", help="Of images: tip, or floor where the arm carries the board.")
+    ] = "tip",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make one table of files of others.
+    """Make one table from files of other programs.
 
-    Joints and points are joined by the names of their rows, or in order. What columns mean, calib init says then. Of a
-    recording of ROS 1, ROS 2 or MCAP the topics are listed; one of them becomes a table by --topic and -o.
+    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean. Of a
+    recording of ROS 1, ROS 2 or MCAP the topics are listed; --topic with -o makes a table of one of them.
+    Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
@@ -63,6 +88,13 @@ def import_(
     if out is None:
         raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
+    if str(files[0]) == _IMAGES and len(files) > 1:
+        from calib.cli.images import import_images
+
+        import_images(files[1:], board, readings, out, robot, tip, orientation, camera_on, Telling(as_json, quiet))
+        return
+    if board is not None or readings is not None:
+        raise typer.BadParameter("--board and --readings are of photographs: calib import images FOLDER ...")
     if robot is not None:
         _own_urdf(files, robot, out, Telling(as_json, quiet))
         return

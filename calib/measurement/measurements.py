@@ -9,6 +9,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
+from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.scalars import Scalar
@@ -50,7 +51,8 @@ class Measurements:
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
-    ``camera``: by which ``pixels`` were seen.
+    ``camera``: by which ``pixels`` were seen, ``board``: of what, where that is a board of which something is unknown;
+    ``mark`` (N): which of its marks, where its shape is not flat.
     ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
     that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
     since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
@@ -81,6 +83,8 @@ class Measurements:
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
     camera: Camera | None = None
+    board: Board | None = None
+    mark: IntArray | None = None
     tip: str = ""
     target_links: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
@@ -229,6 +233,7 @@ class Measurements:
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
+            mark=None if self.mark is None else read_only_view(self.mark[index]),
             conditions=self.conditions.subset(index),
             times=None if self.times is None else read_only_view(self.times[index]),
             stream=None if self.stream is None else self.stream.subset(index),

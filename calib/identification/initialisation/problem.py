@@ -74,6 +74,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
     sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
     links = _common_links(sets)
+    _refuse_other_optics(sets)
     _refuse_absent(model, sets)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
@@ -109,6 +110,27 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         )
         for data in sets
     )
+
+
+def _refuse_other_optics(sets: Sequence[Measurements]) -> None:
+    """Refuse cameras of one name with other numbers, and boards of one name with other marks."""
+    cameras: dict[str, Measurements] = {}
+    boards: dict[str, Measurements] = {}
+    for data in sets:
+        if data.camera is not None and data.camera.free:
+            first = cameras.setdefault(data.camera.name, data)
+            if first.camera != data.camera:
+                raise MeasurementError(
+                    f"{data.where}: the camera {data.camera.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
+        if data.board is not None:
+            first = boards.setdefault(data.board.name, data)
+            if not data.board.same_as(first.board):
+                raise MeasurementError(
+                    f"{data.where}: the board {data.board.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
 
 
 def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
