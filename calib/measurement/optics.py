@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.units import MM
 from calib.measurement.boards import ONLY_BOARD, Board
 from calib.measurement.instruments import ONLY_CAMERA, Camera
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
@@ -78,7 +79,7 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
             mark = board.numbers(data.value[:, 2:])
             if (mark < 0).any():
                 row = int(np.argmin(mark))
-                x, y, z = 1e3 * data.value[row, 2:]
+                x, y, z = data.value[row, 2:] / MM
                 raise MeasurementError(
                     f"{data.where}:{data.lines[row]}: no mark of the board {board.name!r} is at {x:g}, {y:g}, {z:g} mm."
                 )
