@@ -1,4 +1,4 @@
-"""What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
+"""Instruments, targets, relations and conditions: with what is measured, and what is known of what is measured."""
 
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
@@ -10,13 +10,16 @@ from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, read_stream
+from calib.measurement.streams.rest import at_rest
+from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
     "Board",
     "Camera",
+    "Clock",
     "Columns",
     "Conditions",
     "Finding",
@@ -29,10 +32,12 @@ __all__ = [
     "SetUp",
     "Target",
     "TouchingArm",
+    "at_rest",
     "distances",
     "poses",
     "positions",
     "read_measurements",
+    "read_stream",
     "sockets",
     "touched",
 ]

@@ -15,7 +15,7 @@ from calib.assessment.own_base import OwnBase
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
-from calib.foundations.units import DEG, MM
+from calib.foundations.units import DEG, MM, MS
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
 from calib.machine.calibrated import CalibratedMachine
@@ -48,6 +48,7 @@ FREEDOM = 10.0
 SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
+SEEN_IN_TIME = 0.3
 GROSS, GROSS_ROBUST, FAR = 0.05, 0.15, 5.0
 FROZEN = 0.02
 OWN_BASE = 2.0
@@ -353,15 +354,23 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     return _check("drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved.")
 
 
-def late(found: Effect) -> Check:
-    """Whether what was measured is later, or earlier, than the readings beside it."""
-    if not (abs(found.t) > SURE and found.size > SEEN):
-        return _check("delay", NOTHING, LATE, True, "No delay between measurements and readings is seen.")
+def late(found: Effect, step: float = NOTHING) -> Check:
+    """Whether what was measured is later, or earlier, than the readings beside it: in rows, or in s, ``step`` a row.
+
+    In rows it must show in each of them: nobody knows that their order is that of time. Where times say so, an effect
+    may be as much smaller as rows are many.
+    """
+    in_time = step > 0.0
+    limit = LATE * step if in_time else LATE
+    if not (abs(found.t) > SURE and found.size > (SEEN_IN_TIME if in_time else SEEN)):
+        return _check("delay", NOTHING, limit, True, "No delay between measurements and readings is seen.")
     value = abs(found.value)
-    passed = value <= LATE
+    passed = value <= limit
+    factor, unit = (1.0 / MS, "ms") if in_time else (1.0, "rows")
     how = "later" if found.value > 0.0 else "earlier"
-    said = f"Measurements are {value:.2g} +- {found.sigma:.2g} rows {how} than their readings"
-    return _check("delay", value, LATE, passed, f"{said}." if passed else f"{said}: align the times of both.")
+    said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
+    cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
+    return _check("delay", value, limit, passed, f"{said}." if passed else f"{said}: {cure}.")
 
 
 def gear(found: Mapping[str, Effect], fit: Fit) -> Check:

@@ -54,7 +54,7 @@ def verdict(
         by_row = (
             checks.jump(steps(parts, C), found),
             checks.drift(wandering(parts, C), fit),
-            checks.late(delay(parts, C)),
+            checks.late(*delay(parts, C)),
             checks.gear(gains(parts, C), fit),
         )
         told = (

@@ -31,6 +31,8 @@ from calib.measurement.measurements import Measurements
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
 # different poses of a calibration are a tenth of a radian apart.
 _ONE_POSE = 1e-3
+# Stretches of a stream, in s, and farther than any pose in units of one.
+_STRETCH, _FAR = 5.0, 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,12 @@ class HeldOut:
 def groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Numbered by the poses
-    in them, so that neither the order of the rows nor that of the sets matters.
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
+    together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
+    of the rows nor that of the sets matters.
     """
-    readings = np.concatenate([_both_ends(data) for data in measurements])
-    cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
+    poses = np.concatenate([_poses(data, k) for k, data in enumerate(measurements)])
+    cells, cell = np.unique(poses, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
     first: dict[tuple[str, str], int] = {}
@@ -72,15 +75,15 @@ def groups(measurements: Sequence[Measurements], *, places: bool = False) -> Int
 def hold_out(
     data: Measurements, share: float = 0.25, *, places: Sequence[str] | None = None
 ) -> tuple[Measurements, Measurements]:
-    """Return the rows to identify from, and the rest, that judge the fit.
+    """Return the rows to identify from, and the held-out rows, which judge the fit.
 
-        some, rest = calib.hold_out(data)                  # a quarter, spread at random but alike every time
+        some, rest = calib.hold_out(data)                  # a quarter at random, the same ones every time
         some, rest = calib.hold_out(data, places=["left"])  # all that was touched or grouped there
 
-    ``share``: of whole groups, rows of one pose, one socket or one ``group`` together. ``places``: names of sockets and
-    other targets, or words of the column ``group``, instead. A target of which no row is left is none of the part's.
-    Raises MeasurementError when a place is not known, or when one part would have no rows; JobError for a share that is
-    not between 0 and 1.
+    ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together.
+    ``places``: instead of a share, names of sockets and other targets, or words of the column ``group``. Neither part
+    has targets without rows. Raises MeasurementError when a place is not known, or when one part would have no rows;
+    JobError for a share that is not between 0 and 1.
     """
     if not 0.0 < share < 1.0:
         raise JobError(f"share: {share!r} is not between 0 and 1.")
@@ -114,9 +117,16 @@ def _places(measurements: Sequence[Measurements]) -> list[str | None]:
     return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
 
 
-def _both_ends(data: Measurements) -> Array:
-    """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
-    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
+def _poses(data: Measurements, number: int) -> Array:
+    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice, in units of one pose.
+
+    Of a stream its stretches, far from all poses and from those of another ``number``.
+    """
+    both = np.round(np.hstack([data.ends[0].readings, data.ends[-1].readings]) / _ONE_POSE)
+    if data.stream is not None:
+        both[:, 1:] = _FAR * (1.0 + number)
+        both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
+    return np.asarray(both)
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:

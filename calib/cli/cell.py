@@ -44,8 +44,8 @@ def cell(
 ) -> None:
     """Put an arm and the positioner it touched into one URDF.
 
-    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
-    use. It may as well be another arm, a turntable or a track.
+    The positioner is fixed to the arm's base link, at its calibrated pose. Names that both use are changed in the
+    positioner. It may also be another arm, a turntable or a track.
     """
     with loading():
         from calib.compensation.cell import calibrated_cell
@@ -63,9 +63,10 @@ def cell(
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    write_new(out, found.cell.document)
+    # The cell last: where the scene cannot be written, neither is the cell.
     if scene is not None and page is not None:
         write_new(scene, page)
+    write_new(out, found.cell.document)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(

@@ -26,10 +26,10 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a calibrated machine as a controller takes it.
+    """Write a calibrated machine in the format of a controller.
 
-    The file is read back and compared before it is written. What it has no place for is named, with what that costs at
-    the tip: no such file holds all that model.json does.
+    The file is read back and compared before it is written. No such file holds all that model.json does: what it
+    cannot hold is named, with the error at the tip that this causes.
     """
     with loading():
         from calib.compensation.controllers import exported

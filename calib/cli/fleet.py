@@ -36,9 +36,9 @@ def fleet(
 ) -> None:
     """Calibrate many jobs at once.
 
-    Each as calib calibrate would do it, into a folder of its name, with one table and one page for all. A bad job does
-    not stop the others, and a job that was done, with the same inputs and versions, is not done again: after Ctrl-C the
-    same command goes on. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
+    Runs each job as calib calibrate does, into a folder of its name, and writes one table and one page for all. A bad
+    job does not stop the others. A finished job with the same inputs and versions is not run again, so after Ctrl-C the
+    same command continues. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
         from calib.foundations.folders import made_folder

@@ -46,7 +46,7 @@ def init(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the job that a robot and tables of measurements make.
+    """Write a job from a robot and tables of measurements.
 
     Says which columns are joints and points, in which units and conventions, and why; asks what cannot be known.
     Exit codes: 0 good, 1 bad input or an open question, 2 wrong usage.

@@ -54,8 +54,8 @@ def plan(
 ) -> None:
     """Choose the poses that calibrate an arm best.
 
-    From random candidates within the joints' limits or a table of them; seen by the tracker where --tracker and
-    --facing say where it is and where the reflector looks; without self-collision where the URDF has collision shapes.
+    Poses are chosen from random candidates within the joints' limits, or from a table. With --tracker and --facing they
+    are poses that the tracker sees. If the URDF has collision shapes, they are free of self-collision.
     """
     with loading():
         from calib.assessment.candidates import Setup, possible, random_candidates
@@ -100,7 +100,7 @@ def plan(
             setup=setup,
             criterion=criterion,
             measured=None if measured is None else given.table_readings(measured, robot),
-            target=None if target is None else given.parsed_length(target, "target"),
+            target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
     rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())

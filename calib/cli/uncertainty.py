@@ -29,9 +29,9 @@ def uncertainty(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool, and why.
+    """Show the uncertainty of the tool, and its causes.
 
-    Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
+    Over the identified range of readings, or with --whole over the joints' limits; in the instrument's frame.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new

@@ -33,7 +33,7 @@ def verify(
 ) -> None:
     """Verify a calibrated machine by new measurements.
 
-    Ten points or more are enough. It passes when every error is within the limit, where one is given, and the errors
+    Ten points or more are enough. It passes when every error is within the limit, if one is given, and the errors
     together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
     input, 2 wrong usage, 3 failed.
     """

@@ -85,6 +85,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "model_sigma": _SIGMA_FROM_ZERO,
         "model_sigma of pixels": Range(1e-4, 1e4, "px", zero=True),
         "model_sigma_angle": Range(1e-6, 1e3, "mrad", zero=True),
+        "gap": Range(1e-3, 10.0, "s"),
         "relations.distance": Range(0.0, 1e4, "m"),
         "relations.offset": _PLACE,
         "relations.angle": Range(0.0, 360.0, "deg"),

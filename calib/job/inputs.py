@@ -49,7 +49,8 @@ from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL, Lens
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, stream_of
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -126,10 +127,11 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
-    stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
+    named = list(dict.fromkeys(name for section in sections for name in (section.file, section.readings) if name))
     prints = _prints(job, folder)
     lenses = _lenses(job, folder)
-    stamps |= {folder / name: stamp(folder / name) for name in (*prints, *lenses)}
+    named += [name for name in (*prints, *lenses) if name not in named]
+    stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     sets = [
@@ -159,8 +161,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
-        **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
-        **{name: sha256(read_bytes(folder / name, JobError)) for name in (*prints, *lenses)},
+        **{name: sha256(read_bytes(folder / name, JobError)) for name in named},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
@@ -184,8 +185,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         files=(
             path,
             urdf,
-            *(folder / section.file for section in sections),
-            *(folder / name for name in (*prints, *lenses)),
+            *(folder / name for name in named),
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
         optics=optics,
@@ -558,25 +558,30 @@ def _measurements(
     lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
 ) -> Measurements:
+    clock = _clock(section, job)
     if section.instrument is not None and section.instrument in arms:
+        if clock is not None:
+            raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
         return data.named(tool=section.tool, setup=section.setup)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
-        data = read_measurements(
-            folder / section.file,
-            seen_from,
-            section.observes,
-            sigma=(_si(section.sigma), _si(section.sigma_angle)),
-            instrument=None
+        how: dict[str, Any] = {
+            "sigma": (_si(section.sigma), _si(section.sigma_angle)),
+            "instrument": None
             if section.instrument is None
             else _instrument(section.instrument, job.instruments[section.instrument], lenses),
-            offset=section.length_offset,
-            in_order=section.in_order,
-            columns=_columns(section),
-            board=None if section.board is None else prints[section.board].board(Path(section.board).stem),
-        )
+            "offset": section.length_offset,
+            "in_order": section.in_order,
+            "columns": _columns(section),
+        }
+        if section.readings is None or clock is None:
+            board = None if section.board is None else prints[section.board].board(Path(section.board).stem)
+            data = read_measurements(folder / section.file, seen_from, section.observes, board=board, **how)
+        else:
+            joints = folder / section.readings
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
@@ -595,6 +600,21 @@ def _measurements(
             if on.setdefault(name, link) != link:
                 raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
     return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+
+
+def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+    """Return what a job says of the clock of a stream, None of other tables."""
+    if section.readings is None:
+        for key in ("clock", "latency", "gap"):
+            if getattr(section, key) is not None:
+                raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
+        return None
+    streams = list(dict.fromkeys(other.file for other in job.measurements if other.readings is not None))
+    stems = [Path(file).stem for file in streams]
+    own = Path(section.file).stem
+    name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
+    gap = GAP if section.gap is None else section.gap.si
+    return Clock(section.clock or "free", section.latency is not None, gap, name)
 
 
 def _columns(section: MeasurementsSection) -> Columns:

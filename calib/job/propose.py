@@ -47,14 +47,14 @@ def propose(
     observes: Kind | None = None,
     columns: Mapping[str, str] | None = None,
 ) -> Proposal:
-    """Return how files of others are read as measurements of the arm of a URDF, with reasons and questions.
+    """Return how files of other programs are read as measurements of an arm, with reasons and questions.
 
         found = calib.propose("arm.urdf", ["measured.csv"])
         print(found.job())
 
-    What is given answers questions, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and ``"mm"``;
-    ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``, ``"ZYX"``...);
-    ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
+    The arguments answer questions beforehand, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and
+    ``"mm"``; ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``,
+    ``"ZYX"``...); ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
 
     Raises CalibError with one sentence where a file has nothing of the arm, or an answer cannot be used.
     """

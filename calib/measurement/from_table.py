@@ -18,6 +18,7 @@ from calib.measurement.columns import (
     SIGMA_ANGLES,
     SIGMAS,
     filled,
+    numbers,
     orientations,
     refuse_unknown,
     require,
@@ -163,6 +164,7 @@ def measurements_from_table(
         tip=joints.tip,
         absent=absent,
         unused=tuple(name for name in joints.idle if name in table.columns),
+        times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
     if camera is not None:
         return seen_by(found, camera, board or Board())

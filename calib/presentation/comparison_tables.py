@@ -20,7 +20,7 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
     rows_of = f"{found.rows} rows{some} in {found.groups} groups, {found.folds} folds"
     columns = ("model", "free", "rank", "held out", "std. error", "worse by", "std. error")
     return Sheet(
-        f"Errors at rows held out, rms [{unit}]",
+        f"Errors at held-out rows, rms [{unit}]",
         columns,
         frozenset(columns[1:]),
         tuple(rows),

@@ -10,6 +10,7 @@ from calib.assessment.hand_eye import hand_eyes
 from calib.presentation.hand_eye import blame_section, hand_eye_section, optics_section
 from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
+from calib.presentation.report.in_time import in_time
 from calib.presentation.report.outlying import outlier_section
 from calib.results.calibration import Calibration
 from calib.results.versions import versions
@@ -27,6 +28,7 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.pose_section(c.sets),
     lambda c: sections.joints(c.fit, c.sets),
     lambda c: sections.workspace(c.fit, c.sets),
+    lambda c: in_time(c.fit, c.sets),
     lambda c: outlier_section(c.outliers),
     lambda c: sections.budget(c.machine, c.sets),
     lambda c: sections.parameters(c.fit),

@@ -223,7 +223,7 @@ COMMANDS = (
     ("models", JOB),
     ("plan", URDF, "-o", "there", "--measured", TABLE, "--working", TABLE, "--mesh-root", "there"),
     ("verify", "there", TABLE),
-    ("compare", "there", "there"),
+    ("compare", "there", "there", "-o", "there"),
     ("iso9283", TABLE),
     ("uncertainty", "there", "-o", "there"),
     ("export", "there", "--to", "offsets", "-o", "there"),

@@ -214,7 +214,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
-    others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
+    others = [data for data in sets if data.stream or (data.kind in targets.SHAPES and data.kind != "socket")]
     of_setup = any(not parameter.nuisance for parameter in new)
     return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
 

@@ -94,12 +94,12 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     rivals = _of_the_same_joints(seen, _of_one_point(seen, rivals))
     arms = list(dict.fromkeys(t.pick.arm for t in rivals))
     if len(arms) > 1:
-        raise ask("tip", f"{seen.raw.where}: several arms of the URDF follow the rows alike", tips_of(arms))
+        raise ask("tip", f"{seen.raw.where}: several arms of the URDF fit the rows equally well", tips_of(arms))
     for about, k in (("angles", 0), ("lengths", 2), ("lengths", 1)):
         units = list(dict.fromkeys(t.units[k] for t in rivals))
         if len(units) > 1:
             name: About = "angles" if about == "angles" else "lengths"
-            raise ask(name, f"{seen.raw.where}: {about} in {' and in '.join(units)} fit alike", units)
+            raise ask(name, f"{seen.raw.where}: {about} in {' and in '.join(units)} fit equally well", units)
     chosen = rivals[0]
     # What was only commanded is never taken without a word, nor anything else while something says it was measured.
     points = {t.point for t in trials}
@@ -127,7 +127,7 @@ def _of_the_same_joints(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
         first_of = rivals[0].pick.arm.joints[0]
         raise ask(
             "joints",
-            f"{seen.raw.where}: {' and '.join(sorted(map(seen.titles, ranks)))} fit the joints alike",
+            f"{seen.raw.where}: {' and '.join(sorted(map(seen.titles, ranks)))} fit the joints equally well",
             [f"'{first_of}={seen.raw.columns[one[0]].title}'" for one in sorted(ranks)],
             "--column",
         )
@@ -195,7 +195,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     if not trials:
         raise ask(
             "columns",
-            f"{where}: {seen.titles(picks[0].joints.columns)} or the point are in units of something else",
+            f"{where}: {seen.titles(picks[0].joints.columns)} or the point have units of another quantity",
             (),
             "--column 'NAME [UNIT]=TITLE'",
         )
@@ -213,9 +213,9 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         best = trials[0]
         raise ask(
             "columns",
-            f"{where}: the arm follows no reading of the file: at best {seen.titles(best.pick.joints.columns)} in "
-            f"{best.units[0]} and the point in {best.units[2]} leave {best.fit.share:.0%} of the spread; is it "
-            "this robot, and are signs and the order of joints those of the URDF?",
+            f"{where}: no way to read the columns fits the arm: the best, {seen.titles(best.pick.joints.columns)} in "
+            f"{best.units[0]} and the point in {best.units[2]}, leaves {best.fit.share:.0%} of the spread of the "
+            "points; is it this robot, and are signs and the order of joints those of the URDF?",
             (),
             "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths",
         )
@@ -226,7 +226,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
             seen.reasons.append(f"{seen.titles(pick.joints.columns)} are {run_of(pick.arm.joints)}, {pick.joints.why}")
             if enough:
                 seen.reasons.append(
-                    f"the arm does not follow: {trial.fit.share:.0%} of the spread is left; see what the check says"
+                    f"the arm does not fit: {trial.fit.share:.0%} of the spread is left; see what the check says"
                 )
             return trial
     raise AssertionError("units come from the trials")
@@ -257,7 +257,7 @@ def units_by_limits(seen: Seen, pick: Pick) -> tuple[str, str]:
             f"{'both within' if inside else 'all beyond'} the limits of the joints",
             units,
         )
-    seen.reasons.append(f"angles are taken to be in {inside[0][0]}: in another unit they pass the joints' limits")
+    seen.reasons.append(f"angles are taken to be in {inside[0][0]}: in another unit they exceed the joints' limits")
     return inside[0]
 
 
@@ -272,5 +272,5 @@ def _length_by_reach(seen: Seen, pick: Pick, point: Point) -> str:
     fits = [unit for unit in units if 2e-3 * reach < spread * UNITS[unit].factor < 2.0 * reach]
     if len(fits) != 1:
         raise ask("lengths", f"{seen.raw.where}: {seen.titles(point.columns)} have no unit", units)
-    seen.reasons.append(f"lengths are taken to be in {fits[0]}: in another unit they do not suit the arm's reach")
+    seen.reasons.append(f"lengths are taken to be in {fits[0]}: in another unit they do not fit the arm's reach")
     return fits[0]

@@ -29,7 +29,7 @@ def parts_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
                 if is_beside and _are_followed(trial, [own == kind for kind in kinds]):
                     return ask(
                         "setup",
-                        f"{where}: rows of one {column.title!r} are followed, all rows together are not; is it the "
+                        f"{where}: the rows of each {column.title!r} fit the arm, all rows together do not; is it the "
                         "place of the robot or the instrument, or the tool?",
                         [f"'{name}={column.title}'" for name in ("setup", "tool")],
                         "--column",
@@ -39,8 +39,8 @@ def parts_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
         if first is not None and _are_followed(trial, [first, ~first]):
             return ask(
                 "setup",
-                f"{where}: {seen.first_rows(int(trial.rows[first].max()))} and the rows after them are each followed, "
-                "all rows together are not; was the robot, the instrument or the tool moved there?",
+                f"{where}: {seen.first_rows(int(trial.rows[first].max()))} and the rows after them fit the arm "
+                "separately, but not together; was the robot, the instrument or the tool moved there?",
                 (),
                 "a column setup, or tool, that says which rows belong together",
             )

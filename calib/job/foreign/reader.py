@@ -95,7 +95,7 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     if kind is None and known.pixels is not None:
         raise ask(
             "observes",
-            f"{where}: u and v are pixels, and nothing here says the camera's numbers; write the job by hand",
+            f"{where}: u and v are pixels, and the camera's numbers are not known; write the job by hand",
             (),
             "a job file with instruments.NAME of kind camera",
         )
@@ -165,7 +165,7 @@ def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
     if shares:
         raise ask(
             "columns",
-            f"{seen.raw.where}: in no unit, or in several, do rows of one {target.title!r} touch one point",
+            f"{seen.raw.where}: rows of one {target.title!r} touch one point in no unit, or in several units",
             (),
             "--angles, and --observes where it is no socket",
         )

@@ -74,7 +74,7 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
         choices = tuple(dict.fromkeys(other.convention or "quaternion" for other in alike))
         raise ask(
             "orientation",
-            f"{seen.raw.where}: {seen.titles(way.of.columns)} fit as {', '.join(choices[:8])} alike",
+            f"{seen.raw.where}: {seen.titles(way.of.columns)} fit equally well as {', '.join(choices[:8])}",
             choices,
         )
     seen.reasons.append(
@@ -133,5 +133,5 @@ def _called(orientation: str | None) -> str:
     if orientation in ("matrix", "rotation_vector"):
         return f"a {orientation.replace('_', ' ')}"
     order = MAKERS.get(orientation, orientation)
-    about = "axes that turn along" if order.isupper() else "axes that stay"
+    about = "the turned axes (intrinsic)" if order.isupper() else "fixed axes (extrinsic)"
     return f"{orientation}, turns about {', '.join(order.lower())}, {about},"

@@ -297,11 +297,11 @@ def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None
     found = tool_uncertainty(machine, readings, tool)
     said = (
         f"Of {tool!r}, at configurations that were measured. Parameters that the data do not determine have the "
-        "standard deviation of their prior, or of their weak prior. What the model leaves out is estimated from what "
-        "the residuals have in common."
+        "standard deviation of their prior. If none is stated, it is learned from other parameters of their kind, or "
+        "it is wide. What the model leaves out is estimated from what the residuals have in common."
     )
     return Section(
-        "budget", "How sure the tool is", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
+        "budget", "Uncertainty of the tool", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
     )
 
 
