@@ -210,7 +210,7 @@ def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames:
 
 
 def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
-    placed = frames.bases[data.setup] @ data.tips(model.robot) @ frames.tools[data.tool]
+    placed = frames.bases[data.setup] @ data.tips(model.robot) @ data.placed_by(frames.tools)
     sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 
@@ -236,9 +236,9 @@ def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: NullDi
 
 
 def _correlated(fit: Fit) -> list[Advice]:
-    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
+    seen = fit.correlated
     sigmas = fit.sigmas[seen]
-    correlation = fit.covariance[np.ix_(seen, seen)] / (sigmas[:, None] * sigmas)
+    correlation = fit.spread.of(seen) / (sigmas[:, None] * sigmas)
     said = []
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1)), strict=True):
         a, b = (fit.parameters[seen[k]].name for k in (i, j))

@@ -537,9 +537,10 @@ def _common_scale(fit: Fit, parts: Sequence[Stretch], scaled: Array, moved: Bool
     """Return by which share all links are longer, and its standard error; nan where nothing shows it."""
     if not moved.any() or not parts:
         return NOTHING, NOTHING
-    R = triangle(np.concatenate([part.J.reshape(-1, len(moved)) for part in parts]))
-    units = scales(fit.parameters)
-    x = R[:, moved] @ (np.column_stack([fit.values[moved], scaled[moved]]) / units[moved, None])
+    own = parts[0].columns
+    R = triangle(np.concatenate([part.J.reshape(-1, len(own)) for part in parts]))
+    values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
+    x = R[:, moved] @ (values[moved] / units[moved, None])
     others = R[:, ~moved]
     left = x - others @ np.linalg.lstsq(others, x, rcond=1e-9)[0]
     square = float(left[:, 1] @ left[:, 1])

@@ -22,6 +22,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
+from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
 
 # Fewer blocks than these give no standard error.
@@ -43,8 +44,9 @@ _LEAST_ROWS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, p); how they follow what is no parameter.
+    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 
+    ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
@@ -54,6 +56,7 @@ class Stretch:
 
     r: Array
     J: Array
+    columns: IntArray
     joints: tuple[str, ...]
     by_joint: Array
     by_base: Array
@@ -118,15 +121,18 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     own = [k for k, name in enumerate(names) if name in readings]
     column = [readings.index(names[k]) for k in own]
     units = np.ones(len(parameters))
+    judged = tuple(fit.parameters[k] for k in residue.judged)
     found = []
     for i, data in enumerate(fit.measurements):
-        rows = _chosen(len(data))
+        rows = _chosen(data, residue)
+        if not len(rows):
+            continue
         part = data.subset(rows)
         sigma, w = residue.sigma[i][rows][:, :, None], np.sqrt(residue.w[i][rows])[:, None, None]
         at = Problem(wide, parameters, fit.machine.frames, (part,))
         W = np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w
-        mine = replace(residue.problem, measurements=(part,))
-        blocks = list(Rates(mine, fit.machine, scales(fit.parameters)).blocks(part))
+        mine = replace(residue.problem, measurements=(part,), parameters=judged)
+        blocks = list(Rates(mine, fit.machine, scales(judged)).blocks(part))
         J = np.concatenate([b.J for b in blocks]) / sigma * w
         r = np.concatenate([b.observed.residual for b in blocks]) / sigma[:, :, 0] * w[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
@@ -135,6 +141,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
             Stretch(
                 r,
                 J,
+                residue.judged,
                 tuple(names[k] for k in own),
                 W[:, :, kinds == "offset"][:, :, own],
                 W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
@@ -164,12 +171,22 @@ def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
     return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
 
 
-def _chosen(n: int) -> np.ndarray:
-    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly."""
+def _chosen(data: Measurements, residue: Residue) -> IntArray:
+    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly.
+
+    Of very many targets all rows of those that are judged.
+    """
+    rows, left_out = np.arange(len(data)), len(residue.fit.parameters) - len(residue.judged)
+    if left_out and data.kind in WITH_TARGET:
+        names = {residue.fit.parameters[k].name.rpartition(".")[0] for k in residue.judged}
+        unknown = {parameter.name.rpartition(".")[0] for parameter in residue.fit.parameters}
+        whole = np.array([f"target.{name}" in names or f"target.{name}" not in unknown for name in data.targets])
+        rows = rows[whole[data.target]]
+    n = len(rows)
     if n <= _MOST_ROWS:
-        return np.arange(n)
+        return rows
     starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
-    return np.unique(starts[:, None] + np.arange(_RUN))
+    return rows[np.unique(starts[:, None] + np.arange(_RUN))]
 
 
 def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:

@@ -133,10 +133,10 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "measurements.targets": 1000,
     }
 )
-# As many may be in the tables of a calibration: each is three unknowns or more, found with those of the robot.
+# As many may be in the tables of a calibration: set-ups and tools are found with the robot, targets one by one.
 MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
-MOST_TARGETS = COUNTS["targets"]
+MOST_TARGETS = 20_000
 # Of names and globs, wherever a list of them may stand.
 MOST_NAMES = 1000
 

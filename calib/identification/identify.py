@@ -96,8 +96,7 @@ def _identify(
     problem, found, learned = solve_learning(problem, x0, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    numerical_rank = min(found.directions.numerical_rank, identifiability.singular_directions(found.start).rank)
-    kept, directions = identifiability.told(found.start, numerical_rank, parameters)
+    kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
     if null_space == "refuse" and directions:
         many = "1 combination" if len(directions) == 1 else f"{len(directions)} combinations"
         raise IdentificationError(f"the data do not determine {many} of parameters; the first: {directions[0]}")
@@ -110,19 +109,19 @@ def _identify(
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
     sigmas = weights.sigmas_of(problem, found.variances, after)
-    covariance, memories = with_memory(problem, found.x, sigmas, after, found.covariance)
+    spread, memories = with_memory(problem, found.x, sigmas, after, found.spread)
     return Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
         parameters=problem.parameters,
         values=read_only(found.x),
-        covariance=read_only(covariance),
-        covariance_alone=read_only(found.covariance),
+        spread=spread,
+        spread_alone=found.spread,
         rank=rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
         null_space=directions,
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
@@ -184,6 +183,12 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
     ), begin.machine.deviations
 
 
+def _common_rank(found: Solution) -> int:
+    """Return how many combinations of common parameters are determined, at the solution and at its start."""
+    start = identifiability.directions_of(found.start.reduced(identifiability.RANK_TOLERANCE))
+    return min(found.directions.common_rank(identifiability.NUMERICAL_TOLERANCE), start.common_rank(0.0))
+
+
 def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:
     return tuple(
         noise_of(
@@ -238,13 +243,13 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     return replace(
         fit,
         values=read_only(values),
-        covariance=read_only(found.covariance),
-        covariance_alone=read_only(found.covariance),
+        spread=found.spread,
+        spread_alone=found.spread,
         memories=(),
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
         null_basis=read_only(found.null_basis),
         noise=_noise(problem, found, after),
         machine=machine,

@@ -16,13 +16,14 @@ The estimate stays that of least squares; its covariance is the sandwich ``C (J^
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
+from calib.identification.arrow import Covariance
 from calib.identification.parameters import scales
 from calib.identification.system import Component, Problem, Rates
 from calib.measurement.measurements import Measurements
@@ -67,14 +68,16 @@ class Memory:
 
 
 def with_memory(
-    problem: Problem, x: Array, sigmas: Sequence[Array], residuals: Sequence[Array], covariance: Array
-) -> tuple[Array, tuple[Memory, ...]]:
-    """Return the covariance (p, p) at x (p,) when rows with times err together, and how they do.
+    problem: Problem, x: Array, sigmas: Sequence[Array], residuals: Sequence[Array], covariance: Covariance
+) -> tuple[Covariance, tuple[Memory, ...]]:
+    """Return the covariance at x (p,) when rows with times err together, and how they do.
 
-    ``sigmas`` and ``residuals`` (N, d) of every set; ``covariance``: as if rows erred alone.
+    ``sigmas`` and ``residuals`` (N, d) of every set; ``covariance``: as if rows erred alone. Looked at are common
+    parameters, with targets that follow them.
     """
     units = scales(problem.parameters)
-    C = covariance / units[:, None] / units
+    scaled = covariance.scaled(1.0 / units)
+    C = scaled.common
     more, found = np.zeros_like(C), []
     for c, component in enumerate(problem.components):
         data = problem.measurements[component.measurements]
@@ -83,7 +86,10 @@ def with_memory(
         rows = _chosen(len(data))
         part = data.subset(rows)
         assert part.times is not None, "rows in time have times"
-        J = _jacobian(problem, x, part, component) / sigmas[component.measurements][rows][:, component.columns, None]
+        J = (
+            _jacobian(problem, x, part, component, scaled)
+            / sigmas[component.measurements][rows][:, component.columns, None]
+        )
         r = (residuals[component.measurements] / sigmas[component.measurements])[rows][:, component.columns]
         memory = _memory(c, component, part.times, J, r, C, len(data))
         if memory is not None:
@@ -93,7 +99,7 @@ def with_memory(
     if not found:
         return covariance, ()
     C = C + C @ more @ C
-    return np.asarray(0.5 * (C + C.T) * units[:, None] * units), tuple(found)
+    return replace(scaled, common=0.5 * (C + C.T)).scaled(units), tuple(found)
 
 
 def _in_time(data: Measurements) -> bool:
@@ -112,9 +118,14 @@ def _chosen(n: int) -> IntArray:
     return np.unique(starts[:, None] + np.arange(_RUN))
 
 
-def _jacobian(problem: Problem, x: Array, part: Measurements, component: Component) -> Array:
-    rates = Rates(problem, problem.machine(x), scales(problem.parameters))
-    return np.concatenate([block.J[:, component.columns] for block in rates.blocks(part)])
+def _jacobian(problem: Problem, x: Array, part: Measurements, component: Component, known: Covariance) -> Array:
+    rates, found = Rates(problem, problem.machine(x), scales(problem.parameters), known.split), []
+    for block in rates.blocks(part):
+        J = block.J
+        if block.own is not None and block.block is not None:
+            J = J + block.own @ known.follow[block.block]
+        found.append(J[:, component.columns])
+    return np.concatenate(found)
 
 
 def _memory(c: int, component: Component, times: Array, J: Array, r: Array, C: Array, rows: int) -> Memory | None:

@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
@@ -134,10 +134,26 @@ def scales(parameters: Sequence[Parameter]) -> Array:
     return np.array([parameter.scale for parameter in parameters])
 
 
+class Entries(NamedTuple):
+    """What parameters move: ``entry`` (n,) of the state by ``share`` (n,) of the ``parameter`` (n,), by number."""
+
+    entry: IntArray
+    parameter: IntArray
+    share: Array
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> "Entries":
+        """Return those of parameters."""
+        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.direction]
+        entry, parameter, share = zip(*found, strict=True) if found else ((), (), ())
+        return cls(
+            np.array(entry, dtype=np.intp), np.array(parameter, dtype=np.intp), np.array(share, dtype=np.float64)
+        )
+
+
 def directions(parameters: Sequence[Parameter], size: int) -> Array:
     """Return the matrix (size, p) that maps parameter values to entries of a state of that size."""
     S = np.zeros((size, len(parameters)))
-    for k, parameter in enumerate(parameters):
-        for entry, share in parameter.direction:
-            S[entry, k] = share
+    entry, parameter, share = Entries.of(parameters)
+    S[entry, parameter] = share
     return S

@@ -265,7 +265,10 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
-    null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
+    # Targets are no part of the state.
+    own = fit.spread.split.common
+    common = [fit.parameters[k] for k in own]
+    null_basis = _to_state(fit, common, fit.machine) @ (fit.null_basis[own] * scales(common)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
@@ -279,7 +282,9 @@ def _uncertainty(fit: Fit) -> Uncertainty:
 
 def measured_factor(fit: Fit) -> Array:
     """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
-    return np.asarray(_to_state(fit, fit.parameters, fit.machine) @ _factor(fit.covariance, scales(fit.parameters)))
+    own = fit.spread.split.common
+    common = [fit.parameters[k] for k in own]
+    return np.asarray(_to_state(fit, common, fit.machine) @ _factor(fit.spread.of(own), scales(common)))
 
 
 def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:

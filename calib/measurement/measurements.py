@@ -1,10 +1,11 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
@@ -23,11 +24,15 @@ ONLY_TOOL, ONLY_SETUP = "tool", "base"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class End:
-    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
+    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there.
+
+    ``points`` (N, 3): where in the tool's frame each row's point is; None where all are its origin.
+    """
 
     readings: Array
     tool: IntArray
     conditions: Conditions = NO_CONDITIONS
+    points: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +55,8 @@ class Measurements:
     rows depend on, by what it is to them: the ``offset`` of lengths, the ``radius`` of a ball.
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
+    ``points`` (N, 3): where in the tool's frame each row's point is, in m, as a scanner or a depth camera on the robot
+    saw it; None where all are the tool's own.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
     ``camera``: by which ``pixels`` were seen, ``board``: of what, where that is a board of which something is unknown;
     ``mark`` (N): which of its marks, where its shape is not flat.
@@ -89,6 +96,7 @@ class Measurements:
     target_links: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    points: Array | None = None
     times: Array | None = None
     stream: Stream | None = None
 
@@ -120,7 +128,7 @@ class Measurements:
     @property
     def ends(self) -> tuple[End, ...]:
         """Where the robot was: the one end of every row, and the other one in kinds that have two."""
-        own = End(self.readings, self.tool, self.conditions)
+        own = End(self.readings, self.tool, self.conditions, self.points)
         return (own,) if self.other is None else (own, self.other)
 
     @checked
@@ -131,6 +139,11 @@ class Measurements:
         """
         with naming_rows(self.where, self.lines):
             return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, self.conditions)
+
+    def placed_by(self, tools: Array) -> Array:
+        """Return the placements (N, 4, 4) of the rows' points in the link that carries them, by its tools (k, 4, 4)."""
+        placed = tools[self.tool]
+        return placed if self.points is None else np.asarray(placed @ rigid.translation(self.points))
 
     def link_of(self, target: int) -> str | None:
         """Return the link that carries a target, by its number; None where it stands on the floor."""
@@ -229,15 +242,26 @@ class Measurements:
             other=None
             if other is None
             else End(
-                read_only_view(other.readings[index]), read_only_view(other.tool[index]), other.conditions.subset(index)
+                read_only_view(other.readings[index]),
+                read_only_view(other.tool[index]),
+                other.conditions.subset(index),
+                None if other.points is None else read_only_view(other.points[index]),
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
             mark=None if self.mark is None else read_only_view(self.mark[index]),
             conditions=self.conditions.subset(index),
+            points=None if self.points is None else read_only_view(self.points[index]),
             times=None if self.times is None else read_only_view(self.times[index]),
             stream=None if self.stream is None else self.stream.subset(index),
         )
+
+
+def numbered(numbers: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield every number of rows (N,), the least first, with the rows that have it."""
+    order = np.argsort(numbers, kind="stable")
+    there, starts = np.unique(numbers[order], return_index=True)
+    yield from zip(there.tolist(), np.split(order, starts[1:]), strict=len(order) > 0)
 
 
 def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:

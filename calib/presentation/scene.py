@@ -82,6 +82,7 @@ class Mark:
     A point is drawn as a ball, a ball is seen through, a socket is a cup that is open along z, a plane a plate in x and
     y, an axis a line along z. Marks of one ``layer`` are shown and hidden together. ``size`` in m: the radius, or half
     the side or length.
+    ``link``: of the robot, that carries it and in whose frame T is; None where it stands in the world.
     """
 
     layer: str
@@ -89,6 +90,7 @@ class Mark:
     kind: MarkKind
     T: Array
     size: float
+    link: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,8 @@ class Scene:
 
     ``urdf``: the robot; ``mesh_roots``: the folders below which its meshes may be read. ``calibrated``: the arm at
     every row, and ``nominal`` the nominal one, its difference from it taken ``apart`` times, or None where there is
-    none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
+    none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link, and
+    ``tools_on`` other links, each with the link. ``notes``: what else is to be said of what is drawn.
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
     ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
@@ -123,6 +126,8 @@ class Scene:
     judged: bool = True
     joints: tuple[tuple[str, str], ...] = ()
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    tools_on: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
     regions: Mapping[int, Array] = field(default_factory=dict)
 
@@ -187,7 +192,7 @@ def render_scene(scene: Scene) -> str:
     near = float(np.linalg.norm(T_base_world[:3, 3] - box.mean(axis=0))) < 0.7 * extent
     box = np.concatenate([box, T_base_world[None, :3, 3]]) if near else box
     # So it is with what stands about: what is near is in the picture.
-    marked = np.array([(T_base_world @ mark.T)[:3, 3] for mark in scene.marks]).reshape(-1, 3)
+    marked = np.array([(_placed(mark, T_base_world, first))[:3, 3] for mark in scene.marks]).reshape(-1, 3)
     box = np.concatenate([box, marked[np.linalg.norm(marked - box.mean(axis=0), axis=1) < 1.5 * extent]])
     low, high = box.min(axis=0), box.max(axis=0)
 
@@ -196,6 +201,7 @@ def render_scene(scene: Scene) -> str:
     drawings = [
         *_robot(links, extent),
         *_frames(T_base_world, first[scene.tip], scene.tools, extent),
+        *_tools_on(scene.tools_on, extent),
         *_marks(scene.marks, T_base_world),
     ]
     page = {
@@ -347,11 +353,19 @@ def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], 
     yield _Drawing(("frames", "instrument"), triad, T_base_world)
     yield _Drawing(("frames", "tip"), triad, T_base_tip)
     for name, point in tools.items():
-        tool = [
-            sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12),
-            balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3),
-        ]
-        yield _Drawing(("frames", "tip", "tools", _node(name)), joined_by_colour(tool), translation(point))
+        yield _Drawing(("frames", "tip", "tools", _node(name)), _tool(point, extent), translation(point))
+
+
+def _tools_on(tools: Mapping[str, tuple[str, Array]], extent: float) -> Iterator[_Drawing]:
+    # What a link carries is below it in the tree, and goes where it goes.
+    for name, (link, point) in tools.items():
+        yield _Drawing(("robot", _node(link), "tools", _node(name)), _tool(point, extent), translation(point))
+
+
+def _tool(point: Array, extent: float) -> Sequence[Triangles]:
+    """Return a stick from the link's origin to a point (3,), and a ball there, in a frame at the point."""
+    stick = sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12)
+    return joined_by_colour([stick, balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3)])
 
 
 def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array], edges: Array) -> dict[str, Any]:
@@ -391,8 +405,18 @@ def _regions(scene: Scene, rows: IntArray, R_base_world: Array) -> list[tuple[in
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
     for mark in marks:
         opacity = 0.35 if mark.kind in ("plane", "ball") else 1.0
-        path = ("marks", _node(mark.layer), _node(mark.name))
-        yield _Drawing(path, [_shape(mark)], T_base_world @ mark.T, opacity=opacity)
+        T = mark.T if mark.link is not None else T_base_world @ mark.T
+        yield _Drawing(_path(mark), [_shape(mark)], T, opacity=opacity)
+
+
+def _path(mark: Mark) -> tuple[str, ...]:
+    own = (_node(mark.layer), _node(mark.name))
+    return ("marks", *own) if mark.link is None else ("robot", _node(mark.link), *own)
+
+
+def _placed(mark: Mark, T_base_world: Array, links: Mapping[str, Array]) -> Array:
+    """Return where a mark is (4, 4) in the root link's frame; ``links``: the placements there."""
+    return np.asarray((T_base_world if mark.link is None else links[mark.link]) @ mark.T)
 
 
 def _shape(mark: Mark) -> Triangles:
@@ -435,7 +459,8 @@ def _labels(scene: Scene) -> list[tuple[str, str]]:
     base = [("frames/base", "base = instrument")] if same else [("frames/base", "base")]
     instrument = [] if same else [("frames/instrument", "instrument")]
     tools = [(f"frames/tip/tools/{_node(name)}", name) for name in scene.tools]
-    marks = [(f"marks/{_node(mark.layer)}/{_node(mark.name)}", mark.name) for mark in scene.marks]
+    tools += [(f"robot/{_node(link)}/tools/{_node(name)}", name) for name, (link, _) in scene.tools_on.items()]
+    marks = [("/".join(_path(mark)), mark.name) for mark in scene.marks]
     return [*base, *instrument, ("frames/tip", scene.tip), *tools, *marks]
 
 
@@ -467,7 +492,7 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
 def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges: Array, cell: float) -> dict[str, Any]:
     """Return the texts of the legend: the errors in mm, how much they are magnified, and what the colours are."""
     n, missing = len(scene.measured), sum(link.missing for link in links)
-    notes = []
+    notes = list(scene.notes)
     if n > _MOST_POINTS:
         notes.append(f"{_MOST_POINTS} of the {n} points are drawn, the worst among them; the figures are of all.")
     if missing:
@@ -498,7 +523,9 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
         "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],
         "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK), "regions": _css(REGION)},
-        "marks": [(_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks)],
+        "marks": [
+            (_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks if mark.link is None)
+        ],
         "cell": f"{cell:g}",
         "notes": notes,
     }

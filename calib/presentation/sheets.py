@@ -234,9 +234,12 @@ def count(n: int, one: str, several: str) -> str:
 
 
 def correlation(fit: Fit) -> tuple[IntArray, Array]:
-    """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties."""
-    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
-    C = fit.covariance[np.ix_(seen, seen)]
+    """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties.
+
+    Without targets, where there are very many of them.
+    """
+    seen = fit.correlated
+    C = fit.spread.of(seen)
     sigma = np.sqrt(np.diag(C))
     return seen, np.asarray(C / np.outer(sigma, sigma))
 

@@ -163,7 +163,7 @@ def assess(
         uses.append(("validation", validation))
     in_urdf = judged_in_urdf(fit, own, uses)
     if in_urdf is not None and in_urdf.fit is not fit:
-        machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit))
+        machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit, machine))
     sets: list[JudgedSet] = []
     for use, some in uses:
         before, after = residuals_of(fit, some, fit.nominal), residuals_of(fit, some, fit.machine)

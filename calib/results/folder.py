@@ -216,7 +216,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "advice": [advised.sentence for advised in advice(fit)],
         "learned_priors": [asdict(prior) for prior in fit.learned],
         "parameters": fit.records(),
-        "covariance": fit.covariance.tolist(),
+        "covariance": fit.spread.of(fit.told_together).tolist(),
         "singular_values": fit.singular_values.tolist(),
         "noise": [
             {

@@ -13,7 +13,7 @@ from calib.identification.targets import shapes
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import squared_bound
 from calib.measurement.kinds import Kind, size
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, numbered
 from calib.presentation.scene import Mark, MarkKind, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
@@ -22,6 +22,8 @@ from calib.robot.robot import Deviations
 
 # Ellipsoids of all rows would hide one another, and take longer than the fit.
 _MOST_REGIONS = 60
+# More of them hide each other, and all else.
+_MOST_TARGETS = 300
 
 
 def scene_of(found: Calibration) -> Scene:
@@ -47,6 +49,7 @@ def scene_of(found: Calibration) -> Scene:
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
     nominal, apart = _nominal(found, readings, conditions, root, scales[0])
+    marks, notes = _targets(found, extent)
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -59,13 +62,19 @@ def scene_of(found: Calibration) -> Scene:
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
             if name not in fit.tool_tips
         },
+        tools_on={
+            name: (fit.tool_tips[name], tool[:3, 3])
+            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
+            if name in fit.tool_tips
+        },
+        notes=notes,
         tip=robot.tip,
         rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),
         measured=measured,
         before=before,
         after=after,
         scales=scales,
-        marks=tuple(_targets(found, extent)),
+        marks=(*marks, *_stations(found, extent)),
         judged=bool(with_points),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
@@ -112,24 +121,39 @@ _DRAWN: Mapping[Kind, tuple[str, MarkKind]] = {
 }
 
 
-def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
-    """Yield sockets, anchors, balls, planes, boards and cameras where the calibration has found them.
+def _targets(found: Calibration, extent: float) -> tuple[list[Mark], tuple[str, ...]]:
+    """Return sockets, anchors, balls, planes, boards and cameras where they were found, and what is to be said of them.
 
     Planes are as large as they were touched, balls as far away from their centres as the tool's point was; sockets are
     open to where the tip was.
     """
     fit, own = found.fit, found.fit.measurements[0]
     known = shapes(fit.measurements)
-    for t, (name, T) in enumerate(zip(own.targets, fit.machine.frames.targets, strict=True)):
-        if name not in known or name in own.target_links:
-            continue
-        sets = [data for data in fit.measurements if t in data.target and data.kind in _DRAWN]
-        layer, kind = _DRAWN[sets[0].kind]
+    every = [t for t, name in enumerate(own.targets) if name in known]
+    drawn = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(len(every), _MOST_TARGETS)).astype(int))]
+    sets = [
+        (data, _tool_points(found, data), dict(numbered(data.target)))
+        for data in fit.measurements
+        if data.kind in _DRAWN
+    ]
+    marks = []
+    for t in drawn:
+        name, T = own.targets[t], fit.machine.frames.targets[t]
+        about = [(data, points[rows[t]]) for data, points, rows in sets if t in rows]
+        layer, kind = _DRAWN[about[0][0].kind]
         if known[name] == "point" and kind == "plane":
             layer, kind = "marks", "point"
-        touched = np.concatenate([_tool_points(found, data)[data.target == t] for data in sets])
+        touched = np.concatenate([points for _, points in about])
         placed, size = _as_touched(kind, T, touched[:, 0], touched[:, 1], extent)
-        yield Mark(layer, name, kind, placed, size)
+        marks.append(Mark(layer, name, kind, placed, size, own.target_links.get(name)))
+    return marks, () if len(drawn) == len(every) else (f"{len(drawn)} of the {len(every)} targets are drawn.",)
+
+
+def _stations(found: Calibration, extent: float) -> Iterator[Mark]:
+    """Yield where the instrument stood in set-ups beside the first, as seen from the base of that."""
+    bases = found.fit.machine.frames.bases
+    for name, base in zip(found.fit.measurements[0].setups[1:], bases[1:], strict=True):
+        yield Mark("stations", name, "point", bases[0] @ rigid.inverse(base), 0.02 * extent)
 
 
 def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: float) -> tuple[Array, float]:
@@ -153,9 +177,13 @@ def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: fl
 
 
 def _tool_points(found: Calibration, data: Measurements) -> Array:
-    """Return the points (N, 2, 3) of tools and of the tips that carry them, in the instrument's frame of the set-up."""
+    """Return the points (N, 2, 3) of tools and of the tips that carry them, in the frame in which targets are told."""
     fit = found.fit
     tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
+    for link in dict.fromkeys(data.target_links.values()):
+        rows = np.array([data.link_of(int(t)) == link for t in data.target])
+        seat = fit.robot.with_tip(link).tips(data.readings[rows], fit.deviations, data.conditions.subset(rows))
+        tips[rows] = rigid.inverse(fit.bases_of(data)[rows] @ seat) @ tips[rows]
     return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 

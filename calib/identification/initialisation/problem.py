@@ -1,5 +1,6 @@
 """From a model and measurements to a problem: common names, start values, what is unknown, and what cannot be."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -52,8 +53,8 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     of_model = _without_turns_of_points(model.parameters(sets[0].tools, sets[0].setups), sets, layout)
     of_model = _with_unshown_tools(of_model, unshown, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
-    names = [parameter.name for parameter in parameters]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
+    counts = Counter(parameter.name for parameter in parameters)
+    if twice := sorted(name for name, count in counts.items() if count > 1):
         raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")
     return Problem(model, parameters, reference, sets, relations=model.relations)
 
@@ -90,7 +91,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
 
     def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
         # -1 stays what it is: none.
-        return np.array([*(new.index(name) for name in old), -1], dtype=np.intp)[numbers]
+        place = {name: k for k, name in enumerate(new)}
+        return np.array([*(place[name] for name in old), -1], dtype=np.intp)[numbers]
 
     return tuple(
         replace(
