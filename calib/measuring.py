@@ -12,6 +12,7 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
+from calib.robot.gravity import Load
 
 __all__ = [
     "Camera",
@@ -19,6 +20,7 @@ __all__ = [
     "Conditions",
     "Finding",
     "LaserTracker",
+    "Load",
     "Measurements",
     "Proposal",
     "ProposedTable",

@@ -120,7 +120,7 @@ def candidates(
     the URDF states in a way that cannot be used are as good as none. ``options`` as a job has them, such as
     ``harmonic_orders``.
     """
-    told, of = joined([end.conditions for data in measurements for end in data.ends]), parts(robot)
+    told, of = joined([(len(data), end.conditions) for data in measurements for end in data.ends]), parts(robot)
     offered = {group[0]: group for kind in KINDS for group in kind.offered(of, told, options)}
     return tuple(Candidate(offered[first]) for first in ordered(robot, offered))
 

@@ -20,6 +20,7 @@ from calib.job.schema import (
     PriorSection,
     RelationSection,
     RobotSection,
+    SetupSection,
     TargetSection,
 )
 
@@ -33,6 +34,7 @@ _HEADERS: dict[type[BaseModel], str] = {
     PriorSection: "prior of [error_model]",
     PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
+    SetupSection: "[setups.NAME]",
     InstrumentSection: "[instruments.NAME]",
     TargetSection: "[targets.NAME]",
     RelationSection: "[[relations]]",
