@@ -1,6 +1,6 @@
 """What looks wrong with measurements, before they are fitted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from calib.foundations.arguments import checked
 from calib.foundations.errors import IdentificationError
@@ -14,32 +14,31 @@ from calib.measurement.measurements import Measurements
 
 @checked
 def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]) -> tuple[Finding, ...]:
-    """Return what looks wrong with measurements, and what they cannot show: an empty tuple where nothing does.
+    """Return what looks wrong with measurements and what they do not determine: an empty tuple where nothing does.
 
         for finding in calib.check(model, data):
             print(finding.severity, finding.sentence)
 
     Readings beyond their limits, wrong units, rows that are repeated; the typical mistake - a sign, an axis, a table in
-    another frame - that explains why the nominal robot misses them; a flange that never turns. An error says that a fit
-    would be meaningless.
+    another frame - that explains why the nominal robot misses them; a tip link that never turns. An error says that a
+    fit would be meaningless.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    found = looks_wrong(model, sets)
-    if any(finding.severity == "error" for finding in found):
-        return found
-    try:
-        return (*found, *undetermined(model, sets))
-    except IdentificationError:  # too few numbers for a fit, which says so
-        return found
+    return _and(looks_wrong(model, sets), lambda: undetermined(model, sets))
 
 
 def looks_wrong(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what looks wrong with measurements, and nothing of what they cannot show."""
     robot = model.urdf_robot
-    found = tuple(finding for data in sets for finding in check_table(data, robot.readings, robot.reach))
+    of_tables = tuple(finding for data in sets for finding in check_table(data, robot.readings, robot.reach))
+    return _and(of_tables, lambda: signatures(model, sets))
+
+
+def _and(found: tuple[Finding, ...], more: Callable[[], Sequence[Finding]]) -> tuple[Finding, ...]:
+    """Return findings, and more of them where none is an error and there are enough numbers for a fit."""
     if any(finding.severity == "error" for finding in found):
         return found
     try:
-        return (*found, *signatures(model, sets))
-    except IdentificationError:  # too few numbers for a fit, which says so
+        return (*found, *more())
+    except IdentificationError:  # too few numbers, which the fit says
         return found

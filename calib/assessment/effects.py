@@ -12,12 +12,14 @@ blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. We
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.influence import Residue
-from calib.foundations.arrays import Array
-from calib.foundations.chance import exceeded
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
 from calib.measurement.measurements import Measurements
@@ -43,7 +45,8 @@ class Stretch:
 
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
-    change from row to row. ``row`` (n,): number in the set. ``least``: variance of r that is rounding.
+    change from row to row. ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up.
+    ``least``: variance of r that is rounding.
     """
 
     r: Array
@@ -56,6 +59,7 @@ class Stretch:
     rates: Array
     row: Array
     data: Measurements
+    used: float
     least: float
 
 
@@ -135,6 +139,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 rates[rows][:, column],
                 rows.astype(np.float64),
                 data,
+                float(np.sum((J @ residue.C) * J)),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
             )
         )
@@ -174,7 +179,7 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
     if len(sums) < _LEAST_BLOCKS:
         return NO_EFFECT
     # Of numbers the parameters have taken some.
-    free = max(len(r) - float(np.sum((J @ C) * J)), 0.05 * len(r), 1.0)
+    free = max(len(r) - sum(part.used for part in parts), 0.05 * len(r), 1.0)
     variance = max(float(rest @ rest) / free, *(part.least for part in parts))
     sigma = np.sqrt(max(float(sums @ sums) * len(r) / free, M * variance)) / M
     size = float(np.sqrt(value**2 * M / sum(lengths) / variance))
@@ -183,16 +188,8 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
 
 def memory(parts: Sequence[Array]) -> float:
     """Return how many rows residuals (n, d) remember: the sum of their autocorrelations until one is small."""
-    square = sum(float(np.sum(r * r)) for r in parts)
-    if square <= 0.0:
-        return 0.0
-    total, most = 0.0, max((len(r) for r in parts), default=0) // 6
-    for lag in range(1, most):
-        rho = sum(float(np.sum(r[lag:] * r[:-lag])) for r in parts if len(r) > lag) / square
-        if rho < _FORGOTTEN:
-            break
-        total += rho
-    return total
+    most = max((len(r) for r in parts), default=0) // 6
+    return sum(takewhile(lambda rho: rho >= _FORGOTTEN, autocorrelations(parts, most)))
 
 
 def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
@@ -216,6 +213,28 @@ def delay(parts: Sequence[Stretch], C: Array, interval: float = 1.0) -> Effect:
     return Effect(late.value * interval, late.sigma * interval, late.size)
 
 
+class _Score(NamedTuple):
+    """What directions gain, taken together: chi-squared ``gain`` (...) of so many ``numbers`` (...).
+
+    ``sizes`` (..., k): by what directions would have to be multiplied.
+    """
+
+    gain: Array
+    numbers: IntArray
+    sizes: Array
+
+
+def _score(A: Array, S: Array, g: Array, C: Array) -> _Score:
+    """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k)."""
+    values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
+    kept = values > _TAKEN * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
+    u = np.einsum("...ij,...i->...j", V, g)
+    weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
+    return _Score(
+        np.sum(u * weighed, axis=-1), np.count_nonzero(kept, axis=-1), -np.einsum("...ij,...j->...i", V, weighed)
+    )
+
+
 def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
     """Return how far (rms over the rows, in m) the base seems to have wandered in order of the rows, and its chance.
 
@@ -231,15 +250,9 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         D = np.einsum("ndk,ns->ndks", part.by_base, shapes).reshape(part.r.size, -1)
         J = part.J.reshape(part.r.size, -1)
         S = D.T @ J
-        g, M = D.T @ part.r.ravel(), D.T @ D - S @ C @ S.T
-        values, V = np.linalg.eigh(M)
-        kept = values > _TAKEN * float(np.einsum("ij,ij->", D, D)) / D.shape[1]
-        u = V[:, kept].T @ g
-        a = -V[:, kept] @ (u / values[kept])
-        gain = float(np.sum(u**2 / values[kept]))
-        shift = ((D - J @ (C @ S.T)) @ a).reshape(part.r.shape)
-        rest = part.r + shift
-        chance = _chance(gain, int(kept.sum()), rest, part, C)
+        found = _score(D.T @ D, S, D.T @ part.r.ravel(), C)
+        shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
+        chance = _chance(found, part.r + shift, part, C)
         seen = part.by_base[:, :, :3]
         # By how much the whitened numbers follow a metre.
         per_metre = float(np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2)) / 3.0)))
@@ -249,12 +262,18 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
     return best
 
 
-def _chance(gain: float, numbers: int, rest: Array, part: Stretch, C: Array) -> float:
-    """Return how probable a chi-squared is, against what remains (n, d), of rows that remember each other."""
+def _chance(found: _Score, rest: Array, part: Stretch, C: Array) -> float:
+    """Return how probable a gain is, against what remains (n, d), of rows that remember each other."""
     freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
     variance = max(float(np.sum(rest**2)) / freedom, part.least)
-    inflation = 1.0 + 2.0 * memory([rest])
-    return float(exceeded(gain / variance / inflation, max(numbers, 1), max(freedom / inflation, 1.0)))
+    return _by_chance(found, variance, freedom, rest)
+
+
+def _by_chance(found: _Score, variance: float, freedom: float, r: Array) -> float:
+    """Return how probable a gain is where residuals (n, d) remember each other, by a variance of such a freedom."""
+    inflation = 1.0 + 2.0 * memory([r])
+    square = float(found.gain) / variance / inflation
+    return float(exceeded(square, max(int(found.numbers), 1), max(freedom / inflation, 1.0)))
 
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
@@ -269,23 +288,19 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
     ends = np.cumsum([0, *(part.r.size for part in parts)])
     r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
+    free = max(len(r) - sum(part.used for part in parts), 0.1 * len(r))
     for k, part in enumerate(parts if len(parts) > 1 else ()):
         rows, n = slice(ends[k], ends[k + 1]), len(part.r)
         for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
             D = Z.reshape(part.r.size, -1)
             S = D.T @ J[rows]
-            values, V = np.linalg.eigh(D.T @ D - S @ C @ S.T)
-            kept = values > _TAKEN * float(np.sum(D**2)) / D.shape[1]
-            u = V[:, kept].T @ (D.T @ r[rows])
-            gain, a = float(np.sum(u**2 / values[kept])), -V[:, kept] @ (u / values[kept])
-            rest = r - J @ (C @ (S.T @ a))
-            rest[rows] += D @ a
-            free = max(len(r) - float(np.sum((J @ C) * J)), 0.1 * len(r))
+            score = _score(D.T @ D, S, D.T @ r[rows], C)
+            rest = r - J @ (C @ (S.T @ score.sizes))
+            rest[rows] += D @ score.sizes
             variance = max(float(rest @ rest) / free, *(one.least for one in parts))
             others = sum(len(one.r) for one in parts) - n
-            size = float(np.sqrt(gain / variance / (n * others / (n + others))))
-            inflation = 1.0 + 2.0 * memory([part.r])
-            chance = float(exceeded(gain / variance / inflation, max(int(kept.sum()), 1), max(free / inflation, 1.0)))
+            size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
+            chance = _by_chance(score, variance, free, part.r)
             found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
@@ -298,27 +313,21 @@ def _steps_of(part: Stretch, C: Array) -> list[Step]:
     things += [(name, part.by_joint[:, :, j : j + 1]) for j, name in enumerate(part.joints)]
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
     weighted = np.concatenate([part.J, part.r[:, :, None]], axis=2)
+    J, free = part.J.reshape(n * d, -1), max(n * d - part.used, 0.1 * n * d)
     found = []
     for what, Z in things:
-        k = Z.shape[2]
         sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
         S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
-        values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, 1, 2))
-        kept = values > _TAKEN * np.trace(A, axis1=1, axis2=2)[:, None] / k
-        u = np.einsum("sij,si->sj", V, g)
-        each = np.where(kept, u**2 / np.where(kept, values, 1.0), 0.0)
-        best = int(np.argmax(each.sum(axis=1)))
-        gain, place = float(each[best].sum()), int(places[best])
-        if gain <= 0.0:
+        scores = _score(A, S, g, C)
+        best = int(np.argmax(scores.gain))
+        score, place = _Score(*(of[best] for of in scores)), int(places[best])
+        if score.gain <= 0.0:
             continue
-        a = -V[best][:, kept[best]] @ (u[best][kept[best]] / values[best][kept[best]])
-        D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ a
-        J = part.J.reshape(n * d, -1)
+        D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
         rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
-        free = max(n * d - float(np.sum((J @ C) * J)), 0.1 * n * d)
         variance = max(float(np.sum(rest**2)) / free, part.least)
-        size = float(np.sqrt(gain / variance / (place * (n - place) / n)))
-        chance = min(1.0, _chance(gain, int(kept[best].sum()), rest, part, C) * len(places) * len(things))
+        size = float(np.sqrt(float(score.gain) / variance / (place * (n - place) / n)))
+        chance = min(1.0, _chance(score, rest, part, C) * len(places) * len(things))
         # The rows were thinned, maybe: their numbers are those of the whole set.
         line = int(part.data.lines[int(part.row[place - 1])])
         found.append(Step(what, part.data.where, line, size, chance))

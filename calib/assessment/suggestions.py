@@ -7,12 +7,8 @@ only where it makes errors of the rows held out smaller: significantly, and by a
 
 from collections.abc import Sequence
 
-import numpy as np
-from scipy.special import stdtrit
-
-from calib.assessment.checks import gained
+from calib.assessment.gain import gain
 from calib.assessment.judged import JudgedSet
-from calib.assessment.metrics import error_norms
 from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError
 from calib.identification.error_model import with_terms
@@ -64,14 +60,9 @@ def suggestions(fit: Fit, held_out: Sequence[Measurements]) -> tuple[str, ...]:
             JudgedSet("validation", data.where, data, before, after)
             for data, before, after in zip(held_out, now, then, strict=True)
         ]
-        x = gained(judged, quantity)
-        before, after = (
-            float(np.sqrt(np.mean(np.concatenate([error_norms(d.kind, r)[quantity] for d, r in pairs]) ** 2)))
-            for pairs in (list(zip(held_out, now, strict=True)), list(zip(held_out, then, strict=True)))
-        )
-        t = float(np.mean(x)) / max(float(np.std(x, ddof=1)) / np.sqrt(len(x)), 1e-15) if len(x) > 1 else 0.0
-        if after < _BY * least * before and t > float(stdtrit(len(x) - 1, _SURELY)):
-            least = after / before
+        found = gain(judged, quantity)
+        if found.after < _BY * least * found.before and found.t > found.needed(_SURELY):
+            least = found.after / found.before
             best = (
                 f'{_TRIED[kind.key].capitalize()}: error_model.{kind.key} = "all" makes the held-out {quantity} error '
                 f"{100.0 * (1.0 - least):.0f} % smaller."

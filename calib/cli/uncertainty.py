@@ -18,23 +18,26 @@ def uncertainty(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="How many random poses.")
+    ] = 2000,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool to tell the uncertainty of.")] = "tool",
     setup: SetupName = None,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
+        bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool, and why.
+    """Show the uncertainty of the tool, and its causes.
 
-    Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
+    Over the identified range of readings, or with --whole over the joints' limits; in the instrument's frame.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
+        from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.acceptance_tables import map_csv, map_table
         from calib.presentation.console import printable
         from calib.presentation.sheets import budget_sheet
@@ -52,13 +55,14 @@ def uncertainty(
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
         near = tool_uncertainty(machine, found.readings, tool)
+    budget = rms_by_cause(found.budget)
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "known": near.shares(), "budget": found.shares()},
+        lambda: {"sigmas": found.percentiles(), "known": near.known_shares(), "budget": budget},
         lambda: [
             map_table(found, near.known),
-            sheet_table(budget_sheet(found.shares(), len(found.readings))),
+            sheet_table(budget_sheet(budget, len(found.readings))),
             *([] if out is None else [printable(f"Every pose is in {out}.")]),
         ],
     )

@@ -3,6 +3,8 @@
 By scipy.special: to load scipy.stats takes longer than most commands take for all else.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc, fdtrc, fdtri, gammaincinv, gammaln
@@ -32,3 +34,14 @@ def density(square: float, numbers: int) -> float:
     """Return the density of the sum of squares of so many normal numbers."""
     half = 0.5 * numbers
     return float(np.exp((half - 1.0) * np.log(square) - 0.5 * square - gammaln(half) - half * np.log(2.0)))
+
+
+def autocorrelations(parts: Sequence[Array], most: int) -> Iterator[float]:
+    """Yield how rows of parts (n, d), of mean zero, go with those one, two, ... rows before, below ``most`` rows.
+
+    Nothing where all are zero.
+    """
+    square = sum(float(np.sum(r * r)) for r in parts)
+    if square > 0.0:
+        for lag in range(1, most):
+            yield sum(float(np.sum(r[lag:] * r[:-lag])) for r in parts if len(r) > lag) / square

@@ -1,4 +1,4 @@
-"""From a fit to all that is known of its doubts: noise, what is not seen, and what the model leaves out.
+"""From a fit to all that is known of its errors: noise, what is not seen, and what the model leaves out.
 
 With whitened rows ``[J B r]`` of the data, B of what no parameter stands for (:mod:`calib.machine.systematic`), and
 rows S of the priors, stated and weak, the solution x follows from the data by ``A = C J^T``, ``C = (J^T J + S^T
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.chance import autocorrelations
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
 from calib.identification.fit import Fit
@@ -24,6 +25,7 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.system import Problem
 from calib.identification.widths import NARROWEST, WIDEST, NormalEquations, likelihood
+from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import Waves
 
@@ -31,8 +33,9 @@ from calib.machine.uncertainty import Waves
 _FEWEST = 3.0
 # Of a robust loss, rows that lie farther off count as ordinary ones.
 _FAR = 2.0
-# By how much sizes of waves differ, as a logarithm; how far noise is sought.
-_ALIKE, _MOST_NOISE, _MOST_STEPS = 2.0, 1e3, 300
+# By how much sizes of waves differ, as a logarithm: fourfold is usual, and the more may be, the larger are those that
+# chance makes. How far noise is sought.
+_ALIKE, _MOST_NOISE, _MOST_STEPS = 1.4, 1e3, 300
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
 # Autocorrelation counts while it is beyond chance by so many standard errors.
@@ -43,7 +46,7 @@ _LONGEST_LAG = 100
 _SINGULAR = 1e-14
 
 
-class Doubts(NamedTuple):
+class ErrorsByCause(NamedTuple):
     """The error of a solution by its causes: columns (p, k) for errors of size 1, in parameter scales.
 
     ``instrument``: of noise and drift of the instrument; ``unseen``: of priors, stated and weak; ``scatter``: of what
@@ -61,16 +64,16 @@ class Doubts(NamedTuple):
     noise: Array
 
 
-def doubts_of(fit: Fit, identified: Array) -> Doubts:
-    """Return the doubts of a fit, at the machine that it found; ``identified`` (nr, 2): least and greatest readings.
+def errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
+    """Return the errors of a fit, at the machine that it found; ``identified`` (nr, 2): least and greatest readings.
 
     What policy "minimal" held is among what is not seen.
     """
     with one_thread():
-        return _doubts_of(fit, identified)
+        return _errors_by_cause(fit, identified)
 
 
-def _doubts_of(fit: Fit, identified: Array) -> Doubts:
+def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     parameters = (*fit.parameters, *fit.held)
     frames, held = fit.machine.frames, fit.machine.deviations
     relations = fit.model.relations
@@ -84,7 +87,8 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
         triangles[c] = triangle(np.concatenate([triangles[c], rows]))
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    from_data, unseen, left = _solved(problem, x, sigmas, data, len(fit.parameters))
+    solved = _solved(problem, x, sigmas, data, len(fit.parameters))
+    from_data, left = solved.from_data, solved.left
 
     pairs = waves.width.size
     taught = _Taught(
@@ -106,9 +110,13 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
 
     of_rows = np.diff(ends)
     seen = np.repeat(np.minimum(taught.instrument / noise, 1.0), of_rows)
-    through = from_data * np.repeat(noise * np.sqrt(rows_as_one), of_rows)
+    sigma = np.repeat(noise * np.sqrt(rows_as_one), of_rows)
+    through = from_data * sigma
+    hold = np.array([parameter.hold for parameter in parameters])
+    widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, x / scales(parameters))
+    unseen = np.hstack([solved.from_relations, solved.from_priors * (hold * widths)])
     bias = from_data @ data[:, p : p + m] * sizes[taught.group]
-    return Doubts(
+    return ErrorsByCause(
         parameters,
         at,
         _short(np.hstack([through * seen, bias[:, waves.many :]])),
@@ -120,13 +128,23 @@ def _doubts_of(fit: Fit, identified: Array) -> Doubts:
     )
 
 
-def _solved(
-    problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array, free: int
-) -> tuple[Array, Array, Array]:
-    """Return how the solution (p) follows data (p, q) and priors (p, k), and what it leaves of ``[B r]`` (q, m + 1).
+class _Solved(NamedTuple):
+    """How the solution (p) follows data, ``from_data`` (p, q), relations (p, l), and priors, ``from_priors`` (p, p).
 
-    ``data`` (q, p + m + 1): whitened triangles ``[J B r]`` of all components. Parameters beyond the first ``free`` ones
-    are held; their errors are those of their priors, and the others follow.
+    ``J`` (q, p): of the data, as the solution sees it; ``left`` (q, m + 1): what it leaves of ``[B r]``.
+    """
+
+    J: Array
+    left: Array
+    from_data: Array
+    from_relations: Array
+    from_priors: Array
+
+
+def _solved(problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array, free: int) -> _Solved:
+    """Return the solution from ``data`` (q, p + m + 1), whitened triangles ``[J B r]`` of all components.
+
+    Parameters beyond the first ``free`` ones are held; their errors are those of their priors, and the others follow.
     """
     p, evaluation = len(problem.parameters), problem.evaluate(sigmas, x)
     hold = np.array([parameter.hold for parameter in problem.parameters])
@@ -136,12 +154,12 @@ def _solved(
     J, related = J[: len(data)], evaluation.relations[:, :free]
     rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
     U, s, Vt = np.linalg.svd(rows, full_matrices=False)
-    follows = (Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T
-    from_data, from_priors = follows[:, : len(data)], follows[:, len(data) :]
-    left = data[:, p:] - J[:, :free] @ (from_data @ data[:, p:])
-    held = np.vstack([from_data @ J[:, free:], -np.eye(p - free)]) / hold[free:]
-    below = ((0, p - free), (0, 0))
-    return np.pad(from_data, below), np.hstack([np.pad(from_priors, below), held]), left
+    follows = np.pad((Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T, ((0, p - free), (0, 0)))
+    from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(related)], axis=1)
+    held = np.vstack([from_data[:free] @ J[:, free:], -np.eye(p - free)]) / hold[free:]
+    return _Solved(
+        J, data[:, p:] - J @ (from_data @ data[:, p:]), from_data, from_relations, np.hstack([from_priors, held])
+    )
 
 
 def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
@@ -233,14 +251,11 @@ def _rows_as_one(problem: Problem, systematic: Systematic, coefficients: Array) 
 
 def _correlation_time(r: Array) -> float:
     """Return the integrated autocorrelation of rows (N, d): 1 where rows err alone."""
-    N, power = len(r), float(np.sum(r**2))
-    found = 1.0
-    if power > 0.0:
-        for lag in range(1, min(_LONGEST_LAG, N // 4)):
-            correlation = float(np.sum(r[lag:] * r[:-lag])) / power
-            if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * r.shape[1]):
-                break
-            found += 2.0 * correlation
+    (N, d), found = r.shape, 1.0
+    for lag, correlation in enumerate(autocorrelations([r], min(_LONGEST_LAG, N // 4)), 1):
+        if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * d):
+            break
+        found += 2.0 * correlation
     return found
 
 

@@ -10,9 +10,10 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
+from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import residuals
-from calib.machine.budget import doubts_of
+from calib.machine.budget import errors_by_cause
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -31,11 +32,11 @@ class CalibratedMachine:
     """A calibrated machine. Made by :func:`machine_of` from a fit, or read by :func:`calib.load_machine`.
 
     ``robot`` and ``deviations``: in the frames of its URDF. ``base`` (4, 4): the robot's base in the instrument's
-    frame, in the set-up named ``setup``; ``others``: likewise in other set-ups, by name. ``tools``: poses (4, 4) in the
-    tip link, by name; ``tool_tips``: the links of tools that are on another one. ``residual_model``: errors of tool
-    positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where
-    that is not known. ``in_urdf``: the best machine that its URDF can hold, with bases and tools of its own, where
-    that is another one.
+    frame, in the set-up named ``setup``; ``others``: the same for other set-ups, by name. ``tools``: poses (4, 4) in
+    the tip link, by name; ``tool_tips``: the links of those tools that are on another link. ``residual_model``: a
+    function of the joint readings for the remaining errors of tool positions, or None. ``uncertainty``: the
+    uncertainty of the whole machine, or None where it is not known. ``in_urdf``: the best machine that a URDF can
+    hold, with bases and tools of its own, if it differs from this one.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -54,7 +55,7 @@ class CalibratedMachine:
 
     @checked
     def of(self, tool: str) -> "CalibratedMachine":
-        """Return the same machine, its robot looked at the tip that carries a tool.
+        """Return the same machine, with the link that carries a tool as the tip of its robot.
 
         Raises MeasurementError for an unknown one.
         """
@@ -72,7 +73,7 @@ class CalibratedMachine:
 
     @property
     def layout(self) -> Layout:
-        """Where things stand in the rows of :attr:`Uncertainty.factor`."""
+        """Which rows of :attr:`Uncertainty.factor` belong to what."""
         return Layout(self.robot, len(self.bases), len(self.tools))
 
     @checked
@@ -113,7 +114,7 @@ class CalibratedMachine:
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-        Positions with what the residual model adds, which is nothing where it knows nothing. Raises RobotError for
+        Positions include what the residual model adds, which is nothing where it has no data. Raises RobotError for
         readings of another shape and for a joint term that needs ``conditions`` which are not given, PoseError for a
         row where a loop cannot close.
         """
@@ -129,13 +130,14 @@ class CalibratedMachine:
 
     @checked
     def tool_jacobian(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return how the tool's pose follows the state of the machine (N, 6, n), at readings (N, nr).
+        """Return the derivatives of the tool's pose by the state of the machine (N, 6, n), at readings (N, nr).
 
         Rows: position in the instrument's axes, in m, and small turns about the tool's axes, in rad. Columns: as the
-        rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
+        rows of :attr:`Uncertainty.factor`. Without the residual model, whose derivatives are negligible.
         """
         number = list(self.tools).index(self.tool_named(tool))
-        return tool_jacobian(self.of(tool).robot, self.state, readings, conditions, number)
+        own = self.of(tool).robot
+        return tool_jacobian(own, self.state, own.own(readings), conditions, number)
 
     @checked
     def residuals(self, data: Measurements) -> Array:
@@ -203,7 +205,7 @@ class CalibratedMachine:
 
     @property
     def geometry(self) -> "CalibratedMachine":
-        """What a format that has no place for joint terms or loops can hold best: ``in_urdf``, or else the machine."""
+        """The best that a format without joint terms and closed loops can hold: ``in_urdf``, or else the machine."""
         return self if self.in_urdf is None else self.in_urdf
 
     @property
@@ -274,17 +276,17 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
     readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
     identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
-    doubts = doubts_of(fit, identified)
-    state = _to_state(fit, doubts.parameters, doubts.at) * scales(doubts.parameters)
-    parts = (doubts.instrument, doubts.unseen, doubts.scatter, doubts.waves)
+    errors = errors_by_cause(fit, identified)
+    state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
+    parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
     null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
-        doubts.left_out,
+        errors.left_out,
         read_only(null_basis),
-        _level(fit, doubts.noise, "m"),
-        _level(fit, doubts.noise, "rad"),
+        _level(fit, errors.noise, "m"),
+        _level(fit, errors.noise, "rad"),
         read_only(identified),
     )
 
@@ -325,6 +327,18 @@ def _factor(covariance: Array, s: Array) -> Array:
     return np.asarray(s[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
+def _beyond(variance: float, noise: Noise) -> float:
+    """Return by how much a variance is beyond the instrument's, shrunk the more the less sure that is.
+
+    What is within chance is none: a variance less one that is known is positive in half of all cases where nothing is
+    left out. The positive part of W. James and C. Stein's estimate (1961).
+    """
+    beyond, chance = variance - noise.instrument**2, variance**2 * 2.0 / max(noise.degrees_of_freedom, 1.0)
+    if noise.instrument == 0.0 or beyond <= 0.0:
+        return max(beyond, 0.0)
+    return max(beyond - chance / beyond, 0.0)
+
+
 def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
     parts = [(noise, share) for noise, share in zip(fit.noise, shares, strict=True) if UNIT_OF[noise.quantity] == unit]
     freedom = np.array([noise.degrees_of_freedom for noise, _ in parts])
@@ -335,7 +349,7 @@ def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
         return float(np.sqrt(np.average(squares, weights=freedom)))
 
     total = mean([(share * noise.total) ** 2 for noise, share in parts])
-    model = mean([max((share * noise.total) ** 2 - noise.instrument**2, 0.0) for noise, share in parts])
+    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share in parts])
     estimated = any(noise.model > 0.0 for noise, _ in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
     return NoiseLevel(model, total, float(freedom.sum()) if estimated else float("inf"))

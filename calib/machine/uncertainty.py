@@ -126,7 +126,7 @@ class ToolUncertainty:
         measured = sum(sigmas**2 for cause, sigmas in self.budget.items() if cause != "parameters")
         return np.asarray(self.null_space_rms <= np.sqrt(measured))
 
-    def shares(self) -> dict[str, float]:
+    def known_shares(self) -> dict[str, float]:
         """Return at which share of the poses the position is known, and the orientation."""
         return {name: float(np.mean(self.known[:, k])) for k, name in enumerate(("position", "orientation"))}
 
@@ -159,16 +159,17 @@ class UncertaintyMap:
     null_space_rms: Array
     budget: Mapping[str, Array]
 
-    def shares(self) -> dict[str, list[float]]:
-        """Return the rms over the workspace of what every cause adds to position and orientation, in m and rad."""
-        return {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in self.budget.items()}
-
     def percentiles(self) -> dict[str, list[float]]:
         """Return percentiles of the standard deviations of position and orientation, in m and rad."""
         return {str(p): np.percentile(self.sigmas, p, axis=0).tolist() for p in (5, 50, 95, 100)}
 
     def __repr__(self) -> str:
         return f"<UncertaintyMap at {len(self.readings)} configurations>"
+
+
+def rms_by_cause(budget: Mapping[str, Array]) -> dict[str, list[float]]:
+    """Return the rms over the poses of what every cause of a budget adds to position and orientation, in m and rad."""
+    return {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in budget.items()}
 
 
 def squared_bound(probability: float, dimensions: int, degrees_of_freedom: float) -> float:

@@ -51,6 +51,8 @@ OF_LOOP = (
 BOARD = np.array([(0.03 * i, 0.03 * j, 0.0) for i in range(5) for j in range(4)])
 LENS = {"fx": 1395.2, "fy": 1393.8, "cx": 648.3, "cy": 505.9, "k1": -0.1124, "k2": 0.1387, "p1": 3.1e-4, "p2": -4.7e-4}
 UNSEEN = 200
+# Standard deviations of lengths (m) and angles (rad) that are stated with some of the sockets.
+SOCKETS_PRIOR = (1e-3, 5e-3)
 
 
 @dataclass(frozen=True)
@@ -360,16 +362,21 @@ def touching(rng: np.random.Generator, found: Arm, true: State, points: Array) -
     return answer
 
 
-def sockets(seed: int) -> Case:
-    """A Panda whose ball was put into two to five sockets at known or unknown places, maybe at known distances."""
+def sockets(seed: int, drawn: Errors | None = None) -> Case:
+    """A Panda whose ball was put into two to five sockets at known or unknown places, maybe at known distances.
+
+    ``drawn``: how far machines are off of which priors are stated; when None, no farther than twice the priors.
+    """
     rng = np.random.default_rng([seed, 3])
     found, robot = known_arm("panda")
     errors, n = drawn_errors(rng), int(rng.integers(8, 31))
     several = int(rng.integers(2, 1 + min(5, n // 4)))
     known = str(rng.choice(["places", "distances", "nothing"]))
-    prior = (1e-3, 5e-3) if rng.random() < 0.3 else None
+    prior = SOCKETS_PRIOR if rng.random() < 0.3 else None
     if prior is not None:
-        errors = Errors(min(errors.zero, 2.0 * prior[1]), min(errors.length, 1e-3), min(errors.angle, 2.0 * prior[1]))
+        errors = drawn or Errors(
+            min(errors.zero, 2.0 * prior[1]), min(errors.length, 1e-3), min(errors.angle, 2.0 * prior[1])
+        )
     placements = free_placements("panda", found)
     tools = placed(np.eye(3), rng.uniform((-0.05, -0.05, 0.05), (0.05, 0.05, 0.15)))[None]
     true = machine(rng, found, errors, placements, np.eye(4), tools)

@@ -28,22 +28,24 @@ LEAST = ("improvement", "held-out poses", "redundancy", "places", "joints")
 HEAD = """# Does the verdict say no?
 
 Every calibration ends with a list of checks (see [assessment](assessment.md)); it is trusted when all of them pass.
-Here sessions of simulated robots, made without any of the toolkit's mathematics, are judged: sound ones, by which the
-thresholds were set, and bad ones. Made by `python scripts/studies/verdicts.py`; the sessions are described in
-`scripts/studies/verdict_sessions.py`.
+This page judges sessions of simulated robots, which are made without any of the toolkit's mathematics. By the sound
+sessions the thresholds were set; in the bad ones something is wrong. The page is made by
+`python scripts/studies/verdicts.py`; the sessions are described in `scripts/studies/verdict_sessions.py`.
 
-How the thresholds came about: what was called sound was written down before it was judged, but for dense paths. Some of
-the first of these kept to so narrow a region that the calibration improved little on held-out rows, and the verdict
-said that no improvement was shown; paths now go several times through 0.7 rad in every joint. Two thresholds were moved
-after bad sessions had been seen: "explained" to twice, and "redundancy" to less than half, the worst of the sound ones.
+How the thresholds were chosen: what counts as sound was written down before it was judged, except for dense paths. Some
+of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and the
+verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Two thresholds
+were changed after bad sessions had been judged: "explained" to twice the worst of the sound sessions, and "redundancy"
+to less than half of the worst.
 """
 
-TAIL = """## What it cannot see
+TAIL = """## What it cannot find
 
-Errors that come and go from row to row, and are small against the volume (below a hundredth of its spread), look like a
-worse instrument or a worse arm: rows of two machines mixed at random, a payload that is there or not, backlash. Where
-no sigma is stated the verdict takes them for that, and the errors of the rows held out, which it quotes, are as large
-as they really are. State the instrument's sigma. What is wrong alike in all rows, with those held out, shows in no row.
+Errors that come and go from row to row, and are small against the measured volume (below a hundredth of its spread),
+look like a worse instrument or a worse arm. Examples are rows of two machines mixed at random, a payload that is
+there or not, and backlash. If no sigma is stated, the verdict cannot tell the difference. But the errors of the
+held-out rows, which it quotes, are then as large as they really are. State the instrument's sigma. An error that is
+the same in all rows, also in the held-out ones, shows in no row.
 """
 
 
@@ -77,8 +79,9 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         parts.append("Those that were not trusted, by the checks that did not pass:\n")
         parts += [f"- {WORDS[line['layout']]} ({line['robot']}): {', '.join(line['failed'])}" for line in doubted]
         parts.append("")
-    parts.append("What the checks found in sound sessions, and what they allow. A finding also needs significance.\n")
-    rows = ["| check | half of them | all but one of a hundred | the worst | allowed |", "|---|--:|--:|--:|--:|"]
+    said = "What the checks found in sound sessions, and what they allow. To fail, a value must also be significant."
+    parts.append(said + "\n")
+    rows = ["| check | median | 99 of 100 | worst | allowed |", "|---|--:|--:|--:|--:|"]
     for name in dict.fromkeys(name for line in good for name in line["checks"]):
         found = np.array([line["checks"][name] for line in good if name in line["checks"]], dtype=np.float64)
         x = found[np.isfinite(found[:, 0]), 0]
@@ -97,7 +100,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         (
             "later",
             "Ten more",
-            f"Written down before any was judged; on another robot ({LATER_ROBOT}), as they came out.",
+            f"Written down before any was judged, on another robot ({LATER_ROBOT}); shown as they came out.",
         ),
     ):
         own = [line for line in lines if line["set"] == name]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.foundations.chance import bound, density, exceeded
+from calib.foundations.chance import autocorrelations, bound, density, exceeded
 
 
 @pytest.mark.parametrize("numbers", [1, 2, 3, 40, 1000])
@@ -34,3 +34,10 @@ def test_a_square_below_zero_is_rounding() -> None:
 def test_no_command_waits_for_all_of_scipys_distributions() -> None:
     code = "import sys, calib.cli; print('scipy.stats' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+def test_autocorrelations_are_of_all_parts_together() -> None:
+    turns = np.tile([[1.0], [-1.0]], (5, 1))
+    assert list(autocorrelations([turns], 4)) == pytest.approx([-0.9, 0.8, -0.7])
+    assert list(autocorrelations([turns, np.ones((10, 1))], 3)) == pytest.approx([0.0, 0.8])
+    assert list(autocorrelations([np.zeros((5, 2))], 3)) == []

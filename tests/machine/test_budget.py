@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib
-from calib.machine.budget import doubts_of
+from calib.machine.budget import errors_by_cause
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.machine.grid import grid_from_residuals
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
-from calib.machine.uncertainty import CAUSES, Waves
+from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
 from tests.support import machines
 from tests.support.machines import Array, Machine, anywhere, pose
 
@@ -215,10 +215,10 @@ def test_parameters_that_were_held_are_not_known() -> None:
     minimal = calib.identify(nearest.model, nearest.measurements, null_space="minimal")
     assert minimal.held
     limits = np.tile([[-np.pi, np.pi]], (6, 1))
-    assert {p.name for p in doubts_of(minimal, limits).parameters} == {p.name for p in nearest.parameters}
+    assert {p.name for p in errors_by_cause(minimal, limits).parameters} == {p.name for p in nearest.parameters}
 
 
 def test_plain_json_of_the_budget() -> None:
     fit, *_ = fitted()
     found = calib.uncertainty_map(machine_of(fit), 20)
-    assert json.loads(json.dumps(found.shares())).keys() == set(CAUSES)
+    assert json.loads(json.dumps(rms_by_cause(found.budget))).keys() == set(CAUSES)

@@ -1,0 +1,69 @@
+"""How far from nominal is what the data do not show? As far as what they do show.
+
+Weak priors are wide, so that they decide nothing that data decide. As a statement of what is not known of a machine
+they are too wide: an arm whose visible lengths are off by half a millimetre has no other ones that are off by ten. So
+all translations of links, all their rotations and all joint offsets are taken to be alike, and those that show teach
+the likeliest width (:mod:`calib.identification.widths`) of those that do not. A stated prior is taken at its word.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.linear import triangle
+from calib.identification.parameters import Parameter
+from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
+
+# Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
+_FEWEST = 3.0
+# Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
+_MOST_INFORMATION = 1e10
+
+
+def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array) -> Array:
+    """Return how wide the priors (p,) of parameters are, in their scales: as held by the fit, or as its data teach.
+
+    ``J`` (q, p) and ``r`` (q,): derivatives of what is predicted, and measured less predicted, whitened by the noise,
+    at parameters ``z`` (p,), in scales from nominal.
+    """
+    held = np.array([1.0 / parameter.hold for parameter in parameters])
+    group = _groups(parameters)
+    while np.any(group >= 0):
+        rows = _equations(J, r, z, held, group)
+        _, of_row = np.unique(rows.group, return_index=True)
+        widths = held[group >= 0][of_row]
+        few = likelihood(rows, widths, np.ones(1)).gamma < _FEWEST
+        if not few.any():
+            taught = likeliest_widths(rows, widths).widths
+            return np.where(group >= 0, taught[group], held)
+        # What shows too little is no longer among those that are taught.
+        left = np.where(few, -1, np.cumsum(~few) - 1)
+        group = np.append(left, -1)[group]
+    return held
+
+
+def _groups(parameters: Sequence[Parameter]) -> IntArray:
+    """Return the group (p,) of every parameter, from 0; -1 of those that are held as they were."""
+    weak = [q.prior is None and q.kind in ("offset", "placement") for q in parameters]
+    names = list(dict.fromkeys((q.kind, q.unit) for q, is_ in zip(parameters, weak, strict=True) if is_))
+    return np.array(
+        [names.index((q.kind, q.unit)) if is_ else -1 for q, is_ in zip(parameters, weak, strict=True)], dtype=np.intp
+    )
+
+
+def _equations(J: Array, r: Array, z: Array, held: Array, group: IntArray) -> NormalEquations:
+    """Return the equations of grouped parameters about nominal, all others integrated out."""
+    own = group >= 0
+    others = int(np.count_nonzero(~own))
+    known = np.hstack([np.diag(1.0 / held[~own]), np.zeros((others, int(own.sum()) + 1))])
+    left = triangle(np.vstack([known, np.column_stack([J[:, ~own], -J[:, own], r + J[:, own] @ z[own]])]))[
+        others:, others:
+    ]
+    gram = left.T @ left
+    p = len(gram) - 1
+    finest = max(float(gram.diagonal()[:p].max()) / _MOST_INFORMATION, 1.0)
+    ones = np.ones(1)
+    return NormalEquations(
+        gram[None] / finest, ones, np.zeros((p + 1, p + 1)), ones, np.ones(1, dtype=np.bool_), group[own]
+    )
