@@ -16,6 +16,7 @@ from calib.measurement.streams.rest import at_rest
 from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
+from calib.robot.gravity import Load
 
 __all__ = [
     "Board",
@@ -25,6 +26,7 @@ __all__ = [
     "Conditions",
     "Finding",
     "LaserTracker",
+    "Load",
     "Measurements",
     "Proposal",
     "ProposedTable",

@@ -110,7 +110,9 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
         sets = [data.at_readings() for data in placed]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         return tuple(
-            finding for setup in setups for finding in _signatures(model.at(setup), [data.at(setup) for data in sets])
+            finding
+            for setup in setups
+            for finding in _signatures(model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets])
         )
 
 

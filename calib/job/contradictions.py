@@ -59,6 +59,10 @@ def _of_bases(job: Job) -> Iterator[str]:
         )
     if ONLY_SETUP in job.setups:
         yield f"setups.{ONLY_SETUP}: is the set-up without a name, whose pose is in [base]."
+    for name, setup in job.setups.items():
+        for key in ("quaternion", "prior"):
+            if setup.position is None and getattr(setup, key) is not None:
+                yield f"{dotted(('setups', name))}.{key}: belongs to a position, and there is none."
     for at, section in (("base", job.base), *((dotted(("setups", name)), one) for name, one in job.setups.items())):
         if section is not None and section.prior is not None and fixed:
             yield f'{at}.prior: means nothing with error_model.base = "fixed"; leave it out.'

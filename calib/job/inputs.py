@@ -38,6 +38,8 @@ from calib.job.schema import (
     PayloadSection,
     PriorSection,
     RelationSection,
+    RobotSection,
+    SetupSection,
     TargetSection,
 )
 from calib.machine.touching import touched
@@ -54,7 +56,8 @@ from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
-from calib.robot.gravity import Payload
+from calib.robot.gravity import Load, Payload
+from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, find_mesh, mesh_uris, package_folders, resolve
@@ -149,6 +152,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     known, model = model, model.within(chosen)
     doubts += _found_from_held_out(known, chosen, held_out)
     _refuse_no_noise(job, sets, path)
+    doubts += _weighed_at_zero(model, sets)
     doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     if len(chosen) > 1:
@@ -279,7 +283,10 @@ def _refuse_levels(job: Job, path: Path) -> None:
 def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
     tips = [table.tip for table in job.measurements if table.tip is not None]
-    links = [*tips, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    links = [*tips, *section.links, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    payloads = [section.payload, *(setup.payload for setup in job.setups.values())]
+    payloads += [table.payload for table in job.measurements]
+    links += [payload.link for payload in payloads if payload is not None and payload.link is not None]
     used = {table.instrument for table in job.measurements}
     links += [link for name, eye in job.instruments.items() if name in used and (link := _carrier(eye)) is not None]
     return load_robot(
@@ -290,8 +297,14 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
         couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[component.si for component in section.gravity],
-        payload=None if section.payload is None else _payload(section.payload),
-    )
+        payload=_payload(section.payload),
+    ).with_loads({name: _load(setup, section) for name, setup in job.setups.items() if setup.gravity or setup.payload})
+
+
+def _load(setup: SetupSection, robot: RobotSection) -> Load:
+    """Return what bears on the robot in a set-up: what that does not say is as everywhere."""
+    x, y, z = (component.si for component in setup.gravity or robot.gravity)
+    return Load((x, y, z), _payload(setup.payload or robot.payload))
 
 
 def _carrier(section: InstrumentSection) -> str | None:
@@ -306,9 +319,11 @@ def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> C
     return Coupling(section.joint, section.drivers, offset)
 
 
-def _payload(section: PayloadSection) -> Payload:
+def _payload(section: PayloadSection | None) -> Payload | None:
+    if section is None:
+        return None
     x, y, z = (length.si for length in section.position)
-    return Payload(section.mass.si, (x, y, z))
+    return Payload(section.mass.si, (x, y, z), section.link or "")
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -339,7 +354,8 @@ def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) ->
         if job.tools and tool not in job.tools:
             raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
     for setup in setups:
-        if job.error_model.base == "fixed" and setup not in (ONLY_SETUP, *job.setups):
+        known = [ONLY_SETUP, *(name for name, section in job.setups.items() if section.base is not None)]
+        if job.error_model.base == "fixed" and setup not in known:
             raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
     if job.base is not None and ONLY_SETUP not in setups:
         raise JobError(
@@ -366,6 +382,21 @@ def _found_from_held_out(
                 "found-from-held-out",
                 f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
                 "held-out rows; where they are few, their errors look too small.",
+            )
+
+
+def _weighed_at_zero(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Finding]:
+    """Yield tables that tell joints on which something hangs whose weight matters, and which the arm does not know."""
+    if model.robot.weights is None or not model.robot.weights.bodies:
+        return
+    at_zero = weighed_at_zero(model.urdf_robot)
+    for data in sets:
+        if names := [name for name in data.unused if name in at_zero]:
+            yield Finding(
+                "warning",
+                "weighed-at-zero",
+                f"{data.where}: what hangs on joint {', '.join(map(repr, names))} is weighed as if it were at zero, "
+                "and the table tells where it is; name a link behind it in robot.links.",
             )
 
 
@@ -513,13 +544,14 @@ def _placement(frame: FrameSection) -> Array:
 def _setups(job: Job) -> dict[str, SetUp]:
     """Return what is known of where the base stood; of the set-up without a name only with a prior."""
     known = {ONLY_SETUP: job.base} if job.base is not None and job.base.prior is not None else {}
+    known |= {name: base for name, section in job.setups.items() if (base := section.base) is not None}
     return {
         name: SetUp(
             _placement(section),
             None if section.prior is None else _si(section.prior.length),
             None if section.prior is None else _si(section.prior.angle),
         )
-        for name, section in (known | job.setups).items()
+        for name, section in known.items()
     }
 
 
@@ -564,7 +596,7 @@ def _measurements(
             raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
-        return data.named(tool=section.tool, setup=section.setup)
+        return _under_its_load(data.named(tool=section.tool, setup=section.setup), section, robot)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
         how: dict[str, Any] = {
@@ -600,7 +632,13 @@ def _measurements(
         for name in names:
             if on.setdefault(name, link) != link:
                 raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
-    return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+    data = replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+    return _under_its_load(data, section, robot)
+
+
+def _under_its_load(data: Measurements, section: MeasurementsSection, robot: Robot) -> Measurements:
+    payload = _payload(section.payload)
+    return (data if payload is None else data.carrying(robot, payload)).loaded(robot)
 
 
 def _clock(section: MeasurementsSection, job: Job) -> Clock | None:

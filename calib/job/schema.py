@@ -58,6 +58,7 @@ AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()
 _NOTHING, _DOWN = (quantity("gravity")(text) for text in ("0 m/s2", "-9.80665 m/s2"))
 _GRAVITY = (_NOTHING, _NOTHING, _DOWN)
 _ORIGIN = (quantity("position, station, point")("0 m"),) * 3
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 # The word for what does not move; it wins over a link of that name.
@@ -89,10 +90,11 @@ class LoopSection(_Section):
 
 
 class PayloadSection(_Section):
-    """``payload`` of ``[robot]``: what the tip link carries."""
+    """``payload``: what a link carries, the tip where none is named, of a table its own."""
 
     mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
     position: Position = _ORIGIN
+    link: Name | None = None
 
 
 class AboutSection(_Section):
@@ -107,12 +109,14 @@ class AboutSection(_Section):
 class RobotSection(_Section):
     """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes.
 
-    ``gravity`` in the base link, and ``payload``, matter where drives give way.
+    ``gravity`` in the base link, and ``payload``, matter where drives give way; ``links``: others whose joints are read
+    for what hangs on them.
     """
 
     urdf: Name
     tip: str | None = None
     base: str | None = None
+    links: Names = ()
     mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
     gravity: Gravity = _GRAVITY
     payload: PayloadSection | None = None
@@ -174,7 +178,7 @@ class FrameSection(_Section):
     """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
     position: Position
-    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    quaternion: Quaternion = _UPRIGHT
 
 
 class BasePriorSection(_Section):
@@ -185,9 +189,26 @@ class BasePriorSection(_Section):
 
 
 class BaseSection(FrameSection):
-    """``[base]``, and ``[setups.NAME]``: where the base stood, exactly, or about where a ``prior`` is given."""
+    """``[base]``: where the base stood, exactly, or about where a ``prior`` is given."""
 
     prior: BasePriorSection | None = None
+
+
+class SetupSection(_Section):
+    """``[setups.NAME]``: where the base stood, as ``[base]`` has it, or not known; and what bore on the robot there."""
+
+    position: Position | None = None
+    quaternion: Quaternion | None = None
+    prior: BasePriorSection | None = None
+    gravity: Gravity | None = None
+    payload: PayloadSection | None = None
+
+    @property
+    def base(self) -> BaseSection | None:
+        """Where the base stood, None where that is to be found."""
+        if self.position is None:
+            return None
+        return BaseSection(position=self.position, quaternion=self.quaternion or _UPRIGHT, prior=self.prior)
 
 
 class TargetSection(_Section):
@@ -333,6 +354,7 @@ class MeasurementsSection(_Section):
     tip: Name | None = None
     tool: Name | None = None
     setup: Name | None = None
+    payload: PayloadSection | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
@@ -356,7 +378,7 @@ class Job(_Section):
     accept: tuple[Accepted, ...] = ()
     solver: SolverSection = SolverSection()
     base: BaseSection | None = None
-    setups: Annotated[dict[str, BaseSection], AT_MOST["setups"]] = Field(default_factory=dict)
+    setups: Annotated[dict[str, SetupSection], AT_MOST["setups"]] = Field(default_factory=dict)
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
     instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
     targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)

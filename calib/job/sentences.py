@@ -21,6 +21,7 @@ from calib.job.schema import (
     PriorSection,
     RelationSection,
     RobotSection,
+    SetupSection,
     TargetSection,
 )
 
@@ -34,6 +35,7 @@ _HEADERS: dict[type[BaseModel], str] = {
     PriorSection: "prior of [error_model]",
     PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
+    SetupSection: "[setups.NAME]",
     InstrumentSection: "[instruments.NAME]",
     TargetSection: "[targets.NAME]",
     RelationSection: "[[relations]]",

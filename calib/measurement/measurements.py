@@ -1,6 +1,6 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from calib.measurement.kinds import Kind
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.stream import SHIFTS, Stream
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import Payload
 from calib.robot.robot import Deviations, Robot
 
 # What the only tool of the robot's tip is called, and the only place where the robot stood.
@@ -138,7 +139,50 @@ class Measurements:
         Raises as :meth:`calib.Robot.tips` does.
         """
         with naming_rows(self.where, self.lines):
-            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, self.conditions)
+            own = self.loaded(robot).conditions
+            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, own)
+
+    def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
+        """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
+
+            heavy = calib.read_measurements("heavy.csv", robot).carrying(robot, calib.Payload(2.5))
+
+        Raises MeasurementError where the robot was not loaded with that link.
+        """
+        link = payload.link or self.tip or (robot.links or (robot.tip,))[0]
+        if link not in (robot.links or (robot.tip,)):
+            raise MeasurementError(
+                f"{self.where}: the payload is on {link!r}, which is not one of the links that the robot was loaded "
+                f"with: {', '.join(map(repr, robot.links))}."
+            )
+        moments = robot.moments(replace(payload, link=link))
+        moments[[other != link for other in robot.links or (robot.tip,)]] = np.nan
+        every = np.tile(moments, (len(self), 1, 1))
+        return self._told(lambda told: replace(told, payload=_where_unsaid(told.payload, every)))
+
+    def loaded(self, robot: Robot) -> "Measurements":
+        """Return the rows under gravity and payload of their set-ups, where nothing else is told of them."""
+        if not robot.loads:
+            return self
+        loads = [robot.load_in(name) for name in self.setups]
+        gravity = np.array([load.gravity for load in loads])[self.setup]
+        payload = np.array([robot.moments(load.payload) for load in loads])[self.setup]
+
+        def under(told: Conditions) -> Conditions:
+            return replace(
+                told, gravity=_where_unsaid(told.gravity, gravity), payload=_where_unsaid(told.payload, payload)
+            )
+
+        return self._told(under)
+
+    def _told(self, more: Callable[[Conditions], Conditions]) -> "Measurements":
+        """Return the rows with more told of both ends."""
+        other = self.other
+        return replace(
+            self,
+            conditions=more(self.conditions),
+            other=None if other is None else replace(other, conditions=more(other.conditions)),
+        )
 
     def placed_by(self, tools: Array) -> Array:
         """Return the placements (N, 4, 4) of the rows' points in the link that carries them, by its tools (k, 4, 4)."""
@@ -262,6 +306,11 @@ def numbered(numbers: IntArray) -> Iterator[tuple[int, IntArray]]:
     order = np.argsort(numbers, kind="stable")
     there, starts = np.unique(numbers[order], return_index=True)
     yield from zip(there.tolist(), np.split(order, starts[1:]), strict=len(order) > 0)
+
+
+def _where_unsaid(told: Array | None, otherwise: Array) -> Array:
+    """Return what is told of rows, and something else where that is NaN."""
+    return read_only_view(otherwise if told is None else np.where(np.isnan(told), otherwise, told))
 
 
 def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:

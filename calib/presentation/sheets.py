@@ -82,7 +82,9 @@ def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
     every = sum(map(len, choice.geometric.measurements))
-    some = f"; by {choice.rows} of {every} rows, of groups taken at random" if choice.rows < every else ""
+    some = f"; by {choice.rows} of {every} rows, taken at random" if choice.rows < every else ""
+    if choice.taken_back:
+        some += f"; {choice.taken_back} more are taken back, as no fit with them converges"
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)

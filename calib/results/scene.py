@@ -39,7 +39,7 @@ def scene_of(found: Calibration) -> Scene:
     with_points = [judged for judged in known if size(judged.data.kind) >= 3]
     sets = with_points or known
     readings = np.concatenate([judged.data.readings for judged in sets])
-    conditions = joined([judged.data.conditions for judged in sets])
+    conditions = joined([(len(judged.data), judged.data.conditions) for judged in sets])
     measured = np.concatenate([_points(found, judged) for judged in sets])
     before = after = measured
     if with_points:

@@ -19,6 +19,8 @@ from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.robot.conditions import joined
+from calib.robot.terms import kind_of
 from calib.robot.transmission import lacking
 
 
@@ -73,7 +75,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         for end in data.ends:
             if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
-    sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
+    sets = [replace(data.loaded(model.urdf_robot), tip=data.tip or model.robot.tip) for data in sets]
+    _refuse_unfollowed_payloads(model, sets)
     links = _common_links(sets)
     _refuse_other_optics(sets)
     _refuse_absent(model, sets)
@@ -176,6 +179,19 @@ def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
                 f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which matters to "
                 f"{'what hangs on joints that give way' if model.robot.weights is not None else 'its targets'}."
             )
+
+
+def _refuse_unfollowed_payloads(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse payloads that differ from row to row where a term takes all masses for the same and unknown."""
+    blind = next((kind_of(term) for term in model.robot.terms if kind_of(term).masses == "unknown"), None)
+    if blind is None:
+        return
+    told = joined([(len(data), end.conditions) for data in sets for end in data.ends]).payload
+    if told is not None and not np.array_equal(told, np.broadcast_to(told[0], told.shape), equal_nan=True):
+        raise JobError(
+            f"{blind.key}: the payload is not the same in all rows, which masses that nobody states do not follow; "
+            "give every <link> of the URDF an <inertial>, and free terms of stated masses, such as elastic."
+        )
 
 
 def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
