@@ -10,6 +10,7 @@ from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
+from calib.measurement.optics import seen_by
 from calib.measurement.read import read_measurements, read_stream
 from calib.measurement.streams.rest import at_rest
 from calib.measurement.streams.stream import Clock
@@ -38,6 +39,7 @@ __all__ = [
     "positions",
     "read_measurements",
     "read_stream",
+    "seen_by",
     "sockets",
     "touched",
 ]

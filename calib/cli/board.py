@@ -26,9 +26,10 @@ def board(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a board as PDF and SVG at true size, and the board.toml that names it.
+    """Write a board to print, as PDF and SVG.
 
-    Markers need OpenCV: python -m pip install "urdf-calib[vision]". Exit codes: 0 good, 1 bad input, 2 wrong usage.
+    Both are at true size; board.toml names what is printed. Markers need OpenCV: python -m pip install
+    "urdf-calib[vision]". Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
         from calib.foundations.folders import write_folder

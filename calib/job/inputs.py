@@ -577,14 +577,15 @@ def _measurements(
             "columns": _columns(section),
         }
         if section.readings is None or clock is None:
-            board = None if section.board is None else prints[section.board].board(Path(section.board).stem)
-            data = read_measurements(folder / section.file, seen_from, section.observes, board=board, **how)
+            data = read_measurements(folder / section.file, seen_from, section.observes, **how)
         else:
             joints = folder / section.readings
             data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
+    if section.board is not None and data.camera is not None:
+        data = seen_by(data, data.camera, prints[section.board].board(Path(section.board).stem))
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"

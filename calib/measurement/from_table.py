@@ -84,7 +84,6 @@ def measurements_from_table(
     offset: str | None = None,
     in_order: bool = False,
     joints: Joints = ALL_READ,
-    board: Board | None = None,
 ) -> Measurements:
     """Return what a table says of a robot with these ``readings``; ``joints``: which of the URDF's are needed.
 
@@ -93,7 +92,6 @@ def measurements_from_table(
     ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
     length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
     poses were taken one after the other, and the order of the rows says from which side joints were reached.
-    ``board``: what a camera saw, and what is unknown of it; a flat one of a scale that is known to half a percent.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a pair has not two rows or two lengths, and when the noise is given twice or of coordinates
@@ -167,7 +165,7 @@ def measurements_from_table(
         times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
     if camera is not None:
-        return seen_by(found, camera, board or Board())
+        return seen_by(found, camera, Board())
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.units import MM
 from calib.measurement.boards import ONLY_BOARD, Board
 from calib.measurement.instruments import ONLY_CAMERA, Camera
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
@@ -60,10 +61,15 @@ def board_scalars(board: Board) -> dict[str, Scalar]:
 def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> Measurements:
     """Return pixels as seen by another camera, of another board: what is unknown of these is then theirs.
 
+        data = calib.measuring.seen_by(data, data.camera, calib.measuring.Board(scale_sigma=0.0))
+
+    ``board``: a flat one of a scale that is known to half a percent is what pixels are read with; None of known marks.
+
     Raises JobError where a single mark is to tell a lens of which nothing is known, MeasurementError for a mark that
     is not on the board.
     """
-    roles = lens_scalars(camera)
+    own = {*NAMES, SCALE, *(() if data.board is None else data.board.mode_names)}
+    roles = {role: data.scalars[k] for role, k in data.uses.items() if role not in own} | lens_scalars(camera)
     if not data.of_boards:
         if camera.unknown:
             raise JobError(
@@ -78,7 +84,7 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
             mark = board.numbers(data.value[:, 2:])
             if (mark < 0).any():
                 row = int(np.argmin(mark))
-                x, y, z = 1e3 * data.value[row, 2:]
+                x, y, z = data.value[row, 2:] / MM
                 raise MeasurementError(
                     f"{data.where}:{data.lines[row]}: no mark of the board {board.name!r} is at {x:g}, {y:g}, {z:g} mm."
                 )

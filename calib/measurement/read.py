@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.arguments import checked
-from calib.measurement.boards import Board
 from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
@@ -40,14 +39,13 @@ def read_measurements(
     offset: str | None = None,
     in_order: bool = False,
     columns: Mapping[str, str] | Columns | None = None,
-    board: Board | None = None,
 ) -> Measurements:
     """Return the measurements of ``robot`` in a CSV file, a pandas DataFrame or a mapping of arrays.
 
     Every dimensional column has its unit in its name: ``"joint_1 [deg]"``, ``"x [mm]"``. ``sigma`` is the
     instrument's standard deviation of each coordinate in m, of poses a pair, in m and rad, when no column and no
-    ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them, and a ``board`` where its marks
-    are known better or worse than to half a percent. ``offset`` names an unknown
+    ``instrument`` gives it; ``pixels`` need as ``instrument`` the camera that saw them; what is unknown of the board
+    that it saw, :func:`calib.measuring.seen_by` says. ``offset`` names an unknown
     length that all lengths share. ``in_order``: the order of the rows says from which side joints were reached.
     ``columns`` maps our names to the source's, and may add a unit that it leaves out: ``{"x [mm]": "measured_x"}``; as
     :class:`calib.measuring.Columns` it also says what is ignored, and what angles mean. Of a robot with several tips,
@@ -64,7 +62,6 @@ def read_measurements(
         offset=offset,
         in_order=in_order,
         joints=Joints.of(robot),
-        board=board,
     )
 
 

@@ -63,9 +63,8 @@ def job(seed: int, cause: str) -> str:
     columns |= {f"board_{axis} [m]": p[:, k] for k, axis in enumerate("xyz")}
     robot = calib.load_robot(simulation.UR5, simulation.TIP)
     camera = calib.measuring.Camera("tip", **given, free=NAMES[:9], size=some.lens.size)
-    data = calib.read_measurements(
-        columns, robot, "pixels", instrument=camera, board=Board(marks=board, shape="quadratic")
-    )
+    data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
+    data = calib.measuring.seen_by(data, camera, Board(marks=board, shape="quadratic"))
     kept, held_out = calib.hold_out(data, 0.25)
     model = calib.error_model(
         robot,
