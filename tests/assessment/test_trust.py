@@ -80,7 +80,7 @@ def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> No
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
-    assert alone.shown[1].startswith("Held-out rows would show")
+    assert "Held-out rows" in alone.shown[1]
 
 
 def test_the_verdict_is_the_conjunction_of_the_checks(cell: Cell, fit: calib.Fit) -> None:
