@@ -12,6 +12,7 @@ from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.two_machines import TwoMachines
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
@@ -48,7 +49,9 @@ FREEDOM = 10.0
 SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
-GROSS, GROSS_ROBUST, FAR = 0.05, 0.15, 5.0
+# Fewer rows than that share are gross errors, which another check judges.
+TWO_MACHINES, MANY = 3.0, 0.15
+GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
 FROZEN = 0.02
 OWN_BASE = 2.0
 LINE = 5e-3
@@ -400,6 +403,20 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
         return _check("set-ups", NOTHING, OWN_BASE, True, "No table asks for a base of its own.")
     times = worst.error / worst.moved
     return _check("set-ups", times, OWN_BASE, False, worst.sentence)
+
+
+def one_machine(found: TwoMachines, fit: Fit) -> Check:
+    """Whether all rows are of one machine: told apart in two, they would leave hardly less, or be hardly apart."""
+    limit = OF_REACH * fit.model.robot.reach
+    if found.share < MANY or found.apart < limit:
+        return _check("one machine", NOTHING, TWO_MACHINES, True, "The rows do not seem to be of two machines.")
+    passed = found.times <= TWO_MACHINES
+    said = f"Told apart as of two machines, the rows leave {found.times:.2g} times less"
+    what = (
+        f": {100.0 * found.share:.0f} % of them are elsewhere by {found.apart / MM:.2g} mm. A payload in some of them, "
+        "play in a joint, another robot or another target?"
+    )
+    return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
