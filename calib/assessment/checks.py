@@ -380,12 +380,16 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
 
 
 def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
-    """Whether files, groups or targets ask for another machine than the rest; ``sets``: for a base of their own."""
+    """Whether groups or targets ask for another machine than the rest; ``sets``: files, for a base or tool of theirs.
+
+    The noise of a file is its own: what it asks for otherwise is in that as well.
+    """
     width = max(r.shape[1] for r in fit.residuals)
     told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
     told += [
         (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "another machine")
         for group in found.disagreeing
+        if group.kind != "file"
     ]
     size, name, asks = max(told, default=(0.0, "", ""))
     if size <= SIZE:

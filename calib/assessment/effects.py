@@ -291,7 +291,6 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
     ends = np.cumsum([0, *(part.r.size for part in parts)])
     r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
-    free = max(len(r) - sum(part.used for part in parts), 0.1 * len(r))
     for k, part in enumerate(parts if len(parts) > 1 else ()):
         rows, n = slice(ends[k], ends[k + 1]), len(part.r)
         for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
@@ -300,10 +299,13 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
             score = score_test(D.T @ D, S, D.T @ r[rows], C)
             rest = r - J @ (C @ (S.T @ score.sizes))
             rest[rows] += D @ score.sizes
-            variance = max(float(rest @ rest) / free, *(one.least for one in parts))
+            # Judged by what remains in this set: its noise may have been estimated with the change in it.
+            own = rest[rows].reshape(part.r.shape)
+            free = max(own.size - part.used - D.shape[1], 0.1 * own.size)
+            variance = max(float(np.sum(own**2)) / free, part.least)
             others = sum(len(one.r) for one in parts) - n
             size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _by_chance(score, variance, free, part.r)
+            chance = _by_chance(score, variance, free, own)
             found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
