@@ -35,7 +35,8 @@ TOO_LARGE = 3.0
 ROUNDING = 1e-9
 
 # The thresholds. Beside each: the largest of the sound sessions of docs/verdicts.md, where it says something.
-LEFT = 0.01
+# Poor arms leave up to half of it; what does not belong together leaves all.
+LEFT = 0.05
 # One place that was touched has no spread; this share of the reach stands for it.
 ONE_PLACE = 0.05
 SURELY = 0.975

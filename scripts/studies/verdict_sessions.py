@@ -254,6 +254,24 @@ def sound(seed: int) -> Session:
     return Session(label, whole(w.robot, kind, **free), (own,), (held,), losses, levels)
 
 
+# Gears of arms for hobbyists wobble by up to that, in rad.
+POOR = (2e-3, 20e-3)
+
+
+def poor(seed: int) -> Session:
+    """A sound session with an arm that is poor, and as poor with what was held out."""
+    rng = np.random.default_rng([seed, 24])
+    which = str(rng.choice(["ur5", "ur10", "panda"]))
+    kind = str(rng.choice(["position", "pose"]))
+    wobble = float(np.exp(rng.uniform(*np.log(POOR))))
+    sigma = float(rng.choice([0.05e-3, 0.2e-3, 1e-3]))
+    w = world(which, rng, Errors(np.radians(3.0), 2e-3, 10e-3), sigma, wobble)
+    q, v = readings(w, int(rng.integers(40, 150))), readings(w, int(rng.integers(15, 60)))
+    label = {"layout": "poor", "robot": which, "kind": kind, "rows": len(q), "held out": len(v), "wobble": wobble}
+    own, held = table(w, q, w.measure(q), kind, 0.0), table(w, v, w.measure(v), kind, 0.0)
+    return Session(label | {"sigma": sigma, "stated": 0.0}, whole(w.robot, kind), (own,), (held,))
+
+
 def _of_family(layout: str, seed: int, rng: np.random.Generator, stated: bool) -> Session:
     if layout == "sockets":
         found, robot = known("panda")
