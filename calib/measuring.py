@@ -1,4 +1,4 @@
-"""What is measured, with what, and what is known of it: instruments, targets, relations, conditions."""
+"""Instruments, targets, relations and conditions: with what is measured, and what is known of what is measured."""
 
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp

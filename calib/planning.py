@@ -1,4 +1,4 @@
-"""Which poses to measure: :func:`calib.plan`, and what it can be told of the set-up."""
+"""Which poses to measure: :func:`calib.plan`, and the descriptions of the set-up that it takes."""
 
 from calib.assessment.candidates import Candidates, Setup, Sight, possible, random_candidates, roughly
 from calib.assessment.planning import Forecast, Plan, plan

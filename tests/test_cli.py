@@ -118,7 +118,7 @@ def test_check_writes_nothing_and_solves_nothing(folder: Path, monkeypatch: pyte
     assert first == "Units, names, limits and rows: no findings."
     assert second.startswith("180 numbers determine 27 combinations of 45 parameters (condition number ")
     assert third == "The null space has 18 directions:"
-    assert directions[0].startswith(" - 18 combinations of parameters no position can show, normal for six revolute")
+    assert directions[0].startswith(" - 18 combinations that no position determines: normal for six revolute joints")
     assert sum(line.startswith(" - ") for line in directions) == 1
     every = run("check", JOB, "--all").out.splitlines()[3:]
     assert sum(line.startswith(" - ") for line in every) == 18
@@ -180,7 +180,7 @@ def test_validation_by_the_same_rows_warns(folder: Path) -> None:
 
 def test_validation_by_another_machine_is_not_trusted(folder: Path) -> None:
     by_another_machine(folder)
-    doubt = "On data that the fit never saw the position error is no smaller than before calibration."
+    doubt = "On held-out data the position error is no smaller than before calibration."
     said = run("calibrate", JOB, "-o", "out")
     assert (said.code, said.err) == (3, "")
     assert doubt in said.out.replace("\n", " ")

@@ -36,8 +36,8 @@ def test_offsets(folder: Path) -> None:
     alone = re.search(r"with these offsets alone ([0-9.]+) mm", text)
     assert alone is not None
     words = " ".join(said.out.split())
-    assert f"Warning: placements: not in the file; at the tip {alone[1]} mm rms." in words
-    assert f"the machine of the file {alone[1]} mm rms, over random poses of the identified range." in words
+    assert f"Warning: placements: not in the file; this moves the tip by {alone[1]} mm rms." in words
+    assert f"the machine of the file {alone[1]} mm rms." in words
     assert words.endswith("Read back and compared; the file is offsets.csv.")
 
 

@@ -23,6 +23,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
+from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
@@ -126,14 +127,16 @@ def verify(
 ) -> Verification:
     """Judge new measurements of a calibrated machine by a limit in m, and by what it says of its own uncertainty.
 
-    ``refit``: the base decides where it is found anew, as after moving the instrument. Where the table does not state
-    the instrument's noise, that of the calibration stands in.
+    ``refit``: find the base anew and judge with it, as after the instrument was moved. If the table does not state the
+    instrument's noise, that of the calibration is used.
 
-    Raises MeasurementError when the machine's uncertainty is not known, when a tool was not identified, when a joint
-    term needs a condition that the rows do not have, when orientations are judged by a calibration that saw none, or
-    when the base is to be found anew from fewer than three positions or from such as do not
-    show it; RobotError when a loop does not close.
+    Raises JobError for a limit out of range; MeasurementError when the machine's uncertainty is not known, when a tool
+    was not identified, when a joint term needs a condition that the rows do not have, when orientations are judged by a
+    calibration without any, or when the base is to be found anew from fewer than three positions or from positions that
+    do not determine it; RobotError when a loop does not close.
     """
+    if limit is not None:
+        refuse_beyond(limit, "sigma", "limit")
     if data.kind not in ("position", "pose"):
         raise MeasurementError(f"{data.where}: a machine is verified by positions or poses, and not by {data.kind}.")
     if not len(data):

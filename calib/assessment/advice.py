@@ -59,10 +59,10 @@ class Advice:
 
 @checked
 def advice(fit: Fit) -> tuple[Advice, ...]:
-    """Return what the data of a fit leave open: the null space with remedies, weak and correlated parameters.
+    """Return what the data of a fit leave open: null space with remedies, weakly determined and correlated parameters.
 
-    A parameter is weak when its sigma exceeds half its scale; correlated are pairs beyond 0.95, of identifiable
-    parameters.
+    A parameter is weakly determined when its sigma exceeds half its scale. Correlated are pairs of identifiable
+    parameters whose correlation exceeds 0.95.
     """
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
     factor = {"m": (1.0 / MM, "mm"), "rad": (1.0 / MRAD, "mrad")}
@@ -121,9 +121,9 @@ def told_briefly(
     never = [not _shown(J, names, [], direction) for direction in null_space]
     if sum(never) < _A_FEW:
         return tuple(said)
-    several = f"{sum(never)} combinations of parameters no {'pose' if first.kind == 'pose' else 'position'} can show"
+    several = f"{sum(never)} combinations that no {'pose' if first.kind == 'pose' else 'position'} determines"
     others = [sentence for sentence, always in zip(said, never, strict=True) if not always]
-    return (f"{several}, normal for {_joints(model)}; no prediction depends on them.", *others)
+    return (f"{several}: normal for {_joints(model)}. No prediction depends on them.", *others)
 
 
 def _joints(model: ErrorModel) -> str:
@@ -140,9 +140,9 @@ def _of_direction(direction: NullDirection, remedies: Sequence[str]) -> Advice:
     if remedies:
         help_ = f"To tell them apart, {' or '.join(_REMEDIES[name] for name in remedies)}."
     elif len(direction.shares) == 1:
-        help_ = "Nothing measured with such a tool tells it; leave it out, or take another tool."
+        help_ = "No measurement with such a tool determines it; leave it out, or take another tool."
     else:
-        help_ = "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
+        help_ = "No measurement of the tip tells them apart, as they move it in the same way; leave one of them out."
     return Advice("null space", tuple(direction.shares), f"{direction} {help_}", tuple(remedies))
 
 

@@ -65,7 +65,7 @@ def bootstrap(
     seed: int = 0,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Bootstrap:
-    """Return repeated fits, and where they see a tool in the instrument's frame at readings (N, nr) in rad and m.
+    """Return repeated fits, and where they put a tool in the instrument's frame at readings (N, nr) in rad and m.
 
     ``kind`` "residuals" or "poses"; of poses, rows with one ``group`` stay together, or, without groups, rows with the
     same readings. ``progress`` is told how many of how many are done.

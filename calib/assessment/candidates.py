@@ -10,7 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.choices import Observed
+from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.units import DEG
 from calib.identification.error_model import ErrorModel
@@ -41,8 +41,8 @@ class Setup:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
     ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
-    model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool shall be
-    right; when None, the candidates.
+    model will not explain, all coordinates together; 0 for none. ``working`` (M, nr): poses where the tool must be
+    accurate; when None, the candidates.
     """
 
     __repr__ = brief
@@ -203,6 +203,8 @@ def random_candidates(
     """
     if count < 1:
         raise JobError(f"{count} random poses are asked for; it takes one at least.")
+    if count > MOST_POSES:
+        raise JobError(f"{count} random poses are asked for; allowed are {MOST_POSES}.")
     limits = joint_limits(robot)
     rng = np.random.default_rng(seed)
     parts: list[Array] = []

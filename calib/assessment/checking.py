@@ -14,14 +14,14 @@ from calib.measurement.measurements import Measurements
 
 @checked
 def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]) -> tuple[Finding, ...]:
-    """Return what looks wrong with measurements, and what they cannot show: an empty tuple where nothing does.
+    """Return what looks wrong with measurements and what they do not determine: an empty tuple where nothing does.
 
         for finding in calib.check(model, data):
             print(finding.severity, finding.sentence)
 
     Readings beyond their limits, wrong units, rows that are repeated; the typical mistake - a sign, an axis, a table in
-    another frame - that explains why the nominal robot misses them; a flange that never turns. An error says that a fit
-    would be meaningless.
+    another frame - that explains why the nominal robot misses them; a tip link that never turns. An error says that a
+    fit would be meaningless.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     return _and(looks_wrong(model, sets), lambda: undetermined(model, sets))

@@ -76,7 +76,7 @@ def _check(
 
 def answered(check: Check) -> Check:
     """Return a check that the user has answered."""
-    return replace(check, passed=True, sentence=f"{check.sentence} The job says that it is so.")
+    return replace(check, passed=True, sentence=f"{check.sentence} The job accepts this.")
 
 
 # ---- the fit
@@ -96,21 +96,21 @@ def redundancy(fit: Fit) -> Check:
     """Whether more was measured than was sought."""
     free = sum(noise.degrees_of_freedom for noise in fit.noise)
     numbers = sum(r.size for r in fit.residuals)
-    said = f"{numbers} numbers were measured for {fit.rank} combinations of parameters, {free:.0f} more than it takes"
+    said = f"{numbers} numbers were measured, and {free:.0f} degrees of freedom are left to judge the fit"
     passed = free >= FREEDOM
     return _check(
         "redundancy",
         free,
         FREEDOM,
         passed,
-        f"{said}." if passed else f"{said}: nothing tells whether they agree.",
+        f"{said}." if passed else f"{said}; at least {FREEDOM:g} are needed.",
         least=True,
     )
 
 
 def stated_sigma(fit: Fit) -> Check:
     """Whether what remains is near the instrument's noise, where that is stated."""
-    worst, limit, said = NOTHING, SIGMA, "No sigma is stated to compare with."
+    worst, limit, said = NOTHING, SIGMA, "There is no stated sigma to compare the residuals with."
     for noise in fit.noise:
         if not noise.degrees_of_freedom >= ENOUGH or not noise.chi_square >= 0.0:
             continue
@@ -121,9 +121,9 @@ def stated_sigma(fit: Fit) -> Check:
             worst, limit = times, allowed
             said = f"The {noise.quantity} residuals scatter {times:.2g} times as much as the stated sigma"
             if times > allowed:
-                said += ": it is far too small, or the model lacks what there is."
+                said += ": the sigma is far too small, or an effect is missing from the model."
             else:
-                said += "; it seems too large." if times < 1.0 / TOO_LARGE else "."
+                said += "; the sigma seems too large." if times < 1.0 / TOO_LARGE else "."
     return _check("stated sigma", worst, limit, not worst > limit, said)
 
 
@@ -145,9 +145,9 @@ def explained(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
             share = rest / spread if spread > 0.0 else 0.0
             if share > worst:
                 worst, what = share, quantity.name
-    said = f"Of the spread of what was measured {worst:.2g} remains unexplained"
+    said = f"After calibration the errors are {worst:.2g} times the spread of what was measured"
     passed = worst <= LEFT
-    cause = ": readings and measurements do not belong together, or to this robot."
+    cause = ": the readings do not belong to the measurements, or not to this robot."
     return _check("explained", worst, LEFT, passed, f"{said}." if passed else f"{said} ({what}){cause}")
 
 
@@ -179,7 +179,7 @@ def _tips(fit: Fit, readings: Array, tool: IntArray, data: Measurements, end: in
 def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether errors are smaller than before, by more than chance makes them over different poses."""
     if not any(parameter.of_robot for parameter in fit.parameters):
-        return _check("improvement", NOTHING, NOTHING, True, "Nothing of the robot was sought.", least=True)
+        return _check("improvement", NOTHING, NOTHING, True, "No parameter of the robot was free.", least=True)
     best, limit, worse = -np.inf, NOTHING, ""
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
         found = gain(judged, name)
@@ -191,10 +191,10 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
             worse = name
     if not np.isfinite(best):
         return _check(
-            "improvement", NOTHING, NOTHING, True, "There are too few rows to tell an improvement.", least=True
+            "improvement", NOTHING, NOTHING, True, "There are too few rows to judge an improvement.", least=True
         )
     held_out = any(one.use == "validation" for one in judged)
-    data = "data that the fit never saw" if held_out else "the data it was fitted to"
+    data = "held-out data" if held_out else "the fitted data"
     if worse:
         return _check(
             "improvement",
@@ -206,7 +206,7 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         )
     passed = best > limit
     said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
-    more = "." if passed else f", and {limit:.2g} are needed: an improvement is not shown."
+    more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance."
     return _check("improvement", best, limit, passed, said + more, least=True)
 
 
@@ -241,8 +241,8 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
             allowed = max(allowed, _small(fit, quantity.unit) / float(np.sqrt(np.mean(predicted))))
             if not worst / limit >= ratio / allowed:
                 worst, limit = ratio, allowed
-                said = f"Held-out {quantity.name} errors are {ratio:.2g} times as large as was predicted for them"
-                said += "." if ratio <= allowed else ": something is not as it was in the data of the fit."
+                said = f"Held-out {quantity.name} errors are {ratio:.2g} times as large as predicted"
+                said += "." if ratio <= allowed else ": something differs between the fitted and the held-out rows."
     return _check("prediction", worst, limit, not worst > limit, said)
 
 
@@ -257,7 +257,7 @@ def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slic
 def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
     """Whether enough poses were held out, where any were."""
     if not held_out:
-        said = "No rows were held out: how well the robot predicts other poses is not shown."
+        said = "No rows were held out: nothing shows how well the machine predicts other poses."
         return _check("held-out poses", NOTHING, POSES, True, said, least=True)
     cells = [np.round(_readings(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
     n = len(np.unique(np.concatenate(cells), axis=0))
@@ -280,7 +280,8 @@ def copies(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
     share = sum(int(_copied(own, one).sum()) for one in held_out) / total
     said = f"{100.0 * share:.0f} % of the held-out rows are at poses of the fit"
     passed = share <= COPIES
-    return _check("copies", share, COPIES, passed, f"{said}{'.' if passed else ': they prove nothing about others.'}")
+    more = "." if passed else ": they prove nothing about other poses."
+    return _check("copies", share, COPIES, passed, said + more)
 
 
 def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
@@ -315,17 +316,15 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     size, said = 0.0, ""
     if worst is not None:
         size = worst.size
-        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} is elsewhere, by {size:.2g} times"
-        said += " what remains"
+        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} seems to have changed"
+        said += f", by {size:.2g} times the scatter of the residuals"
     for target in outliers.moved:
         n, m = target.rows
         moved = float(np.sqrt(target.gain * (n + m) / (n * m)))
         if moved > size:
             size = moved
-            said = (
-                f"{target.file}:{target.line}: after this row {target.target!r} is elsewhere, by {moved:.2g} times what"
-            )
-            said += " remains"
+            said = f"{target.file}:{target.line}: after this row {target.target!r} seems to have moved, by {moved:.2g}"
+            said += " times the scatter of the residuals"
     passed = size <= SIZE
     if passed:
         return _check(
@@ -333,13 +332,13 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
             size or NOTHING,
             SIZE,
             True,
-            f"No jump in the course of the rows exceeds {SIZE:g} times what remains.",
+            f"Between no two rows is there a jump above {SIZE:g} times the scatter of the residuals.",
         )
-    return _check("jump", size, SIZE, False, f"{said}: identify the parts apart.")
+    return _check("jump", size, SIZE, False, f"{said}: identify the rows before it and after it separately.")
 
 
 def _thing(what: str) -> str:
-    return what if what in ("base", "tool") else f"zero of {what!r}"
+    return what if what in ("base", "tool") else f"offset of {what!r}"
 
 
 def drift(wandered: tuple[float, float], fit: Fit) -> Check:
@@ -347,21 +346,21 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     size, chance = wandered
     limit = WANDERED * fit.model.robot.reach
     if chance >= RARELY:
-        return _check("drift", NOTHING, limit, True, "In the course of the rows the base does not seem to wander.")
+        return _check("drift", NOTHING, limit, True, "No drift of the base over the rows is seen.")
     passed = size <= limit
-    said = f"In the course of the rows the base wanders by {size / MM:.2g} mm"
+    said = f"Over the rows the base drifts by {size / MM:.2g} mm"
     return _check("drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved.")
 
 
 def late(found: Effect) -> Check:
     """Whether what was measured is later, or earlier, than the readings beside it."""
     if not (abs(found.t) > SURE and found.size > SEEN):
-        return _check("delay", NOTHING, LATE, True, "Measurements do not seem later or earlier than their readings.")
+        return _check("delay", NOTHING, LATE, True, "No delay between measurements and readings is seen.")
     value = abs(found.value)
     passed = value <= LATE
     how = "later" if found.value > 0.0 else "earlier"
     said = f"Measurements are {value:.2g} +- {found.sigma:.2g} rows {how} than their readings"
-    return _check("delay", value, LATE, passed, f"{said}." if passed else f"{said}: align their times.")
+    return _check("delay", value, LATE, passed, f"{said}." if passed else f"{said}: align the times of both.")
 
 
 def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
@@ -373,9 +372,10 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
     value = abs(sure[name].value) if name else 0.0
     passed = value <= GEAR
     said = (
-        f"No joint is seen to turn by more than {100 * GEAR:g} % more or less than it says."
+        f"No joint seems to move by over {100 * GEAR:g} % more or less than its reading says."
         if passed
-        else f"{name!r} seems to move by {100.0 * sure[name].value:+.2g} % more than it says: is its gear ratio right?"
+        else f"{name!r} seems to move by {100.0 * value:.2g} % {'more' if sure[name].value > 0.0 else 'less'} than its "
+        "reading says: is its gear ratio right?"
     )
     return _check("gear", value or NOTHING, GEAR, passed, said)
 
@@ -388,15 +388,15 @@ def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
     width = max(r.shape[1] for r in fit.residuals)
     told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
     told += [
-        (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "another machine")
+        (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "other parameters")
         for group in found.disagreeing
         if group.kind != "file"
     ]
     size, name, asks = max(told, default=(0.0, "", ""))
     if size <= SIZE:
-        said = f"No group of rows differs from the rest by more than {SIZE:g} times what remains."
+        said = f"No group of rows differs from the rest by more than {SIZE:g} times the scatter of the residuals."
         return _check("groups", size or NOTHING, SIZE, True, said)
-    said = f"{name}: differs from the rest by {size:.2g} times what remains; it asks for {asks}."
+    said = f"{name} differs from the rest by {size:.2g} times the scatter of the residuals; it fits better with {asks}."
     return _check("groups", size, SIZE, False, said)
 
 
@@ -405,7 +405,7 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
     wide = [one for one in found if one.wide]
     worst = max(wide, key=lambda one: one.error / one.moved, default=None)
     if worst is None:
-        return _check("set-ups", NOTHING, OWN_BASE, True, "No table asks for a base of its own.")
+        return _check("set-ups", NOTHING, OWN_BASE, True, "No table fits much better with a base of its own.")
     times = worst.error / worst.moved
     return _check("set-ups", times, OWN_BASE, False, worst.sentence)
 
@@ -414,12 +414,12 @@ def one_machine(found: TwoMachines, fit: Fit) -> Check:
     """Whether all rows are of one machine: told apart in two, they would leave hardly less, or be hardly apart."""
     limit = OF_REACH * fit.model.robot.reach
     if found.share < MANY or found.apart < limit:
-        return _check("one machine", NOTHING, TWO_MACHINES, True, "The rows do not seem to be of two machines.")
+        return _check("one machine", NOTHING, TWO_MACHINES, True, "The rows do not seem to come from two machines.")
     passed = found.times <= TWO_MACHINES
-    said = f"Told apart as of two machines, the rows leave {found.times:.2g} times less"
+    said = f"Split between two machines, the rows scatter {found.times:.2g} times less"
     what = (
-        f": {100.0 * found.share:.0f} % of them are elsewhere by {found.apart / MM:.2g} mm. A payload in some of them, "
-        "play in a joint, another robot or another target?"
+        f": {100.0 * found.share:.0f} % of them differ by {found.apart / MM:.2g} mm from the rest. Did something change "
+        "between rows: a payload, backlash, the robot or the target?"
     )
     return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
@@ -437,8 +437,9 @@ def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
             if share / allowed > worst / limit:
                 worst, limit, where = share, allowed, one.file
             passed = passed and share <= allowed
-    said = f"{100.0 * worst:.2g} % of the rows lie beyond {FAR:g} standard deviations of the rest"
-    return _check("gross errors", worst, limit, passed, f"{said}." if passed else f"{where}: {said}; set them right.")
+    said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
+    said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
+    return _check("gross errors", worst, limit, passed, said)
 
 
 def frozen(own: Sequence[JudgedSet]) -> Check:
@@ -455,28 +456,28 @@ def frozen(own: Sequence[JudgedSet]) -> Check:
         stuck = np.all(np.diff(data.position, axis=0) == 0.0, axis=1) & turned & (moved > min(noise, 1e-4))
         if int(stuck.sum()) > 2 and float(np.mean(stuck)) > share:
             share, where = float(np.mean(stuck)), one.file
-    said = f"In {100.0 * share:.2g} % of the rows the measured position is that of the row before, while joints moved"
+    said = f"In {100.0 * share:.2g} % of the rows joints moved, but the measured position is that of the row before"
     passed = share <= FROZEN
     return _check(
-        "frozen", share, FROZEN, passed, f"{said}." if passed else f"{where}: {said}: the instrument stood still."
+        "frozen", share, FROZEN, passed, f"{said}." if passed else f"{where}: {said}: the instrument had stopped."
     )
 
 
 def in_line(own: Sequence[JudgedSet]) -> Check:
     """Whether points that were measured lie on one line, about which the whole robot may turn."""
     if not own or any(one.data.kind != "position" for one in own):
-        return _check("places", NOTHING, LINE, True, "More than positions was measured.", least=True)
+        return _check("places", NOTHING, LINE, True, "Not only positions were measured.", least=True)
     x = np.concatenate([one.data.position for one in own if one.data.position is not None])
     s = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) if len(x) > 2 else np.zeros(2)
     share = float(s[1] / s[0]) if s[0] > 0.0 else 0.0
     passed = share >= LINE
-    said = f"The measured points extend to the side by {share:.2g} of their length"
+    said = f"The cloud of measured points is {share:.2g} times as wide as it is long"
     return _check(
         "places",
         share,
         LINE,
         passed,
-        f"{said}." if passed else f"{said}: on one line they do not show the base.",
+        f"{said}." if passed else f"{said}: points on one line do not determine the base.",
         least=True,
     )
 
@@ -528,15 +529,15 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
         if abs(by) > worst * max(LINK * length, LINK_LENGTH):
             worst = abs(by) / max(LINK * length, LINK_LENGTH)
-            link = f"{fit.robot.chain[k].name!r} by {by / MM:+.0f} mm"
+            link = f"{fit.robot.chain[k].name!r} differs by {by / MM:+.0f} mm"
     scale, sigma = _common_scale(fit, parts, scaled, moved)
     if abs(scale) > SCALE and abs(scale) > SURE * sigma:
-        said = f"The links seem {100.0 * scale:+.2g} % longer than in the URDF, all alike: is it of this robot?"
+        said = f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot?"
         return _check("lengths", abs(scale), SCALE, False, said)
     if worst > 1.0:
-        said = f"The distance to joint {link} is another than in the URDF: is it of this robot?"
+        said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
         return _check("lengths", worst * LINK, LINK, False, said)
-    said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF." if moved.any() else "No lengths were sought."
+    said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF." if moved.any() else "No lengths were free."
     return _check("lengths", abs(scale), SCALE, True, said)
 
 
@@ -591,9 +592,9 @@ def shown(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> 
     readings = np.concatenate([end.readings for d in data for end in d.ends])
     if places:
         box = np.ptp(np.concatenate(places), axis=0)
-        said.append("Shown where measured: within " + " x ".join(f"{side:.2g}" for side in box) + " m")
+        said.append("Shown for the measured range: " + " x ".join(f"{side:.2g}" for side in box) + " m")
     else:
-        said.append("Shown where measured")
+        said.append("Shown for the measured range")
     few = [
         f"{reading.name} over {by / DEG:.0f} deg"
         for reading, by in zip(fit.robot.readings, np.ptp(readings, axis=0), strict=True)
@@ -604,15 +605,15 @@ def shown(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> 
     said[0] += "."
     poses = len(np.unique(np.round(readings / ONE_POSE), axis=0))
     if not held_out:
-        said.append("Rows held out of the fit would show how well it predicts others.")
+        said.append("Held-out rows would show how well the machine predicts other poses.")
     elif poses < 20:
-        said.append("More than 20 held-out poses would make it more certain.")
+        said.append("More than 20 held-out poses would make the verdict more certain.")
     elif whole and places and _volume(places) < 0.1 * _volume(whole):
-        said.append("Held-out rows in all of the volume that was measured would make it more certain.")
+        said.append("Held-out rows in the whole measured volume would make the verdict more certain.")
     elif few:
         said.append("Rows with larger motions of these joints would widen the range.")
     elif all(noise.instrument == 0.0 for noise in fit.noise):
-        said.append("The instrument's sigma, stated, would tell its noise from what the model lacks.")
+        said.append("A stated sigma of the instrument would separate its noise from what the model leaves out.")
     return tuple(said)
 
 

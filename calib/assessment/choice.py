@@ -76,7 +76,7 @@ class Step:
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
-    ``geometric``: the fit without terms from which they start. ``rows``: how many of its rows the choice looked at.
+    ``geometric``: the fit without terms from which they start. ``rows``: how many of its rows the choice used.
     """
 
     __repr__ = brief
@@ -138,7 +138,7 @@ def choose_terms(
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
-    Of more than 10 000 rows it looks at about as many, of groups taken at random, the same ones every time.
+    Of more than 10 000 rows, about 10 000 are used, of groups taken at random, the same ones every time.
     ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH table but those of links.
     ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises, and MeasurementError when
     all rows are of one group.

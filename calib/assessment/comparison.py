@@ -172,13 +172,13 @@ def compare_models(
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
     ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
-    more) and of one word in the column ``group`` stay together; of more than 2000 rows it looks at
-    so many, taken at random over all groups, the same ones every time. ``choose``: names of the models to which joint
-    terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew.
-    ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every row held out counts alike. ``progress`` is told
-    each fit, and how many more there are.
+    more) and of one word in the column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random
+    over all groups, the same ones every time. ``choose``: names of the models to which joint terms are added that
+    :func:`calib.judging.choose_terms` finds, in every fold anew. ``model_sigmas`` and ``losses`` as in
+    :func:`calib.identify`; every held-out row counts the same. ``progress`` is told each fit, and how many more there
+    are.
 
-    A model with more unknowns than the rows tell is refused; when all are, this raises IdentificationError. Raises
+    A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
     JobError when there is no model, ``choose`` names none of them, or the scheme is none; MeasurementError when all
     rows are of one group or the measurements are not of this robot.
     """

@@ -299,7 +299,7 @@ def _things(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
     """Return what could be another one in a group: every parameter of the robot, the base and tools as a whole."""
     found: dict[str, list[int]] = {}
     for k, parameter in enumerate(parameters):
-        if parameter.kind != "target":
+        if not parameter.nuisance:
             name = parameter.name if parameter.of_robot else parameter.name.rpartition(".")[0]
             found.setdefault(name, []).append(k)
     return found

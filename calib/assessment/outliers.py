@@ -73,12 +73,12 @@ class Outliers:
 
 @checked
 def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
-    """Return rows, targets and groups of a fit with what becomes of it without them, the least likely first.
+    """Return rows, targets and groups of a fit, and how the fit changes without them, the least likely first.
 
     Of more than ten thousand rows the least likely are returned.
 
 
-    ``files``: what the tables are called, by where they came from; so, when None.
+    ``files``: names for the tables, by where they came from; None for no other names.
 
     A row is judged by the multivariate form of the externally studentised residual, F distributed by its d numbers and
     the degrees of freedom of the others of its set. A row that a robust loss gives a weight below 1 is judged as a new

@@ -52,9 +52,9 @@ class OwnBase(NamedTuple):
     def sentence(self) -> str:
         """What to do about it."""
         return (
-            f"{self.file} asks for a base of its own: with one, it would be predicted within "
-            f"{self.moved / MM:.4g} mm rms in the place of {self.error / MM:.4g} mm. If robot or instrument was "
-            'moved before it was measured, name its set-up (setup = "second").'
+            f"{self.file} fits better with a base of its own: its rms error would be {self.moved / MM:.4g} mm in the "
+            f"place of {self.error / MM:.4g} mm. If robot or instrument was moved before this table was measured, "
+            'name its set-up (setup = "second").'
         )
 
 

@@ -236,11 +236,11 @@ def before_and_after(
 ) -> tuple[Performance, Performance]:
     """Return the performance of the nominal and of the calibrated arm in the same tests.
 
-    The probe is found anew for both, from ``probe``, touches of cones, or else from the tests' own cones. The reflector
-    of the calibration is not the ball of the test; and were the nominal arm given the ball of the calibrated one, it
-    would be charged for whatever calibration shifted between the tip link and the tool. Touches of their own are the
-    better choice, since the tests' own cones would lose three degrees of freedom to the probe. Without any cone, the
-    first tool of the calibrated arm serves both.
+    The probe is found anew for both arms, from ``probe``, touches of cones, or else from the tests' own cones. There
+    are two reasons: the reflector of the calibration is not the ball of the test, and with the ball of the calibrated
+    arm, the nominal arm would also show what the calibration shifted between the tip link and the tool. Separate
+    touches are the better choice, because the tests' own cones would lose three degrees of freedom to the probe.
+    Without any cone, both arms use the first tool of the calibrated arm.
 
     Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs.
     """

@@ -15,6 +15,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
+from calib.foundations.ranges import refuse_beyond
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import indices
 from calib.identification.parameters import scales
@@ -25,10 +26,11 @@ _MOST_POSES = 500
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What ``poses`` poses will bring: rms error in m of the tool at the working poses, because they are not more.
+    """The rms error in m of the tool at the working poses that remains with ``poses`` poses and more would remove.
 
-    Errors of the parameters, from noise and from bending to what the model leaves out, beyond what would remain if all
-    candidates were measured without noise (``floor`` of the plan). ``random``: the median of random designs.
+    It comes from errors of the parameters, from noise and from what the model leaves out. What would remain even if all
+    candidates were measured without noise (``floor`` of the plan) is not in it. ``random``: the median of random
+    designs.
     """
 
     poses: int
@@ -41,7 +43,7 @@ class Plan:
     """Chosen poses. Made by :func:`plan`.
 
     ``readings`` (n, nr) in rad and m, one near the next; ``chosen``: which of the candidates these are. ``rank`` of
-    ``parameters``: what all candidates together would see. ``forecasts``: by number of poses. ``indices`` and
+    ``parameters``: what all candidates together would determine. ``forecasts``: by number of poses. ``indices`` and
     ``random_indices``: O1 to O5 of the chosen and, as medians, of random poses. ``enough``: the fewest poses whose
     forecast keeps within a target; None where no target is given or nothing suffices. ``floor``: rms in m of what the
     model leaves out, which no number of poses removes.
@@ -89,18 +91,22 @@ def plan(
         planned = calib.plan(calib.error_model(robot, offsets="all", placements="all"), 40)
         planned.readings  # (40, nr) in rad and m
 
-    ``candidates`` (N, nr) in rad and m, or how many to draw at random within the joints' limits: see
-    :mod:`calib.planning` for such as a tracker sees and where the arm does not touch itself. ``setup``: how poses are
-    measured, and where the tool shall be right; by default positions by a tracker. ``measured`` (M, nr): poses measured
-    already, which the new ones complete. ``target`` in m: how many poses keep the forecast within it is searched for.
+    ``candidates`` (N, nr) in rad and m, or how many to draw at random within the joints' limits; :mod:`calib.planning`
+    makes candidates that a tracker sees and where the arm does not touch itself. ``setup``: how poses are measured, and
+    where the tool must be accurate; by default positions by a tracker. ``measured`` (M, nr): poses measured already,
+    which the new ones complete. ``target`` in m: also find how many poses keep the forecast error below it.
 
-    Raises JobError when there are fewer candidates than ``count``, or they see nothing.
+    Raises JobError when there are fewer candidates than ``count``, or when they determine nothing; RobotError for
+    candidates that are no readings.
     """
     how = setup or Setup()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
     if count < 1:
         raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
+    if target is not None:
+        refuse_beyond(target, "sigma", "target")
+    model.urdf_robot.own(candidates)
     working, seed = how.working, 0
     if count > len(candidates):
         raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")

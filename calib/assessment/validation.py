@@ -72,15 +72,15 @@ def groups(measurements: Sequence[Measurements], *, places: bool = False) -> Int
 def hold_out(
     data: Measurements, share: float = 0.25, *, places: Sequence[str] | None = None
 ) -> tuple[Measurements, Measurements]:
-    """Return the rows to identify from, and the rest, that judge the fit.
+    """Return the rows to identify from, and the held-out rows, which judge the fit.
 
-        some, rest = calib.hold_out(data)                  # a quarter, spread at random but alike every time
+        some, rest = calib.hold_out(data)                  # a quarter at random, the same ones every time
         some, rest = calib.hold_out(data, places=["left"])  # all that was touched or grouped there
 
-    ``share``: of whole groups, rows of one pose, one socket or one ``group`` together. ``places``: names of sockets and
-    other targets, or words of the column ``group``, instead. A target of which no row is left is none of the part's.
-    Raises MeasurementError when a place is not known, or when one part would have no rows; JobError for a share that is
-    not between 0 and 1.
+    ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together.
+    ``places``: instead of a share, names of sockets and other targets, or words of the column ``group``. Neither part
+    has targets without rows. Raises MeasurementError when a place is not known, or when one part would have no rows;
+    JobError for a share that is not between 0 and 1.
     """
     if not 0.0 < share < 1.0:
         raise JobError(f"share: {share!r} is not between 0 and 1.")

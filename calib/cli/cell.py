@@ -18,7 +18,7 @@ def cell(
     ],
     positioner: Annotated[
         Path,
-        typer.Argument(metavar="POSITIONER", help="Results of what it touched.", show_default=False, readable=False),
+        typer.Argument(metavar="POSITIONER", help="Results of the positioner.", show_default=False, readable=False),
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
@@ -27,14 +27,16 @@ def cell(
         Path | None,
         typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
     ] = None,
-    placed_in: Annotated[PlacedIn, typer.Option("--placed-in", help="Whose frame its base was found in.")] = "arm",
+    placed_in: Annotated[
+        PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
+    ] = "arm",
     prefix: Annotated[
-        str | None, typer.Option("--prefix", metavar="NAME", help="Before names that both use.", show_default=False)
+        str | None, typer.Option("--prefix", metavar="NAME", help="Put before names that both use.", show_default=False)
     ] = None,
     mesh_root: Annotated[
         list[Path] | None,
         typer.Option(
-            "--mesh-root", metavar="FOLDER", help="May be read for meshes.", show_default=False, readable=False
+            "--mesh-root", metavar="FOLDER", help="A folder to read meshes from.", show_default=False, readable=False
         ),
     ] = None,
     as_json: Json = False,
@@ -42,8 +44,8 @@ def cell(
 ) -> None:
     """Put an arm and the positioner it touched into one URDF.
 
-    The positioner stands at its calibrated place, fixed to the arm's base; of its names only those change that both
-    use. It may as well be another arm, a turntable or a track.
+    The positioner is fixed to the arm's base link, at its calibrated pose. Names that both use are changed in the
+    positioner. It may also be another arm, a turntable or a track.
     """
     with loading():
         from calib.compensation.cell import calibrated_cell
@@ -61,9 +63,10 @@ def cell(
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    write_new(out, found.cell.document)
+    # The cell last: where the scene cannot be written, neither is the cell.
     if scene is not None and page is not None:
         write_new(scene, page)
+    write_new(out, found.cell.document)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(

@@ -15,7 +15,8 @@ from calib.cli.proposing import (
     OrientationName,
     Tip,
     answers,
-    looked_into,
+    loaded,
+    looked_at,
     proposed,
     tell_check,
 )
@@ -24,7 +25,7 @@ from calib_start import loading
 _ROBOT = (".urdf", ".xacro")
 _TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc")
 
-Every = Annotated[bool, typer.Option("--all", help="List all that the data do not determine, one by one.")]
+Every = Annotated[bool, typer.Option("--all", help="List every direction of the null space.")]
 
 
 @command("check", PATH, "calib check calibration.toml")
@@ -71,17 +72,20 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
         from calib.job.inputs import load
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
-        say("looking at what the poses can see")
-    tell_check(telling, inputs, every=every)
+        say("computing what the poses determine")
+        looked = looked_at(inputs, every=every)
+    tell_check(telling, looked)
 
 
 def _check_files(urdf: str, tables: list[Path], given: dict[str, object], telling: Telling, *, every: bool) -> None:
     with loading():
         from calib.job.calibrate import STEPS_OF_LOADING
     found = proposed(urdf, tables, given, ask=False)
-    with telling.progress(STEPS_OF_LOADING) as say:
-        inputs = looked_into(found, Path("calibration.toml"), say)
-    tell_check(telling, inputs, found.reasons, {"toml": found.job(Path.cwd())}, every=every)
+    with telling.progress(STEPS_OF_LOADING + 1) as say:
+        inputs = loaded(found, Path("calibration.toml"), say)
+        say("computing what the poses determine")
+        looked = looked_at(inputs, every=every)
+    tell_check(telling, looked, found.reasons, {"toml": found.job(Path.cwd())})
 
 
 def _tell_one(robots: list[str], tables: list[str], telling: Telling) -> None:

@@ -19,7 +19,7 @@ def compare(
 ) -> None:
     """Compare two calibrations of one machine.
 
-    What has moved by more than chance explains, and what it does at the tip.
+    Says which parameters have changed by more than chance explains, and how much this moves the tip.
     """
     with loading():
         from calib.assessment.drift import compare as compared

@@ -26,15 +26,17 @@ def compensate(
     results: ResultFolder,
     targets: TargetFile,
     out: CommandFile,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool that is to reach them.")] = "tool",
+    tool: Annotated[
+        str, typer.Option("--tool", metavar="NAME", help="The tool that shall reach the targets.")
+    ] = "tool",
     setup: SetupName = None,
-    frame: Annotated[PoseFrame, typer.Option("--frame", help="Whose frame poses are in.")] = "base",
-    what: Annotated[What, typer.Option("--what", help="What is to be reached.")] = "pose",
+    frame: Annotated[PoseFrame, typer.Option("--frame", help="In whose frame poses are given.")] = "base",
+    what: Annotated[What, typer.Option("--what", help="What of a target is to be reached.")] = "pose",
     clamp: Annotated[
         bool,
         typer.Option(
             "--clamp",
-            help="Outside a residual grid take its nearest edge; far from rows of a Gaussian process, nothing.",
+            help="Outside a residual grid use its nearest edge; far from rows of a Gaussian process, no correction.",
         ),
     ] = False,
     as_json: Json = False,

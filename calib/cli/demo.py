@@ -21,7 +21,7 @@ def demo(
 ) -> None:
     """Show the whole path on a simulated IRB2400.
 
-    A job and its measurements are put into a folder; then what a person would type is done, and shown.
+    Puts a job and its measurements into a folder, runs the commands that a user would type, and shows them.
     """
     with loading():
         from calib.job.example import copy_example

@@ -31,7 +31,7 @@ def dh(
 ) -> None:
     """Turn a DH table into a URDF, or a URDF into a table.
 
-    Which way follows from the endings: table.csv to arm.urdf, or the arm of arm.urdf to table.csv.
+    The endings of the files decide: table.csv to arm.urdf, or the arm of arm.urdf to table.csv.
     """
     with loading():
         from calib.foundations.errors import JobError

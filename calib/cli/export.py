@@ -26,10 +26,10 @@ def export(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a calibrated machine as a controller takes it.
+    """Write a calibrated machine in the format of a controller.
 
-    The file is read back and compared before it is written. What it has no place for is named, with what that costs at
-    the tip: no such file holds all that model.json does.
+    The file is read back and compared before it is written. No such file holds all that model.json does: what it
+    cannot hold is named, with the error at the tip that this causes.
     """
     with loading():
         from calib.compensation.controllers import exported
@@ -55,10 +55,13 @@ def export(
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
-            *(warning(f"{part.part}: not in the file; at the tip {_said(part.cost)}.") for part in found.left_out),
+            *(
+                warning(f"{part.part}: not in the file; this moves the tip by {_said(part.cost)}.")
+                for part in found.left_out
+            ),
             printable(
-                f"At the tip the nominal machine is {_said(found.before)} from the calibrated one, {machine} "
-                f"{_said(found.lost)}, over random poses {where}."
+                f"Distance of the tip from that of the calibrated machine, over random poses {where}: the nominal "
+                f"machine {_said(found.before)}, {machine} {_said(found.lost)}."
             ),
             *([warning(_WORSE)] if found.lost > found.before else []),
             printable(f"Read back and compared; the file is {out}."),
@@ -67,4 +70,4 @@ def export(
 
 
 def _said(cost: float) -> str:
-    return "all, as its readings are others" if math.isnan(cost) else f"{cost / MM:.4f} mm rms"
+    return "an unknown distance, as other joints are read" if math.isnan(cost) else f"{cost / MM:.4f} mm rms"

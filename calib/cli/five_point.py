@@ -29,8 +29,8 @@ def five_point(
     """Find a positioner's axes from five touched points.
 
     One mark on the table is touched at zero, at a positive and a negative turn of the rotary axis, and at a positive
-    and a negative turn of the tilt axis; the readings say which row is which. Exact without noise, and without a
-    residual to check it by: calib calibrate takes any number of points.
+    and a negative turn of the tilt axis; the readings say which row is which. The result is exact without noise,
+    but five points leave no residual to check it by: calib calibrate takes any number of points.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new

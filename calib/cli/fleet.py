@@ -24,10 +24,11 @@ def fleet(
         ),
     ] = Path("fleet"),
     workers: Annotated[
-        int | None, typer.Option("--jobs", "-j", metavar="N", min=1, help="Processes.  [default: one for every core]")
+        int | None,
+        typer.Option("--jobs", "-j", metavar="N", min=1, help="Number of processes.  [default: one for every core]"),
     ] = None,
     dask: Annotated[
-        str | None, typer.Option("--dask", metavar="ADDRESS", help="Of a Dask scheduler, as tcp://host:8786.")
+        str | None, typer.Option("--dask", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
     as_json: Json = False,
@@ -35,9 +36,9 @@ def fleet(
 ) -> None:
     """Calibrate many jobs at once.
 
-    Each as calib calibrate would do it, into a folder of its name, with one table and one page for all. A bad job does
-    not stop the others, and a job that was done, with the same inputs and versions, is not done again: after Ctrl-C the
-    same command goes on. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
+    Runs each job as calib calibrate does, into a folder of its name, and writes one table and one page for all. A bad
+    job does not stop the others. A finished job with the same inputs and versions is not run again, so after Ctrl-C the
+    same command continues. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
         from calib.foundations.folders import made_folder

@@ -16,30 +16,31 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx.",
+            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx, .npz.",
             show_default=False,
             readable=False,
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)],
     by: Annotated[
-        str | None, typer.Option("--by", help="Title of the column that names rows, or: order.", show_default=False)
+        str | None,
+        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
     ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR: write its own URDF.",
+            help="FILE is the maker's calibration of this UR arm: write the URDF of this arm.",
             show_default=False,
         ),
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make one table of files of others.
+    """Make one table from files of other programs.
 
-    Joints and points are joined by the names of their rows, or in order. What columns mean, calib init says then.
+    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean.
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():

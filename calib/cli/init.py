@@ -15,7 +15,8 @@ from calib.cli.proposing import (
     OrientationName,
     Tip,
     answers,
-    looked_into,
+    loaded,
+    looked_at,
     proposed,
     tell_check,
 )
@@ -32,7 +33,7 @@ def init(
     output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
         "calibration.toml"
     ),
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse where two readings fit alike.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse what can be read in two ways.")] = False,
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
     ] = False,
@@ -45,7 +46,7 @@ def init(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the job that a robot and tables of measurements make.
+    """Write a job from a robot and tables of measurements.
 
     Says which columns are joints and points, in which units and conventions, and why; asks what cannot be known.
     Exit codes: 0 good, 1 bad input or an open question, 2 wrong usage.
@@ -60,10 +61,12 @@ def init(
     telling = Telling(as_json, quiet)
     given = answers(tip, angles, lengths, orientation, observes, column)
     found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
-    with telling.progress(STEPS_OF_LOADING) as say:
-        inputs = looked_into(found, output, say)
+    with telling.progress(STEPS_OF_LOADING + 1) as say:
+        inputs = loaded(found, output, say)
+        say("computing what the poses determine")
+        looked = looked_at(inputs)
     write_new(output, found.job(output.absolute().parent))
-    tell_check(telling, inputs, found.reasons, {"job": str(output)})
+    tell_check(telling, looked, found.reasons, {"job": str(output)})
     if not as_json:
         telling.tell(dict, lambda: [printable(f"{output} is written; calib calibrate {output} -o out/ goes on.")])
 

@@ -18,8 +18,8 @@ _CYCLES = typer.Argument(
 def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quiet = False) -> None:
     """Evaluate repeated cycles after ISO 9283.
 
-    Pose accuracy and repeatability, of distances too, from several directions, and drift: which of them, the columns
-    say (target, x, y, z; command_x, ...; qw, ...; direction; time).
+    Accuracy and repeatability of poses and of distances, variation between directions of approach, and drift. The
+    columns decide which of them (target, x, y, z; command_x, ...; qw, ...; direction; time).
     """
     with loading():
         from calib.assessment.iso9283 import figures, records

@@ -14,7 +14,8 @@ from calib_start import loading
 def models(
     job: JobFile,
     folds: Annotated[
-        int | None, typer.Option("--folds", metavar="N", min=2, help=f"Parts to hold out in turn.  [default: {FOLDS}]")
+        int | None,
+        typer.Option("--folds", metavar="N", min=2, help=f"Number of parts, held out in turn.  [default: {FOLDS}]"),
     ] = None,
     leave_one_group_out: Annotated[
         bool, typer.Option("--leave-one-group-out", help="Hold out every pose, socket or group by itself.")
@@ -22,11 +23,11 @@ def models(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare error models by errors at rows held out.
+    """Compare error models by their errors at held-out rows.
 
-    Base and tool alone, joint offsets, placements or DH parameters, joint terms, and what the job frees: the simplest
-    that is not significantly worse than the best is recommended. Rows of one pose, one socket or one word in the
-    column group stay together. Levels and solver of the job do not matter; its validation data are not looked at.
+    The models are: base and tool alone, joint offsets, placements or DH parameters, joint terms, and what the job
+    frees. The simplest that is not significantly worse than the best is recommended. Rows of one pose, one socket or
+    one word in the column group stay together. Levels, solver and validation data of the job are not used.
     """
     with loading():
         from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models

@@ -27,7 +27,7 @@ def performance(
     """Evaluate acceptance tests of an arm CMM.
 
     Before and after its calibration: single-point articulation, lengths, and spheres, after the methods of
-    ASME B89.4.22 and ISO 10360-12. Which test a file is, its columns say.
+    ASME B89.4.22 and ISO 10360-12. The columns of a file say which test it is.
     """
     with loading():
         from calib.assessment.performance import before_and_after

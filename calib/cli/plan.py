@@ -32,30 +32,30 @@ def plan(
     count: Annotated[int, typer.Option("--number", "-n", metavar="N", help="How many poses to choose.")] = 40,
     candidates: Annotated[str, _option("--candidates", "N|FILE", "Random candidates, or a table of them.")] = "1000",
     measured: Annotated[Path | None, _option("--measured", "FILE", "Poses measured already, to be completed.")] = None,
-    working: Annotated[Path | None, _option("--working", "FILE", "Poses where the tool shall be right.")] = None,
+    working: Annotated[Path | None, _option("--working", "FILE", "Poses where the tool must be accurate.")] = None,
     tip: Annotated[str | None, _option("--tip", "LINK", "Tip link of a URDF.")] = None,
     observes: Annotated[Observed, typer.Option(help="What is measured.")] = "position",
-    criterion: Annotated[Criterion, typer.Option(help="What is optimised: see the documentation.")] = "I",
-    sigma: Annotated[str, _option("--sigma", "LENGTH", "Scatter of one measured coordinate.")] = "0.05 mm",
-    sigma_angle: Annotated[str, _option("--sigma-angle", "ANGLE", "Scatter of one measured turn.")] = "0.1 mrad",
-    misfit: Annotated[str, _option("--misfit", "LENGTH", "What the model will not explain, rms.")] = "0.3 mm",
-    tool: Annotated[str, _option("--tool", "XYZ", "Roughly where the reflector is in the tip link.")] = "50 0 50 mm",
-    tracker: Annotated[str | None, _option("--tracker", "XYZ", "Where the tracker is in the robot's base.")] = None,
-    facing: Annotated[str | None, _option("--facing", "XYZ", "Where the reflector looks, in the tip link.")] = None,
+    criterion: Annotated[Criterion, typer.Option(help="What is optimised: see docs/assessment.md.")] = "I",
+    sigma: Annotated[str, _option("--sigma", "LENGTH", "Sigma of one measured coordinate.")] = "0.05 mm",
+    sigma_angle: Annotated[str, _option("--sigma-angle", "ANGLE", "Sigma of one measured angle.")] = "0.1 mrad",
+    misfit: Annotated[str, _option("--misfit", "LENGTH", "Rms error that the model leaves out.")] = "0.3 mm",
+    tool: Annotated[str, _option("--tool", "XYZ", "Rough place of the reflector in the tip link.")] = "50 0 50 mm",
+    tracker: Annotated[str | None, _option("--tracker", "XYZ", "Place of the tracker in the base link.")] = None,
+    facing: Annotated[str | None, _option("--facing", "XYZ", "Where the reflector faces, in the tip link.")] = None,
     acceptance: Annotated[str, _option("--acceptance", "ANGLE", "Half the reflector's field of view.")] = "30 deg",
     farthest: Annotated[str | None, _option("--farthest", "LENGTH", "The tracker's range.")] = None,
-    nearest: Annotated[str, _option("--nearest", "LENGTH", "The tracker's least distance.")] = "0 mm",
-    target: Annotated[str | None, _option("--target", "LENGTH", "Say how many poses keep the error below.")] = None,
+    nearest: Annotated[str, _option("--nearest", "LENGTH", "The tracker's shortest distance.")] = "0 mm",
+    target: Annotated[str | None, _option("--target", "LENGTH", "Say how many poses keep the error below it.")] = None,
     mesh_root: Annotated[list[Path] | None, _option("--mesh-root", "FOLDER", "A folder to read meshes from.")] = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random candidates.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random candidates.")] = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Choose the poses that calibrate an arm best.
 
-    From random candidates within the joints' limits or a table of them; seen by the tracker where --tracker and
-    --facing say where it is and where the reflector looks; without self-collision where the URDF has collision shapes.
+    Poses are chosen from random candidates within the joints' limits, or from a table. With --tracker and --facing they
+    are poses that the tracker sees. If the URDF has collision shapes, they are free of self-collision.
     """
     with loading():
         from calib.assessment.candidates import Setup, possible, random_candidates
@@ -100,7 +100,7 @@ def plan(
             setup=setup,
             criterion=criterion,
             measured=None if measured is None else given.table_readings(measured, robot),
-            target=None if target is None else given.parsed_length(target, "target"),
+            target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
     rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())

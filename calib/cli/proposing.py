@@ -4,7 +4,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -12,6 +12,7 @@ from calib.cli.application import Telling
 from calib_start import loading
 
 if TYPE_CHECKING:
+    from calib.identification.observability import Observability
     from calib.job.inputs import Inputs
     from calib.job.proposal import Proposal, Question
     from calib.presentation.console import Shown
@@ -79,9 +80,11 @@ def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask:
 
 
 def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
-    typer.echo(f"{question.text}:", err=True)
+    from calib.presentation.console import printable
+
+    typer.echo(printable(f"{question.text}:").plain, err=True)
     for k, choice in enumerate(question.choices, start=1):
-        typer.echo(f"  {k}  {choice}", err=True)
+        typer.echo(printable(f"  {k}  {choice}").plain, err=True)
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
@@ -92,7 +95,7 @@ def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     return {question.about: choice}
 
 
-def looked_into(found: "Proposal", path: Path, say: Callable[[str], None]) -> "Inputs":
+def loaded(found: "Proposal", path: Path, say: Callable[[str], None]) -> "Inputs":
     """Return the inputs of the job that a proposal makes, which would be ``path``. Raises CalibError."""
     from calib.job.inputs import load
     from calib.job.read import parse_job
@@ -101,28 +104,34 @@ def looked_into(found: "Proposal", path: Path, say: Callable[[str], None]) -> "I
     return load(path, say, parse_job(tomllib.loads(found.job(folder)), str(path)))
 
 
-def tell_check(
-    telling: Telling,
-    inputs: "Inputs",
-    reasons: Iterable[str] = (),
-    more: Mapping[str, Any] | None = None,
-    *,
-    every: bool = False,
-) -> None:
-    """Print what is wrong with inputs, and what their poses can see; before it the ``reasons`` of a proposal.
+class Looked(NamedTuple):
+    """What a check says of inputs: findings, and what their poses can see. ``brief``: of ``advised``, what is shown."""
 
-    ``every``: with all directions of the null space, one by one.
-    """
-    with loading():
-        from calib.assessment.advice import null_space_advice, told_briefly
-        from calib.identification.observability import observability
-        from calib.presentation.console import printable, warning
-        from calib.presentation.tables import null_space_lines
+    findings: list[str]
+    seen: "Observability"
+    advised: list[str]
+    brief: Sequence[str]
+
+
+def looked_at(inputs: "Inputs", *, every: bool = False) -> Looked:
+    """Look at what is wrong with inputs; ``every``: and at all directions of the null space, one by one."""
+    from calib.assessment.advice import null_space_advice, told_briefly
+    from calib.identification.observability import observability
+
     seen = observability(inputs.model, inputs.identify)
     advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
     brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.null_space, advised)
-    findings = [finding.sentence for finding in inputs.findings]
-    why = list(reasons)
+    return Looked([finding.sentence for finding in inputs.findings], seen, advised, brief)
+
+
+def tell_check(
+    telling: Telling, looked: Looked, reasons: Iterable[str] = (), more: Mapping[str, Any] | None = None
+) -> None:
+    """Print what was looked at; before it the ``reasons`` of a proposal."""
+    from calib.presentation.console import printable, warning
+    from calib.presentation.tables import null_space_lines
+
+    findings, seen, why = looked.findings, looked.seen, list(reasons)
 
     def shown() -> "list[Shown]":
         return [
@@ -132,8 +141,8 @@ def tell_check(
                 f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
                 f"parameters (condition number {seen.condition:.3g})."
             ),
-            *null_space_lines(brief, directions=len(seen.null_space)),
+            *null_space_lines(looked.brief, directions=len(seen.null_space)),
         ]
 
-    told = {"findings": findings, **seen.contents(), "advice": advised}
+    told = {"findings": findings, **seen.contents(), "advice": looked.advised}
     telling.tell(lambda: told | dict(more or {}) | ({"reasons": why} if why else {}), shown)

@@ -1,5 +1,7 @@
 """``calib sensitivity``: how far every parameter moves the tip."""
 
+import logging
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +35,8 @@ def sensitivity(
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
 
-    At the poses of the job's measurements, for 1 mm and 1 mrad of each parameter; with --errors also what becomes of
-    the tip error when one kind of errors, identified or assumed, is ten times as large, and a tenth.
+    At the poses of the job's measurements, for 1 mm or 1 mrad of each parameter. With --errors also how the tip error
+    changes if one kind of errors, identified or assumed, is ten times as large, or a tenth.
     """
     with loading():
         import numpy as np
@@ -71,6 +73,9 @@ def sensitivity(
             except JobError as e:
                 raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
+        # matplotlib refuses to load for a window that it does not know, though none is opened, and tells of its cache.
+        os.environ.pop("MPLBACKEND", None)
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         write_new(plot, figure_bytes(sensitivity_figure(found), plot))
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},

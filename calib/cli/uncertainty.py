@@ -18,18 +18,20 @@ def uncertainty(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
     ] = None,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="Random poses.")] = 2000,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="Whose uncertainty.")] = "tool",
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="How many random poses.")
+    ] = 2000,
+    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool to tell the uncertainty of.")] = "tool",
     setup: SetupName = None,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Over the joints' limits, not only the identified range.")
+        bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show how sure a calibrated machine is of its tool, and why.
+    """Show the uncertainty of the tool, and its causes.
 
-    Over the range of readings it was identified in, or with --whole over its joints' limits; in the instrument's frame.
+    Over the identified range of readings, or with --whole over the joints' limits; in the instrument's frame.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new

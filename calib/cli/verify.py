@@ -18,20 +18,22 @@ def verify(
     results: ResultFolder,
     measurements: Annotated[Path, _NEW],
     observes: Annotated[Observed, typer.Option(help="What was measured.")] = "position",
-    sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="The instrument's noise.")] = None,
-    limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Of every position error.")] = None,
-    refit_base: Annotated[bool, typer.Option("--refit-base", help="The instrument was moved: find the base.")] = False,
+    sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="Sigma of one number.")] = None,
+    limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Largest error allowed.")] = None,
+    refit_base: Annotated[
+        bool, typer.Option("--refit-base", help="The instrument was moved: find the base anew.")
+    ] = False,
     tool: Annotated[str | None, typer.Option("--tool", metavar="NAME", help="The tool that was measured.")] = None,
     setup: SetupName = None,
     in_order: Annotated[
-        bool, typer.Option("--in-order", help="Rows stand as they were measured: so joints were reached from a side.")
+        bool, typer.Option("--in-order", help="Rows are in the order of measurement, which tells the side of approach.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Verify a calibrated machine by new measurements.
 
-    Ten points or more are enough. It passes when every error is within the limit, where one is given, and the errors
+    Ten points or more are enough. It passes when every error is within the limit, if one is given, and the errors
     together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
     input, 2 wrong usage, 3 failed.
     """

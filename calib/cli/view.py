@@ -13,13 +13,12 @@ from calib_start import loading
 @command("view", PATH, "calib view out/")
 def view(
     results: ResultFolder,
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="0: any that is free.")] = 0,
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0 takes a free one.")] = 0,
     open_: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
 ) -> None:
-    """Serve the scene to this machine alone, live.
+    """Serve the scene to this computer only, until Ctrl-C.
 
-    Until Ctrl-C. Beside what scene.html shows, joints can be moved by hand, and newer results in the folder show
-    themselves.
+    It shows what scene.html shows. Joints can also be moved by hand, and newer results in the folder are shown at once.
     """
     with loading():
         import asyncio

@@ -67,11 +67,11 @@ _BLOCK = 4096
 class Corrections:
     """Commands for N targets of a calibrated machine; every array is read-only and SI.
 
-    ``readings`` (N, nr): the corrected ones, NaN in rows that are not ``reached`` (N). ``change`` (N, nr): from where
-    the row started. ``position_error`` (N) in m and ``orientation_error`` (N) in rad: what the model predicts to be
-    left; in rows not reached, that of the nearest allowed readings found, NaN where there are none; orientations NaN
-    where positions alone are asked. ``reasons``: N texts, why a row is not reached; in a reached one a remark, or
-    nothing. ``steps`` (N): Newton steps taken.
+    ``readings`` (N, nr): the corrected ones, NaN in rows that are not ``reached`` (N). ``change`` (N, nr): corrected
+    readings minus those at the start. ``position_error`` (N) in m and ``orientation_error`` (N) in rad: the remaining
+    errors that the model predicts; in rows not reached, those of the nearest allowed readings found, NaN if there are
+    none; orientation errors are NaN if only positions are to be reached. ``reasons``: N texts: why a row is not
+    reached; for a reached row a remark, or nothing. ``steps`` (N): Newton steps taken.
     """
 
     __repr__ = brief
@@ -109,10 +109,10 @@ def for_joint_targets(
 ) -> Corrections:
     """Return the commands with which the calibrated machine goes where the nominal one would at readings (N, nr).
 
-    The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: the tool's whole pose,
-    or its position alone, as arms of fewer than six joints need. Where the machine's residual model does not reach,
-    rows are refused, or with ``clamp`` take what is at its edge, with a remark. A row is reached within
-    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need to be told.
+    The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: reach the tool's whole
+    pose, or its position alone, as arms of fewer than six joints need. Outside the range of the machine's residual
+    model, rows are refused; with ``clamp`` they use the value at its edge, with a remark. A row is reached within
+    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need besides readings.
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
@@ -141,10 +141,10 @@ def for_poses(
 ) -> Corrections:
     """Return the commands that bring the tool to poses (N, 4, 4), or to positions (N, 3) in any orientation.
 
-    ``frame``: whose they are, the robot's base link or the instrument that it was calibrated with. Rows start from
-    readings ``start`` (N, nr) and end in the same configuration where they can; without, from the middle of the limits
-    and then from up to eleven other places, the same ones at every call. Other options, and errors, as
-    :func:`for_joint_targets`.
+    ``frame``: that of the poses, the robot's base link or the instrument that it was calibrated with. The search starts
+    from readings ``start`` (N, nr) and ends in the same configuration if it can; without them, it starts from the
+    middle of the limits and then from up to eleven other places, the same ones at every call. Other options, and
+    errors, as :func:`for_joint_targets`.
     """
     poses = np.asarray(poses, dtype=np.float64)
     if poses.shape[1:] not in ((4, 4), (3,)):
@@ -158,7 +158,7 @@ def for_poses(
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
-    elif len(poses) and not _are_placements(poses):
+    elif len(poses) and not rigid.are_placements(poses).all():
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses
@@ -224,10 +224,6 @@ def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array
         if name not in model.tools:
             raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(map(repr, model.tools))}.")
     return np.array([model.tools[name] for name in names]).reshape(-1, 4, 4)
-
-
-def _are_placements(poses: Array) -> bool:
-    return bool(rigid.are_rotations(poses[:, :3, :3]).all() and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def _out_of_reach(model: CalibratedMachine, poses: Array, tools: Array) -> tuple[str, ...]:

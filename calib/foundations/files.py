@@ -14,6 +14,8 @@ from calib.foundations.errors import CalibError, OutputError
 LARGEST_INPUT = 2_000_000_000
 # JSON takes some twenty times its size while it is read.
 LARGEST_JSON = 100_000_000
+# Files are read in pieces of so many bytes.
+_PIECE = 1 << 24
 # Never waited for, as a pipe would be; never taken for the terminal of this process; not handed on to others.
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 
@@ -53,10 +55,16 @@ def _contents(handle: int, path: Path, error: type[CalibError], largest: int) ->
         if not stat.S_ISREG(found.st_mode):
             raise error(f"{path}: is not a regular file.")
         # Some files of the system say that they are empty, and others grow: what is read counts as well.
-        data = b"" if found.st_size > largest else file.read(largest + 1)
-        if max(len(data), found.st_size) > largest:
+        # A read sets aside all that it may bring, so that it is never asked for more than the next piece.
+        pieces, length = [], found.st_size
+        if length <= largest:
+            length = 0
+            while length <= largest and (piece := file.read(_PIECE)):
+                pieces.append(piece)
+                length += len(piece)
+        if length > largest:
             raise error(f"{path}: is larger than {largest} bytes.")
-        return data
+        return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 @contextlib.contextmanager

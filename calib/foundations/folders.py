@@ -313,7 +313,7 @@ def _recover(place: _Place) -> None:
     except CalibError:
         raise
     except OSError as e:
-        raise OutputError(f"{place.path}: what an interrupted run left cannot be put right ({_why(e)}).") from e
+        raise OutputError(f"{place.path}: what an interrupted run left cannot be repaired ({_why(e)}).") from e
 
 
 def _clean(place: _Place) -> None:
@@ -335,7 +335,7 @@ def _locked(place: _Place, kind: int) -> Iterator[None]:
     until = time.monotonic() + _PATIENCE
     while (had := _had(place.above, kind)) is None:
         if time.monotonic() > until:
-            raise OutputError(f"{place.path}: another run is busy with it or beside it; try again when it has ended.")
+            raise OutputError(f"{place.path}: another run is writing here; try again when it has ended.")
         time.sleep(_LOOK)
     try:
         yield

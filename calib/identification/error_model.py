@@ -56,8 +56,8 @@ class Known:
 
     ``base``: its pose (4, 4) in the instrument's frame, where it is fixed. ``tools``: their poses (4, 4), or points
     (3,), in the tip link, by name; the only tool is called "tool". ``targets``: of sockets, anchors, balls and planes,
-    by name; others are found. ``relations``: what is known between targets. ``setups``: where the base stood, by name,
-    exactly or about; the only place is called "base".
+    by name; others are found. ``relations``: what is known between targets. ``setups``: the base in each set-up, by
+    name, exactly or with a prior; the only set-up is called "base".
     """
 
     base: npt.ArrayLike | None = None
@@ -78,11 +78,11 @@ NO_PRIORS = Priors()
 class ErrorModel:
     """What is unknown about a robot and its set-up. Made by :func:`error_model`.
 
-    ``robot`` is in the frames in which its deviations are named: DH frames where DH parameters are free, and ``dh``
-    then says what these are. ``offsets``: names of the moving joints whose zero offset is free. ``placements``: pairs
-    (chain joint, component) and (DH row, number) that are free, both of them directions of the placements' deviations.
-    ``terms``: names of those joint terms of the robot that are free. ``base_pose`` (4, 4) and ``tool_poses`` are the
-    values where base and tools are fixed; ``setups``: what is known of the base in single set-ups.
+    ``robot`` is in the frames in which its deviations are named: these are DH frames if DH parameters are free, and
+    ``dh`` then describes them. ``offsets``: names of the moving joints whose offset is free. ``placements``: the free
+    pairs (chain joint, component) and (DH row, number); both are directions of the placements' deviations. ``terms``:
+    names of the free joint terms of the robot. ``base_pose`` (4, 4) and ``tool_poses``: the values of base and tools
+    that are fixed; ``setups``: what is known of the base in single set-ups.
     ``targets``: what is known of sockets, anchors, balls and planes; ``relations``: what is known between them.
     """
 
@@ -192,7 +192,7 @@ class ErrorModel:
                 yield self.dh.directions[joint, component]
 
     def given_frames(self, tools: Sequence[str], setups: Sequence[str] = (ONLY_SETUP,)) -> Frames:
-        """Return the frames as given: known where fixed, zero or the user's guess where free."""
+        """Return the frames as given: known where fixed, zero or the user's start value where free."""
         known = [self.known_base(setup) for setup in setups]
         return Frames(
             np.stack([self.base_pose if setup is None else setup.pose for setup in known]),
@@ -221,12 +221,12 @@ def error_model(
     ``terms``: joint terms as the keys of a job choose them, ``{"gain": "all", "harmonics": ["joint_1"],
     "harmonic_orders": (1, 2), "expansion": "arm"}``, each "all" readings or links, "none", or names and globs; or
     :class:`calib.JointTerm` themselves. Masses are those of the URDF, and RobotError says what is wrong with them;
-    torques, sides and temperatures are columns of the measurements. Terms of links do not go with DH numbers.
+    torques, sides and temperatures are columns of the measurements. Terms of links cannot be combined with DH numbers.
     ``base``: pose of the base in the instrument's frame, free ("pose") or "fixed" at ``known.base``; where nothing is
     measured in an instrument's frame, it stays there.
     ``tool``: pose or point of each tool in the tip link, free or "fixed" at ``known.tools[name]``. No start value is
     needed for what is free.
-    ``priors``: how far deviations are expected to go; ``known``: where base, tools and targets are.
+    ``priors``: how far parameters are expected to be from nominal; ``known``: where base, tools and targets are.
 
     Raises JobError when a name or glob matches nothing, a value is not of its kind, or a placement and a DH number move
     the same frame.

@@ -26,17 +26,17 @@ class Fit:
     """Identified parameters and what is known about them. Made by :func:`calib.identify`; printed as a table.
 
     ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. In the null space, the values are a
-    choice among equal fits (``policy``), the covariance is that of the chosen frame, and :attr:`sigmas` are nan.
-    ``rank``: the formal rank, of all parameter combinations that the data determine, priors left out;
-    ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``singular_values`` (descending) of
-    the whitened, scaled Jacobian; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that
-    policy "minimal" kept at their nominal values. ``null_basis`` (p, k): an orthonormal basis of the null space, in
-    scales of the parameters, priors counted as data.
+    choice among equal fits (``policy``), the covariance belongs to that choice, and :attr:`sigmas` are nan.
+    ``rank``: the formal rank, the number of parameter combinations that the data determine without priors;
+    ``numerical_rank``: how many of them are known to ten parameter scales or better. ``singular_values``: of the
+    whitened, scaled Jacobian, descending; ``null_space``: the directions beyond the numerical rank. ``held``:
+    parameters that policy "minimal" kept at their nominal values. ``null_basis`` (p, k): an orthonormal basis of the
+    null space, in parameter scales, priors counted as data.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
-    ``losses``: of every set. ``learned``: priors whose width the data have taught; parameters have it as their own.
-    ``step``: the last step, in parameter scales; ``evaluations``: of residuals and Jacobian. ``narrowed``: by how
-    much the widths that hold parameters without a prior were narrower than usual; 1 where the search did not need it.
+    ``losses``: of every set. ``learned``: the learned priors, which the parameters also have as their own.
+    ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
+    ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
     """
 
     model: ErrorModel

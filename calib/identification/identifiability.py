@@ -89,9 +89,9 @@ def unidentifiable(null_basis: Array) -> BoolArray:
 def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
     """Return the order in which a minimal set prefers parameters.
 
-    Targets, which nobody knows beforehand, then base, tool, offsets, placements from the base on, joint terms.
+    Targets and scalars, which nobody knows beforehand, then base, tool, offsets, placements from the base on, terms.
     """
-    rank = {"target": 0, "base": 1, "tool": 2, "offset": 3, "placement": 4, "term": 5}
+    rank = {"target": 0, "instrument": 0, "base": 1, "tool": 2, "offset": 3, "placement": 4, "term": 5}
     return tuple(sorted(range(len(parameters)), key=lambda k: (rank[parameters[k].kind], k)))
 
 

@@ -44,10 +44,10 @@ def identify(
     ``free``: names and globs of those parameters of the model that are free this time; all of them when None. What is
     not free stays as in ``start``, an earlier fit of the same model, or nominal. ``null_space`` says what to do about
     directions that the data do not determine: "nearest" takes, among all equal fits, the machine nearest to the nominal
-    one; "minimal" holds what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard
-    deviations (m or rad) of what the model cannot explain, one for each component of the data (position, then
-    orientation, of each set in order); None stands for one to be estimated. ``losses``: one for each set, "linear" for
-    least squares, or "huber", "soft_l1" or "cauchy", by which rows that lie off weigh less; all are linear when None.
+    one; "minimal" holds at nominal what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``:
+    standard deviations (m or rad) of what the model cannot explain, one for each component of the data (position, then
+    orientation, of each set in order); None for one that is to be estimated. ``losses``: one for each set: "linear" for
+    least squares, or "huber", "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when there is a null space under "refuse".
@@ -139,7 +139,7 @@ def _identify(
 def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:
     """Return the parameters that some name or glob matches; raises JobError for one that matches none.
 
-    Targets are always free: nobody knows them, and nothing but the measurements at hand tells.
+    Targets and scalars are always free: nobody knows them, and nothing but the measurements at hand tells.
     """
     if free is None:
         return parameters
@@ -147,9 +147,7 @@ def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tu
     for pattern in free:
         if not fnmatch.filter(names, pattern):
             raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
-    return tuple(
-        p for p in parameters if p.kind == "target" or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free)
-    )
+    return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
 
 
 def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) -> None:
@@ -168,7 +166,7 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
         return frames, None
     old, known = begin.machine.frames, begin.measurements[0]
 
-    def taken(new: Array, new_names: Sequence[str], old: Array, old_names: Sequence[str]) -> Array:
+    def taken(new: Array, new_names: Sequence[object], old: Array, old_names: Sequence[object]) -> Array:
         found = dict(zip(old_names, old, strict=True))
         placed = [found.get(name, value) for name, value in zip(new_names, new, strict=True)]
         return np.array(placed).reshape(new.shape)
@@ -177,7 +175,7 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
         taken(frames.bases, names.setups, old.bases, known.setups),
         taken(frames.tools, names.tools, old.tools, known.tools),
         taken(frames.targets, names.targets, old.targets, known.targets),
-        taken(frames.lengths, names.offsets, old.lengths, known.offsets),
+        taken(frames.scalars, names.scalars, old.scalars, known.scalars),
     ), begin.machine.deviations
 
 
@@ -198,7 +196,7 @@ def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[N
 def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machine) -> tuple[Array, ...]:
     """Return residuals (N, d) of other measurements, in SI units, for a machine of the fit.
 
-    Set-ups, tools, targets and lengths that the fit does not know are found from these measurements, the machine
+    Set-ups, tools, targets and scalars that the fit does not know are found from these measurements, the machine
     staying as it is.
 
     Raises MeasurementError when they are not of this robot; IdentificationError when they are too few to find these.

@@ -2,8 +2,8 @@
 
 The state of a machine is one vector: six deviations of every chain joint, the joint offsets, the coefficients of the
 joint terms, six values for the pose of the base in the instrument's frame at every set-up, six for the pose of every
-tool in the tip link, six for every target in the instrument's frame, one for every unknown length. Parameters are
-entries of it.
+tool in the tip link, six for every target in the instrument's frame, one for every scalar. Parameters are entries of
+it.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,14 @@ class Frames:
     """Base poses (b, 4, 4) in the instrument's frame, one for every set-up, and tool poses (k, 4, 4) in the tip link.
 
     ``targets`` (m, 4, 4): poses in the instrument's frame of what was touched or seen: a point has its position, a
-    plane lies in its frame's x and y. ``lengths`` (s,): what is unknown of measured lengths, in m.
+    plane lies in its frame's x and y. ``scalars`` (s,): unknown numbers of instruments, such as the offset of
+    lengths, each in its own unit.
     """
 
     bases: Array
     tools: Array
     targets: Array = field(default_factory=lambda: read_only(np.zeros((0, 4, 4))))
-    lengths: Array = field(default_factory=lambda: read_only(np.zeros(0)))
+    scalars: Array = field(default_factory=lambda: read_only(np.zeros(0)))
 
     @property
     def base(self) -> Array:
@@ -60,19 +61,19 @@ class Layout:
     ``size``: of the whole vector.
     """
 
-    def __init__(self, robot: Robot, setups: int = 1, tools: int = 0, targets: int = 0, lengths: int = 0) -> None:
+    def __init__(self, robot: Robot, setups: int = 1, tools: int = 0, targets: int = 0, scalars: int = 0) -> None:
         self.offsets = 6 * len(robot.chain)
         self.terms = self.offsets + len(robot.moving)
         self.base = self.terms + len(robot.terms)
         self.tools = self.base + 6 * setups
         self.targets = self.tools + 6 * tools
-        self.lengths = self.targets + 6 * targets
-        self.size = self.lengths + lengths
+        self.scalars = self.targets + 6 * targets
+        self.size = self.scalars + scalars
 
     @classmethod
     def of(cls, robot: Robot, frames: Frames) -> "Layout":
         """Return the layout of a machine with such frames."""
-        return cls(robot, len(frames.bases), len(frames.tools), len(frames.targets), len(frames.lengths))
+        return cls(robot, len(frames.bases), len(frames.tools), len(frames.targets), len(frames.scalars))
 
 
 def machine(
@@ -96,12 +97,12 @@ def machine(
     poses = rigid.placement(rotations, values[:, :3])
     twists = deviation.twists(values)
     twists[:, :3, :3] = np.swapaxes(rotations, -1, -2)
-    moved = state[layout.targets : layout.lengths].reshape(-1, 6)
+    moved = state[layout.targets : layout.scalars].reshape(-1, 6)
     targets = _turns(reference.targets) @ deviation.motion(moved)
     placements = state[: layout.offsets].reshape(-1, 6)
     return Machine(
         Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
-        Frames(poses[:b], poses[b:], targets, state[layout.lengths :]),
+        Frames(poses[:b], poses[b:], targets, state[layout.scalars :]),
         twists[:b],
         twists[b:],
         deviation.twists(moved),
@@ -122,9 +123,9 @@ def _reference_state(layout: Layout, reference: Frames, held: Deviations | None)
         state[: layout.base] = np.concatenate([held.placements.ravel(), held.offsets, held.terms])
     frames = state[layout.base : layout.targets].reshape(-1, 6)
     frames[:, :3] = np.concatenate([reference.bases, reference.tools])[:, :3, 3]
-    targets = state[layout.targets : layout.lengths].reshape(-1, 6)
+    targets = state[layout.targets : layout.scalars].reshape(-1, 6)
     targets[:, :3] = (rigid.inverse(_turns(reference.targets)) @ reference.targets)[:, :3, 3]
-    state[layout.lengths :] = reference.lengths
+    state[layout.scalars :] = reference.scalars
     return state
 
 

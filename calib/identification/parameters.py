@@ -3,16 +3,18 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
+from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
 
-ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target"]
+ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target", "instrument"]
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
@@ -27,18 +29,31 @@ PLACEMENT_WIDTH = 0.01
 UNSHOWN_TOOL_WIDTH = 0.03
 FRAME_WIDTH = 10.0
 TERM_WIDTH = 10.0
+# By the field of Priors.
+_RANGES = MappingProxyType(
+    {
+        "length": "prior.length",
+        "angle": "prior.angle",
+        "harmonics": "prior.harmonics",
+        "elastic": "prior.elastic",
+        "elastic_sliding": "prior.elastic of readings that slide",
+    }
+)
 # An ordinary distance of a tool point from its link, in m.
 TOOL = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Standard deviations that deviations are expected to have, about zero; None where nobody knows.
+    """Priors: the standard deviations, about zero, that parameters are expected to have; None for no prior.
 
     ``length`` (m) and ``angle`` (rad): of every offset and placement. Of the coefficients of joint terms: ``harmonics``
     in rad; ``elastic``, compliances under gravity of readings that turn, in rad/Nm, and ``elastic_sliding`` of those
     that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
-    rotations, all joint offsets, the harmonics of one reading, all compliances - then share a width, the likeliest one.
+    rotations, all joint offsets, the harmonics of one reading, all compliances - then share one standard deviation, the
+    most likely one.
+
+    Raises JobError for one that is out of range.
     """
 
     length: Prior | None = None
@@ -49,6 +64,10 @@ class Priors:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        for field, name in _RANGES.items():
+            width = getattr(self, field)
+            if width is not None and width != "learned":
+                refuse_beyond(width, name, f"Priors: {field}")
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""
@@ -83,6 +102,11 @@ class Parameter:
     def of_robot(self) -> bool:
         """Whether the parameter belongs to the robot itself rather than to a frame of the set-up."""
         return self.kind in ("offset", "placement", "term")
+
+    @property
+    def nuisance(self) -> bool:
+        """Whether nobody knows it and it is of no use elsewhere: a target, or a number of an instrument."""
+        return self.kind in ("target", "instrument")
 
     @property
     def scale(self) -> float:

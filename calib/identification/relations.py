@@ -5,11 +5,12 @@ A gauge's length gives a calibration by sockets its scale; a datum cube's faces 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
@@ -37,6 +38,9 @@ class Relation:
     sigma: float
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
+        if self.kind not in get_args(RelationKind):
+            raise JobError(f"relation: {self.kind!r} is not one of {', '.join(get_args(RelationKind))}.")
         if self.targets[0] == self.targets[1]:
             raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")
         of_sigma = "relations.sigma of an angle" if self.kind == "angle" else "relations.sigma"

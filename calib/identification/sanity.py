@@ -263,12 +263,12 @@ def _explained(
 ) -> Finding:
     as_well = [trial.mistake.looks_as_if for trial in others if trial.counted <= _AS_WELL * best.counted]
     more = f", or {len(as_well) - _LISTED} more" if len(as_well) > _LISTED else ""
-    also = f"; as well it could be that {', or that '.join(as_well[:_LISTED])}{more}" if as_well else ""
+    also = f"; it could also be that {', or that '.join(as_well[:_LISTED])}{more}" if as_well else ""
     return Finding(
         "error",
         best.mistake.code,
         f"{_where(sets, best.scope)}: it looks as if {best.mistake.looks_as_if}: {_misses(model, sets, missed)}, "
-        f"and by {_mm(best.miss)} with this mended{also}.",
+        f"and by {_mm(best.miss)} with this corrected{also}.",
     )
 
 
@@ -278,7 +278,7 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
     questions = (
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
-        f"is a zero off by more than {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
+        f"is a joint offset above {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
         "do readings and measurements of a row belong together",
         "or are there two mistakes?",
     )

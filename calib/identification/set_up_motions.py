@@ -113,17 +113,17 @@ def _centre(
     """
     if any(relation.kind != "angle" for relation in relations):
         return None
-    taken_up: dict[tuple[str, str | int], float] = {}
+    taken_up: dict[tuple[str, str | int | None], float] = {}
     normals, heights = [np.zeros((0, 3))], [np.zeros(0)]
     for data in measurements:
-        by_offset = data.offset >= 0 and data.kind in ("distance", "pair_distance", "sphere")
+        unknown = _unknown_length(data)
         of_a_mark = data.kind == "pixels" and not data.of_boards
-        if data.kind not in ("socket", "plane") and not by_offset and not of_a_mark:
+        if data.kind not in ("socket", "plane") and unknown is None and not of_a_mark:
             return None
         for t in sorted(set(data.target.tolist())):
             name = data.targets[t] if t >= 0 else ""
             values = data.value[data.target == t][:, : 0 if of_a_mark else None]
-            own: tuple[str, str | int] = ("plane", name) if data.kind == "plane" else ("offset", data.offset)
+            own: tuple[str, str | int | None] = ("plane", name) if data.kind == "plane" else ("length", unknown)
             if values.size and np.any(values != taken_up.setdefault(own, float(values[0, 0]))):
                 return None
             target = known.get(name) if t >= 0 else None
@@ -139,6 +139,11 @@ def _centre(
     A, b = np.concatenate(normals), np.concatenate(heights)
     found = near + np.linalg.lstsq(A, b - A @ near, rcond=_AGREE)[0]
     return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
+
+
+def _unknown_length(data: Measurements) -> int | None:
+    """Return the number of the scalar that is a part of what the rows measure, where one is."""
+    return data.uses.get("offset", data.uses.get("radius"))
 
 
 def without(J: Array, set_up_motions: Array) -> Array:
@@ -165,7 +170,7 @@ class SetUpMotions:
     def __init__(self, parameters: Sequence[Parameter], motions: Motions, reach: float) -> None:
         self._motions, self._reach = motions, reach
         self._scales = scales(parameters)
-        self._of_targets = np.array([parameter.kind == "target" for parameter in parameters], dtype=np.bool_)
+        self._of_targets = np.array([parameter.nuisance for parameter in parameters], dtype=np.bool_)
         self._lengths = np.array([parameter.unit == "m" for parameter in parameters], dtype=np.bool_)
         self._triangle = np.empty((0, len(parameters) + self._count))
 
@@ -204,11 +209,11 @@ class SetUpMotions:
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
 
     def directions(
-        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_lengths: Array
+        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_scalars: Array
     ) -> Array:
         """Return unit directions (p, k), scaled, of the motions that parameters imitate, turns first, then growing.
 
-        ``by_targets`` (m, 6, p): local twists of the targets, ``by_lengths`` (s, p): unknown lengths, as the scaled
+        ``by_targets`` (m, 6, p): local twists of the targets, ``by_scalars`` (s, p): scalars, as the scaled
         parameters change. Zero where what a motion takes is held, and where nothing of it is seen: a robot that turns
         or grows about the only point that it touches moves no row.
         """
@@ -225,13 +230,13 @@ class SetUpMotions:
                 np.linalg.norm(sizes[~self._of_targets & self._lengths, turns:], axis=0) > _CLEARLY * self._reach,
             ]
         )
-        Z += self._of_all_targets(measurements, at, by_targets, by_lengths)
+        Z += self._of_all_targets(measurements, at, by_targets, by_scalars)
         return np.asarray(np.where(imitated & clear, Z / np.maximum(np.linalg.norm(Z, axis=0), _AGREE), 0.0))
 
     def _of_all_targets(
-        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_lengths: Array
+        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_scalars: Array
     ) -> Array:
-        """Return how the scaled parameters (p, k) of targets and lengths follow the motions."""
+        """Return how the scaled parameters (p, k) of targets and scalars follow the motions."""
         turns = self._motions.directions
         Z = np.zeros((len(self._scales), self._count))
         done: set[int] = set()
@@ -248,8 +253,10 @@ class SetUpMotions:
                     # With the probe's radius it is where the tool is that grows.
                     twist[2, turns:] += data.value[data.target == t][0, 0]
                 Z += np.linalg.lstsq(by_targets[t, rows], twist[rows], rcond=None)[0]
-            if data.offset >= 0 and self._motions.grows:
+            unknown = _unknown_length(data)
+            if unknown is not None and self._motions.grows:
                 # What is left of the measured length when the unknown part is taken away grows.
-                row, left = by_lengths[data.offset], at.frames.lengths[data.offset] - data.value[0, 0]
+                length = data.value[0, 0] if "radius" in data.uses else -data.value[0, 0]
+                row, left = by_scalars[unknown], at.frames.scalars[unknown] + length
                 Z[:, turns] = np.where(row != 0.0, left * row / (row @ row), Z[:, turns])
         return Z

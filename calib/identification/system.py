@@ -181,11 +181,11 @@ def _of_the_whole(problem: Problem, at: Machine, x: Array, whole: SetUpMotions |
     J, r = relate(problem.relations, problem.measurements[0].targets, at.frames.targets)
     layout = Layout.of(problem.model.robot, at.frames)
     S = directions(problem.parameters, layout.size) * scales(problem.parameters)
-    by_targets = at.target_twists @ S[layout.targets : layout.lengths].reshape(len(at.frames.targets), 6, len(x))
+    by_targets = at.target_twists @ S[layout.targets : layout.scalars].reshape(len(at.frames.targets), 6, len(x))
     related = np.column_stack([np.einsum("kmi,mip->kp", J, by_targets), r])
     if whole is None:
         return related, np.zeros((len(x), 0))
-    return related, whole.directions(problem.measurements, at, by_targets, S[layout.lengths :])
+    return related, whole.directions(problem.measurements, at, by_targets, S[layout.scalars :])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
@@ -280,8 +280,8 @@ def _observe(
     ends = frames.targets[:0]
     if data.other is not None and others is not None:
         ends = base @ others @ frames.tools[data.other.tool[rows]]
-    length = float(frames.lengths[data.offset]) if data.offset >= 0 else 0.0
-    return observe(data.kind, Seen(data, rows, tools, ends, targets, length))
+    scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items()}
+    return observe(data.kind, Seen(data, rows, tools, ends, targets, scalars))
 
 
 def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> Iterator[Block]:
@@ -311,11 +311,11 @@ class Rates:
         S = directions(problem.parameters, layout.size) * units
         self._robot, self._frames, self._links = problem.model.robot, frames, _Links(problem.model.robot, at.deviations)
         self._of_robot, self._of_terms = S[: layout.terms], S[layout.terms : layout.base]
-        self._of_lengths = S[layout.lengths :]
+        self._of_scalars = S[layout.scalars :]
         self._of_tools = at.tool_twists @ S[layout.tools : layout.targets].reshape(len(frames.tools), 6, len(units))
         self._of_bases = at.base_twists @ S[layout.base : layout.tools].reshape(len(frames.bases), 6, len(units))
         self._to_tool = rigid.adjoint(rigid.inverse(frames.tools))
-        of_targets = S[layout.targets : layout.lengths].reshape(len(frames.targets), 6, len(units))
+        of_targets = S[layout.targets : layout.scalars].reshape(len(frames.targets), 6, len(units))
         self._by_target = at.target_twists @ of_targets
         self._carried: dict[str, _Carried] = {}
 
@@ -352,8 +352,8 @@ class Rates:
                 J[own] += self._through_robot(link, by_seat, seat, None, group[own])
             if observed.target is not None:
                 J += observed.target @ self._by_target[data.target[rows]]
-            if data.offset >= 0:
-                J -= self._of_lengths[data.offset]
+            for role, by_scalar in observed.scalars.items():
+                J += by_scalar[:, :, None] * self._of_scalars[data.uses[role]]
             on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
             yield Block(rows, observed, J, tuple(moved), ((None, on_floor), *((link, own) for link, own, _ in seats)))
 

@@ -82,7 +82,7 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
 
 
 def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: Layout) -> tuple[Parameter, ...]:
-    """Return the parameters of targets and lengths for sets with common names, in the order of the state.
+    """Return the parameters of targets and scalars for sets with common names, in the order of the state.
 
     Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose direction nobody gave.
     """
@@ -101,12 +101,9 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
     for data in sets:
         if data.kind == "indicator":
             _refuse_no_direction(data, known)
-    for k, name in enumerate(sets[0].offsets):
-        of_spheres = any(data.kind == "sphere" and data.offset == k for data in sets)
-        # A distance is l - o; a ball's is the probe's radius plus its own, which is thus -o.
-        component, share = ("radius", -1.0) if of_spheres else ("offset", 1.0)
-        direction = ((layout.lengths + k, share),)
-        parameters.append(Parameter(f"length.{name}.{component}", "m", "target", direction, weak=width("target", "m")))
+    for k, one in enumerate(sets[0].scalars):
+        direction = ((layout.scalars + k, 1.0),)
+        parameters.append(Parameter(one.name, one.unit, "instrument", direction, one.prior, one.size, weak=one.weak))
     return tuple(parameters)
 
 

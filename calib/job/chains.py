@@ -13,7 +13,7 @@ _MOVES = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The joints that are read between ``base`` (None: the root) and ``tip``; ``others``: tips of the same joints."""
+    """The readings of an arm from ``base`` (None: the root) to ``tip``; ``others``: tips of the same joints."""
 
     base: str | None
     tip: str
@@ -36,7 +36,8 @@ def chains(document: Urdf, tip: str | None = None) -> tuple[Chain, ...]:
                 break
             path.append(joint)
             at = joint.parent
-        names = tuple(joint.name for joint in reversed(path) if joint.type in _MOVES and joint.mimic is None)
+        moving = [joint for joint in reversed(path) if joint.type in _MOVES]
+        names = tuple(dict.fromkeys(_driver(document, joint) for joint in moving))
         if names:
             found.setdefault((base, names), []).append(link)
     arms = []
@@ -44,6 +45,15 @@ def chains(document: Urdf, tip: str | None = None) -> tuple[Chain, ...]:
         best = min(links, key=lambda link: _place(link, link in carries))
         arms.append(Chain(base, best, names, tuple(link for link in links if link != best)))
     return tuple(sorted(arms, key=lambda arm: -len(arm.joints)))
+
+
+def _driver(document: Urdf, joint: UrdfJoint) -> str:
+    """Return the joint that a joint follows in the end, also on another branch; itself where it follows none."""
+    for _ in document.joints:
+        if joint.mimic is None:
+            break
+        joint = document.joint(joint.mimic.joint)
+    return joint.name
 
 
 def _place(link: str, carries: bool) -> tuple[int, bool]:

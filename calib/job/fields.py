@@ -165,7 +165,7 @@ def orientation_name(value: object) -> object:
     if value is not None and value not in ORIENTATIONS:
         raise ValueError(
             f"{as_toml(value)} is not one of {', '.join(ORIENTATIONS[:5])}, nor the order of three turns, like "
-            '"ZYX" about axes that turn along, or "xyz" about those that stay.'
+            '"ZYX" about the turned axes (intrinsic) or "xyz" about fixed axes (extrinsic).'
         )
     return value
 

@@ -7,10 +7,11 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -160,16 +161,8 @@ def run_fleet(
     return tuple(done[job.name] for job in jobs)
 
 
-@dataclass(frozen=True, slots=True)
-class _Crew:
-    """What runs tasks at the same time, and the errors that tell that a process died under one of them."""
-
-    together: Callable[[Iterable[Any]], Iterable[Done]]
-    died: tuple[type[Exception], ...]
-
-
-def _run(crew: _Crew, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
-    """Yield what has become of jobs, as they end."""
+def _run(jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
+    """Yield what has become of jobs over processes of this machine, as they end."""
     import joblib  # noqa: PLC0415 - calib must not load it on import
 
     waiting, folder = list(jobs), str(Path.cwd())
@@ -182,18 +175,34 @@ def _run(crew: _Crew, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
     while waiting:
         begun: list[FleetJob] = []
         try:
-            for done in crew.together(tasks(tuple(waiting), begun)):
-                waiting.remove(done.job)
-                yield done
-        except crew.died:
+            with closing(_together(tasks(tuple(waiting), begun))) as finished:
+                for done in finished:
+                    waiting.remove(done.job)
+                    yield done
+        except BrokenProcessPool:
             # Which of those that had begun it was, only each by itself tells; the rest then goes on together.
             for job in [job for job in begun if job in waiting]:
                 try:
-                    (done,) = crew.together(tasks((job,), []))
-                except crew.died:
+                    (done,) = _together(tasks((job,), []))
+                except BrokenProcessPool:
                     done = Done(job, _DIED.format(job.path))
                 waiting.remove(job)
                 yield done
+
+
+def _together(tasks: Iterable[Any]) -> Generator[Done, None, None]:
+    """Yield what comes of tasks that run at the same time. Raises BrokenProcessPool when a process of theirs died."""
+    import joblib  # noqa: PLC0415 - calib must not load it on import
+
+    parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
+    found: Generator[Done, None, None] | None = None
+    try:
+        with _born_deaf():
+            found = parallel(tasks)
+        yield from found
+    finally:
+        if found is not None:
+            found.close()
 
 
 def _one(job: FleetJob, folder: str) -> Done:
@@ -221,14 +230,12 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     count = joblib.cpu_count() if workers is None else workers
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
-    def together(tasks: Iterable[Any]) -> Iterable[Done]:
-        parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
-        found: Iterable[Done] = parallel(tasks)
-        return found
-
-    with joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started):
+    loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)
+    with loky, warnings.catch_warnings():
+        # Whoever interrupts knows that tasks are left undone.
+        warnings.filterwarnings("ignore", r".*tasks (which were still|have been successfully)")
         try:
-            with closing(_run(_Crew(together, (BrokenProcessPool,)), jobs)) as finished:
+            with closing(_run(jobs)) as finished:
                 yield finished
         finally:
             _end_workers()
@@ -282,6 +289,29 @@ def _ended(future: Any, job: FleetJob, address: str) -> Done:
             return Done(job, _DIED.format(job.path))
         return Done(job, f"{job.path}: cannot run on a worker of the cluster ({type(error).__name__}: {error}).")
     raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
+
+
+@contextmanager
+def _born_deaf() -> Iterator[None]:
+    """Let processes that are started here not hear Ctrl-C until :func:`_serve` says what they do about it.
+
+    What a thread blocks is inherited, also by a process that still reads its modules. This process, whose other threads
+    hear the signal, heeds it when all are born: one that is half told what it is would complain.
+    """
+    # A helper of the standard library, which the workers ask for, minds itself, but unblocks the signal as it starts.
+    resource_tracker.ensure_running()
+    pressed: list[int] = []
+    heeds = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number)) if heeds else None
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if heeds:
+            signal.signal(signal.SIGINT, handler)
+    if pressed and handler is not signal.SIG_IGN:
+        raise KeyboardInterrupt
 
 
 def _serve(parent: int) -> None:

@@ -260,7 +260,8 @@ def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) ->
         for name in given:
             if name not in there:
                 raise JobError(
-                    f"{path}: {what}: {name!r} is in no measurement; they have {', '.join(map(repr, there))}."
+                    f"{path}: {what}: {name!r} is in no measurement; the measurements have "
+                    f"{', '.join(map(repr, there))}."
                 )
     for tool in tools:
         if job.tools and tool not in job.tools:
@@ -291,8 +292,8 @@ def _found_from_held_out(
             yield Finding(
                 "warning",
                 "found-from-held-out",
-                f"{data.where}: the {what} {name!r} is in no table to identify from, and is found from the rows that "
-                "judge; where these are few, that flatters them.",
+                f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
+                "held-out rows; where they are few, their errors look too small.",
             )
 
 
@@ -302,7 +303,7 @@ def _refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> 
     listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
         if name not in found:
-            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements; they have {listed}.")
+            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {listed}.")
         if not target.says_where:
             continue
         said = "point" if target.normal is None else "plane"
@@ -505,7 +506,7 @@ def _measurements(
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
-            raise MeasurementError(f"{data.where}: there is no target {name!r} to call otherwise; there are {known}.")
+            raise MeasurementError(f"{data.where}: there is no target {name!r} to rename; there are {known}.")
     names = tuple(section.targets.get(name, name) for name in data.targets)
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise MeasurementError(f"{data.where}: two targets would be called {twice!r}.")

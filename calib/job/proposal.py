@@ -11,7 +11,7 @@ from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 
-About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "columns"]
+About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +71,9 @@ class Proposal:
         robot = self.robot
         lines = ["schema = 1", ""]
         lines += [f"# {reason}" for reason in map(_on_one_line, self.reasons)]
-        lines += ["", "[robot]", f"urdf = {_text(_path(self.urdf, folder))}", f"tip = {_text(robot.tip)}"]
+        lines += ["", "[robot]", f"urdf = {_toml(_path(self.urdf, folder))}", f"tip = {_toml(robot.tip)}"]
         if robot.base != robot.urdf.root:
-            lines.append(f"base = {_text(robot.base)}")
+            lines.append(f"base = {_toml(robot.base)}")
         tool = "pose" if any(table.observes == "pose" for table in self.tables) else "position"
         lines += [
             "",
@@ -84,7 +84,7 @@ class Proposal:
             f'tool = "{tool}"',
         ]
         for table in self.tables:
-            lines += ["", "[[measurements]]", f"file = {_text(_path(table.file, folder))}"]
+            lines += ["", "[[measurements]]", f"file = {_toml(_path(table.file, folder))}"]
             lines.append(f'observes = "{table.observes}"')
             lines += table_lines(table.columns)
             if table.use != "identify":
@@ -99,12 +99,12 @@ def table_lines(columns: Columns) -> list[str]:
     named = {ours: theirs for ours, theirs in columns.names.items() if ours != theirs}
     lines = []
     if named:
-        listed = ", ".join(f"{_text(ours)} = {_text(theirs)}" for ours, theirs in named.items())
+        listed = ", ".join(f"{_toml(ours)} = {_toml(theirs)}" for ours, theirs in named.items())
         lines.append(f"columns = {{ {listed} }}")
     if columns.ignore:
-        lines.append(f"ignore = [{', '.join(map(_text, columns.ignore))}]")
+        lines.append(f"ignore = [{', '.join(map(_toml, columns.ignore))}]")
     if columns.orientation is not None:
-        lines.append(f"orientation = {_text(columns.orientation)}")
+        lines.append(f"orientation = {_toml(columns.orientation)}")
     return lines
 
 
@@ -114,9 +114,9 @@ def _path(path: str, folder: Path | None) -> str:
     return os.path.relpath(path, folder)
 
 
-def _text(value: str) -> str:
-    """Return a TOML string."""
-    return json.dumps(value, ensure_ascii=True) if "\x7f" not in value else json.dumps(value.replace("\x7f", "?"))
+def _toml(text: str) -> str:
+    """Return a text as a TOML string, whole: it is read again. JSON's differs in one character alone."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _on_one_line(text: str) -> str:

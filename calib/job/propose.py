@@ -17,7 +17,7 @@ from calib.foundations.units import symbols
 from calib.foundations.words import listed
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
-from calib.job.foreign.reader import Reader
+from calib.job.foreign.reader import read
 from calib.job.proposal import Proposal, ProposedTable, table_lines
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ORIENTATIONS
@@ -47,14 +47,14 @@ def propose(
     observes: Kind | None = None,
     columns: Mapping[str, str] | None = None,
 ) -> Proposal:
-    """Return how files of others are read as measurements of the arm of a URDF, with reasons and questions.
+    """Return how files of other programs are read as measurements of an arm, with reasons and questions.
 
         found = calib.propose("arm.urdf", ["measured.csv"])
         print(found.job())
 
-    What is given answers questions, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and ``"mm"``;
-    ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``, ``"ZYX"``...);
-    ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
+    The arguments answer questions beforehand, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and
+    ``"mm"``; ``orientation``, the meaning of three angles (``"abc"``, ``"wpr"``, ``"rpy"``, ``"rotation_vector"``,
+    ``"ZYX"``...); ``observes``, the kind of measurement; ``columns``, our names for columns: ``{"x": "X2"}``.
 
     Raises CalibError with one sentence where a file has nothing of the arm, or an answer cannot be used.
     """
@@ -71,7 +71,7 @@ def propose(
             raise _tip_question(document, chains(document, tip))
         for file in files:
             raw = raw_table(read_bytes(Path(file), MeasurementError), str(file))
-            found = Reader(document, raw, answers, robot).read()
+            found = read(document, raw, answers, robot)
             robot = found.robot
             reasons += [f"{file}: {reason}." for reason in (*raw.remarks, *found.reasons)]
             tables.append(ProposedTable(str(file), found.observes, found.columns, "identify", None, raw.count))
@@ -129,7 +129,7 @@ def reading_that_fits(file: Path, robot: Robot, observes: Kind) -> str:
     """Return how a job would say that a table is read, for the end of a sentence; empty where that is not clear."""
     try:
         raw = raw_table(read_bytes(file, MeasurementError), str(file))
-        found = Reader(robot.urdf, raw, Answers(observes=observes), robot).read()
+        found = read(robot.urdf, raw, Answers(observes=observes), robot)
     except (AskedError, CalibError):
         return ""
     return ", ".join(table_lines(found.columns))

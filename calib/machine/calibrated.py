@@ -31,11 +31,11 @@ class CalibratedMachine:
     """A calibrated machine. Made by :func:`machine_of` from a fit, or read by :func:`calib.load_machine`.
 
     ``robot`` and ``deviations``: in the frames of its URDF. ``base`` (4, 4): the robot's base in the instrument's
-    frame, in the set-up named ``setup``; ``others``: likewise in other set-ups, by name. ``tools``: poses (4, 4) in the
-    tip link, by name; ``tool_tips``: the links of tools that are on another one. ``residual_model``: errors of tool
-    positions that the rest leaves, over joint space, or None. ``uncertainty``: how sure all of it is, or None where
-    that is not known. ``in_urdf``: the best machine that its URDF can hold, with bases and tools of its own, where
-    that is another one.
+    frame, in the set-up named ``setup``; ``others``: the same for other set-ups, by name. ``tools``: poses (4, 4) in
+    the tip link, by name; ``tool_tips``: the links of those tools that are on another link. ``residual_model``: a
+    function of the joint readings for the remaining errors of tool positions, or None. ``uncertainty``: the
+    uncertainty of the whole machine, or None where it is not known. ``in_urdf``: the best machine that a URDF can
+    hold, with bases and tools of its own, if it differs from this one.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -54,7 +54,7 @@ class CalibratedMachine:
 
     @checked
     def of(self, tool: str) -> "CalibratedMachine":
-        """Return the same machine, its robot looked at the tip that carries a tool.
+        """Return the same machine, with the link that carries a tool as the tip of its robot.
 
         Raises MeasurementError for an unknown one.
         """
@@ -72,7 +72,7 @@ class CalibratedMachine:
 
     @property
     def layout(self) -> Layout:
-        """Where things stand in the rows of :attr:`Uncertainty.factor`."""
+        """Which rows of :attr:`Uncertainty.factor` belong to what."""
         return Layout(self.robot, len(self.bases), len(self.tools))
 
     @checked
@@ -105,7 +105,7 @@ class CalibratedMachine:
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of the tip link in the base link at readings (N, nr), in rad and m.
 
-        Positions with what the residual model adds, which is nothing where it knows nothing. Raises RobotError for
+        Positions include what the residual model adds, which is nothing where it has no data. Raises RobotError for
         readings of another shape and for a joint term that needs ``conditions`` which are not given, PoseError for a
         row where a loop cannot close.
         """
@@ -121,13 +121,14 @@ class CalibratedMachine:
 
     @checked
     def tool_jacobian(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return how the tool's pose follows the state of the machine (N, 6, n), at readings (N, nr).
+        """Return the derivatives of the tool's pose by the state of the machine (N, 6, n), at readings (N, nr).
 
         Rows: position in the instrument's axes, in m, and small turns about the tool's axes, in rad. Columns: as the
-        rows of :attr:`Uncertainty.factor`. Without the residual model, which changes too slowly to count.
+        rows of :attr:`Uncertainty.factor`. Without the residual model, whose derivatives are negligible.
         """
         number = list(self.tools).index(self.tool_named(tool))
-        return tool_jacobian(self.of(tool).robot, self.state, readings, conditions, number)
+        own = self.of(tool).robot
+        return tool_jacobian(own, self.state, own.own(readings), conditions, number)
 
     @checked
     def residuals(self, data: Measurements) -> Array:
@@ -190,7 +191,7 @@ class CalibratedMachine:
 
     @property
     def geometry(self) -> "CalibratedMachine":
-        """What a format that has no place for joint terms or loops can hold best: ``in_urdf``, or else the machine."""
+        """The best that a format without joint terms and closed loops can hold: ``in_urdf``, or else the machine."""
         return self if self.in_urdf is None else self.in_urdf
 
     @property

@@ -302,7 +302,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
     _refuse_other_joints(robot, model.joints, path)
     if _transmission(robot) != model.transmission:
-        raise OutputError(f"{path}: its transmission is not that of {NOMINAL_FILE}.")
+        raise OutputError(f"{path}: its couplings are not those of {NOMINAL_FILE}.")
     deviations = replace(_deviations(model.joints), terms=read_only([term.coefficient for term in model.terms]))
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}

@@ -44,10 +44,10 @@ def tool_uncertainty(
 ) -> ToolUncertainty:
     """Return how sure the pose of a tool is at readings (N, nr) in rad and m.
 
-    ``base``: of the tool in the instrument's frame, else in the robot's base. ``tool_pose``: with the doubts about the
-    tool itself, else those of the arm alone, at the tool's place. ``conditions`` of the rows; when None, reached from
-    neither side, at 20 degC, no torque measured. Raises MeasurementError for a machine without known uncertainty, an
-    unknown tool, readings that are not the robot's, or conditions that lack what a joint term needs.
+    ``base``: if true, in the instrument's frame, else in the robot's base. ``tool_pose``: if true, with the uncertainty
+    of the tool's pose on its link, else that of the arm alone, at the tool's place. ``conditions`` of the rows; when
+    None, reached from neither side, at 20 degC, no torque measured. Raises MeasurementError for a machine without known
+    uncertainty, an unknown tool, readings that are not the robot's, or conditions that lack what a joint term needs.
     """
     found, known = _readings(machine, readings), machine.known_uncertainty
     if conditions is not None:
@@ -267,9 +267,9 @@ def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
 def outside_identified(machine: CalibratedMachine, readings: Array) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
-    Beyond the outermost pose by more than a twentieth of the range; whole turns of a revolute joint do not count. A
-    model is only proven where it was measured: outside, the stated sigmas hold if the model is right. Raises
-    MeasurementError for readings of another shape.
+    A reading leaves the range if it is beyond the outermost pose by more than a twentieth of the range; whole turns of
+    a revolute joint do not count. A model is only proven where it was measured: outside, the stated sigmas hold only if
+    the model is right. Raises MeasurementError for readings of another shape.
     """
     said = []
     readings = _readings(machine, readings)

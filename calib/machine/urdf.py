@@ -95,8 +95,8 @@ def lost_in_urdf(
 def write_urdf(fit: Fit, path: str | Path) -> None:
     """Write the calibrated URDF of a fit; never over the nominal one.
 
-    A fit with joint terms or closed loops is made once more without: a URDF has no place for them, and its geometry
-    alone would be worse than one fitted alone.
+    A fit with joint terms or closed loops is repeated without them: a URDF has no place for them, and the geometry that
+    was fitted with them would be worse without them than a geometry that was fitted alone.
     Raises OutputError when the file cannot be written or is the nominal URDF.
     """
     path, held = Path(path), fit_in_urdf(fit) or fit

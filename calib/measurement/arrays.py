@@ -51,16 +51,18 @@ def poses(
         data = calib.poses(robot, q, T, sigma=0.05e-3, sigma_angle=0.1e-3)
 
     ``placements`` (N, 4, 4) of the tool in the instrument's frame; ``sigma_angle`` in rad; all else as
-    :func:`positions`. Raises MeasurementError for placements whose rotations are none.
+    :func:`positions`. Raises MeasurementError for what is no placement.
     """
     T = np.asarray(placements, dtype=np.float64)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise MeasurementError(f"placements of shape {T.shape}: needed is (N, 4, 4).")
-    R = T[:, :3, :3]
-    bad = ~rigid.are_rotations(R)
+    bad = ~rigid.are_placements(T)
     if bad.any():
-        raise MeasurementError(f"placements: that of row {int(np.argmax(bad)) + 1} has no rotation.")
-    turned = rigid.quaternion_of(R)
+        raise MeasurementError(
+            f"placements: row {int(np.argmax(bad)) + 1} is none; needed are a rotation, a finite position and a last "
+            "row 0 0 0 1."
+        )
+    turned = rigid.quaternion_of(T[:, :3, :3])
     columns = _columns(robot, readings, T[:, :3, 3], tool) | dict(zip(QUATERNION_COLUMNS, turned.T, strict=True))
     return read_measurements(columns, robot, "pose", sigma=(sigma, sigma_angle))
 

@@ -28,6 +28,7 @@ from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
 from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
 from calib.measurement.projection import undistort
+from calib.measurement.scalars import of_length
 from calib.measurement.table import Table
 from calib.robot.robot import Reading, Robot
 
@@ -132,6 +133,7 @@ def measurements_from_table(
             raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
     if kind not in WITH_TARGET:
         targets, target = (), np.full(len(table), -1, dtype=np.intp)
+    unknown = "radius" if kind == "sphere" else "offset"
     found = Measurements(
         kind=kind,
         reading_names=tuple(dimensions),
@@ -147,8 +149,8 @@ def measurements_from_table(
         targets=targets,
         target=read_only_view(target),
         other=None,
-        offsets=() if offset is None else (offset,),
-        offset=-1 if offset is None else 0,
+        scalars=() if offset is None else (of_length(f"length.{offset}.{unknown}"),),
+        uses={} if offset is None else {unknown: 0},
         group=words(table, "group"),
         where=table.where,
         lines=table.lines,

@@ -31,7 +31,8 @@ _SUFFIX = re.compile(r"(.+?)[_\s]+([^\W_]+)")
 class Layout:
     """``titles`` of the columns, ``units`` of a line below them ("" for none); rows stand behind line ``last``.
 
-    ``line``: where the header stands, that of the first row where there is none; ``remarks``: what was seen.
+    ``line``: where the header stands, that of the first row where there is none; ``remarks``: what was seen; ``named``:
+    there is a header.
     """
 
     separator: str
@@ -40,6 +41,7 @@ class Layout:
     line: int
     last: int
     remarks: tuple[str, ...]
+    named: bool = True
 
 
 def layout(data: bytes, where: str) -> Layout:
@@ -84,7 +86,7 @@ def _without_header(
             return Layout(separator, tuple(titles), nothing, line.number, row.number - 1, said)
     titles = [f"column {k + 1}" for k in range(len(values))]
     said = (*remarks, "there is no header")
-    return Layout(separator, tuple(titles), nothing, row.number, row.number - 1, said)
+    return Layout(separator, tuple(titles), nothing, row.number, row.number - 1, said, named=False)
 
 
 def _separator(lines: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
+from calib.measurement.scalars import Scalar
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 
@@ -43,8 +44,8 @@ class Measurements:
     (N): which of ``setups``, the places where the robot's base stood. ``target``
     (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
     kinds that have none.
-    ``other``: the second end of a ``pair_distance``. ``offset``: which of ``offsets``, unknown lengths, all
-    values share; -1 for none.
+    ``other``: the second end of a ``pair_distance``. ``uses``: which of ``scalars``, unknown numbers beside poses, the
+    rows depend on, by what it is to them: the ``offset`` of lengths, the ``radius`` of a ball.
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
@@ -70,8 +71,8 @@ class Measurements:
     targets: tuple[str, ...]
     target: IntArray
     other: End | None
-    offsets: tuple[str, ...]
-    offset: int
+    scalars: tuple[Scalar, ...]
+    uses: Mapping[str, int]
     group: tuple[str, ...] | None
     where: str
     lines: IntArray
@@ -129,8 +130,8 @@ class Measurements:
         for target, carrier in links.items():
             if carrier == self.tip:
                 raise MeasurementError(
-                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row is "
-                    "about two frames that move against each other."
+                    f"{self.where}: the target {target!r} is on {carrier!r}, which carries the tool as well: a row "
+                    "needs two frames that move relative to each other."
                 )
         for what, name, own, only in (
             ("tool", tool, self.tools, self.tools[0] if self.tools == (self.tip,) else ONLY_TOOL),

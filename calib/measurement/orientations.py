@@ -44,7 +44,8 @@ def quaternions_of(given: Array, orientation: str, where: str, lines: IntArray) 
     if orientation not in ORIENTATIONS:
         raise MeasurementError(
             f"{where}: orientation {orientation!r} is not known; allowed are {', '.join(ORIENTATIONS[:5])}, "
-            "and the order of three turns, like ZYX about axes that turn along, or xyz about those that stay."
+            "and the order of three turns, like ZYX about the turned axes (intrinsic), or xyz about fixed axes "
+            "(extrinsic)."
         )
     if orientation == "matrix":
         matrices = given.reshape(-1, 3, 3)

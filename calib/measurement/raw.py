@@ -76,7 +76,7 @@ def raw_table(data: bytes, where: str) -> RawTable:
         _column(title, unit, words, form.separator)
         for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
     ]
-    return RawTable(where, tuple(columns), count, form.remarks, "there is no header" not in form.remarks)
+    return RawTable(where, tuple(columns), count, form.remarks, form.named)
 
 
 def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:

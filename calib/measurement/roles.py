@@ -377,20 +377,28 @@ def numbered_columns(table: RawTable) -> list[int]:
 
 
 class Unnamed(NamedTuple):
-    """One way to share out the columns of a table without a header."""
+    """One way to share out the columns of a table without a header. ``target``: may name what was touched."""
 
     joints: tuple[int, ...]
     point: tuple[int, int, int] | None
     orientation: Orientation | None
+    target: int | None = None
 
 
 def without_names(table: RawTable, count: int) -> list[Unnamed]:
-    """Return the ways in which joints, a point and an orientation may stand in a row of numbers."""
+    """Return the ways in which joints, a point and an orientation, or what was touched, may stand in a row."""
     columns = [k for k, column in enumerate(table.columns) if column.numbers is not None]
     first = table.columns[columns[0]].numbers if columns else None
     skips = [0]
     if first is not None and len(first) > 1 and bool(np.all(np.diff(first) > 0.0)):
         skips.append(1)
+
+    def names_again(k: int) -> bool:
+        """Whether a column has words, or whole numbers, of which most come more than once."""
+        column = table.columns[k]
+        whole = column.numbers is None or bool(np.all(column.numbers == np.round(column.numbers)))
+        return whole and 2 * len(set(column.words)) <= len(column.words)
+
     found = []
     for skip in skips:
         own = columns[skip:]
@@ -399,7 +407,9 @@ def without_names(table: RawTable, count: int) -> list[Unnamed]:
             joints = tuple(own[:count] if ahead else own[rest:]) if rest >= 0 else ()
             other = own[count:] if ahead else own[:rest]
             if rest == 0 and ahead:
-                found.append(Unnamed(joints, None, None))
+                found += [Unnamed(joints, None, None, k) for k in (None, *filter(names_again, _texts(table)))]
+            elif rest == 1 and names_again(other[0]):
+                found.append(Unnamed(joints, None, None, other[0]))
             elif rest in (3, 6, 7):
                 x, y, z = other[:3]
                 turned: list[Orientation | None] = [None]

@@ -188,8 +188,9 @@ class _BlockReader:
                 if other in self._marks or other in column[row]:
                     raise MeasurementError(
                         f"{place(row)}: column {name!r}: {shown(column[row])} has a decimal "
-                        f"{'comma' if mark == ',' else 'point'}, and {self._marks.get(other, 'the same cell')} has the "
-                        "other; write one of them in the whole file, and nothing between thousands."
+                        f"{'comma' if mark == ',' else 'point'}, and {self._marks.get(other, 'the same cell')} has a "
+                        f"decimal {'point' if mark == ',' else 'comma'}; use one of them in the whole file, and no "
+                        "mark between thousands."
                     )
                 self._marks.setdefault(mark, f"{place(row)}, column {name!r},")
         return [cell.replace(",", ".") for cell in column] if "," in joined else column

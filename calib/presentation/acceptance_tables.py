@@ -53,7 +53,7 @@ def verification_lines(found: Verification) -> list[Text]:
         shift, turn = found.base_moved
         by = f"{shift / MM:.3f} mm and {turn / DEG:.4f} deg"
         if anew.test.passed:
-            lines.append(Text(f"With the base moved by {by} it does: the arm is as calibrated, and stands elsewhere."))
+            lines.append(Text(f"A base moved by {by} explains them: the arm is as calibrated, but stands elsewhere."))
         else:
             lines.append(Text(f"A base moved by {by} does not explain them either: the arm itself has changed."))
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
@@ -71,7 +71,7 @@ def _tested(test: ChiSquare) -> str:
 
 def change_table(found: Comparison) -> Table:
     """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
-    out = _table("Changes", "tip: rms of what the change alone does there")
+    out = _table("Changes", "tip: rms motion of the tip by this change alone")
     numbers = ("old", "new", "change", "sigma", "tip [mm]")
     rows = []
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
@@ -86,7 +86,9 @@ def change_table(found: Comparison) -> Table:
 def comparison_lines(found: Comparison) -> list[Text]:
     """Return the verdict of a comparison in sentences."""
     if found.statistic is None or found.probability is None:
-        lines = [Text("The two calibrations free different parameters; as a whole only their tips can be compared.")]
+        lines = [
+            Text("The two calibrations have different free parameters: only their tips can be compared as a whole.")
+        ]
     else:
         per = found.statistic / max(found.degrees_of_freedom, 1)
         lines = [
@@ -107,7 +109,7 @@ def comparison_lines(found: Comparison) -> list[Text]:
     elif found.moved:
         lines.append(Text("The machine has changed, though no single parameter shows it.", style="bold"))
     else:
-        lines.append(Text("Nothing has moved by more than the joint uncertainty.", style="bold"))
+        lines.append(Text("Nothing has moved by more than the uncertainty of both explains.", style="bold"))
     return lines
 
 

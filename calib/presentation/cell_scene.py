@@ -9,9 +9,9 @@ from calib.compensation.cell import CalibratedCell
 from calib.foundations.arrays import Array
 from calib.foundations.errors import RobotError
 from calib.foundations.units import DISPLAY_OF
-from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.scene import Mark, Scene
 from calib.robot.deviation import axis_frame
+from calib.robot.links import arm_of, link_placements
 from calib.robot.load import with_document
 from calib.robot.robot import Robot
 from calib.robot.sampling import closing

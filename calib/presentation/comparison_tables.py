@@ -20,11 +20,11 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
     rows_of = f"{found.rows} rows{some} in {found.groups} groups, {found.folds} folds"
     columns = ("model", "free", "rank", "held out", "std. error", "worse by", "std. error")
     return Sheet(
-        f"Errors at rows held out, rms [{unit}]",
+        f"Errors at held-out rows, rms [{unit}]",
         columns,
         frozenset(columns[1:]),
         tuple(rows),
-        f"{rows_of}; worse by: than the best, at the same rows",
+        f"{rows_of}; worse by: difference from the best model, at the same rows",
     )
 
 
@@ -33,14 +33,14 @@ def comparison_sentences(found: ModelComparison) -> tuple[str, ...]:
     said = []
     if found.unit == "1":
         said.append(
-            "Relative: each quantity in units of its least error, root mean square over "
+            "Relative: the errors of each quantity are divided by the least one; shown is the root mean square over "
             f"{', '.join(found.recommended.rms).replace('_', ' ')}."
         )
     terms = found.recommended.terms
     if terms:
         more = f" and {len(terms) - _SHOWN_TERMS} more" if len(terms) > _SHOWN_TERMS else ""
         chosen = count(len(terms), "joint term is", "joint terms are")
-        said.append(f"{chosen} chosen by all rows: {', '.join(terms[:_SHOWN_TERMS])}{more}.")
+        said.append(f"{chosen} chosen with all rows: {', '.join(terms[:_SHOWN_TERMS])}{more}.")
     if found.recommended is found.best:
         reason = "the least error, and no simpler one is within one standard error of it"
     else:

@@ -64,7 +64,7 @@ def _parameters(fit: Fit) -> "Figure":
         axes.errorbar(values[seen], places[seen], xerr=2.0 * sigmas[seen], fmt="o", markersize=4, color=_AFTER)
         axes.plot(values[~seen], places[~seen], "o", markersize=4, markerfacecolor="none", color=_SOFT)
         axes.set_yticks(places, [fit.parameters[k].name for k in rows], fontsize=8)
-        axes.set_xlabel(f"value, two sigmas of noise, conditional on the model [{shown}]; hollow: not identifiable")
+        axes.set_xlabel(f"value and two sigmas, conditional on the model [{shown}]; hollow: not identifiable")
         axes.spines[["top", "right", "left"]].set_visible(False)
     return figure
 

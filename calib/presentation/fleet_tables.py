@@ -114,9 +114,9 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
             rows.append(Row((line.name, line.word, *seen, *what, *values), strong=line.word != "trusted", link=link))
     columns = ("job", "verdict", "rank", "outliers", "error", "data", "n", *figures)
     caption = (
-        "A job's name leads to its report; the head of a column sorts by it. rms before and after, and the largest "
-        "error after; rank: the formal one, of how many parameters; outliers: rows, jumps and groups that are no "
-        "accident, of the ten least likely of each."
+        "A job's name leads to its report. A click on the head of a column sorts by it. before and after: rms; "
+        "largest: after calibration; rank: formal rank, of how many parameters; outliers: rows, jumps and groups that "
+        "are too large to be chance, at most ten of each."
     )
     return Sheet(
         "Jobs", columns, frozenset(("n", *figures, "rank", "outliers")), tuple(rows), caption, brief=True, sortable=True

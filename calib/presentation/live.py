@@ -22,8 +22,8 @@ from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
-from calib.presentation.arm import arm_of
 from calib.robot.conditions import ordinary
+from calib.robot.links import arm_of
 from calib.robot.robot import Deviations
 
 ADDRESS = "127.0.0.1"
@@ -172,7 +172,7 @@ def answer(model: CalibratedMachine, message: str | bytes) -> dict[str, Any]:
         if not np.all(np.abs([*readings[0], apart]) <= _LARGEST_NUMBER):
             raise ValueError("not finite, or beyond all machines")
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
-        return {"sentence": "This is no question that the server knows."}
+        return {"sentence": "The server does not know this request."}
     d = model.deviations
     led = Deviations((1.0 - apart) * d.placements, (1.0 - apart) * d.offsets, (1.0 - apart) * d.terms)
     usual = ordinary(readings)

@@ -11,8 +11,8 @@ from calib.foundations.units import MM
 def forecast_table(plan: Plan) -> Table:
     """Return what more and fewer poses would bring, chosen and at random, in mm."""
     out = Table(
-        title="Error of the tool for want of more poses, rms [mm]",
-        caption=f"over the working poses; what the model leaves out comes on top: {plan.floor / MM:.4f} mm",
+        title="Error of the tool that more poses would remove, rms [mm]",
+        caption=f"over the working poses; not included is what the model leaves out: {plan.floor / MM:.4f} mm",
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,

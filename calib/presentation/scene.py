@@ -19,7 +19,6 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
-from calib.presentation.arm import Arm, link_placements
 from calib.presentation.mesh_counts import MOST_CORNERS
 from calib.presentation.meshes import (
     Rgb,
@@ -43,6 +42,7 @@ from calib.presentation.viewer import (
     set_triangles,
 )
 from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
+from calib.robot.links import Arm, link_placements
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 

@@ -118,13 +118,13 @@ def parameter_sheet(fit: Fit) -> Sheet:
         ("parameter", "value", "sigma", "unit", "identifiable"),
         frozenset(("value", "sigma")),
         tuple(rows),
-        "sigmas are conditional on the model: of noise alone, as if it left nothing out",
+        "sigmas are conditional on the model: they assume that it leaves out nothing but noise",
     )
 
 
 _CAUSES = {
     "instrument": "instrument: noise and drift",
-    "parameters": "parameters that the data do not show",
+    "parameters": "parameters that are not determined",
     "model": "what the model leaves out",
     "residual_model": "residual model",
 }
@@ -165,17 +165,17 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
 
 
 def prior_sentences(fit: Fit) -> tuple[str, ...]:
-    """Return how wide the priors are that the data were to teach, and how many parameters taught each."""
+    """Return the standard deviations of learned priors, and how many parameters each was learned from."""
     said = []
     for prior in fit.learned:
         factor, unit = SHOWN[prior.unit]
-        width = f"{prior.width * factor:.3g} {unit}"
+        sigma = f"{prior.width * factor:.3g} {unit}"
         of = f"{prior.taught:.1f} of {prior.parameters}"
         what = {
-            "learned": f"{width}, learned from data that determine {of} parameters",
-            "too few": f"{width}, as the data determine {of} parameters, too few to learn from",
-            "nothing shows": f"{width}, which the data could not notice: its {prior.parameters} parameters do not show",
-            "widest": f"{width}, the widest: as good as no prior",
+            "learned": f"{sigma}, learned; the data determine {of} parameters",
+            "too few": f"{sigma}, not learned; the data determine only {of} parameters",
+            "nothing shows": f"{sigma}, too small for the data to show any of its {prior.parameters} parameters",
+            "widest": f"{sigma}, the largest that is allowed, which is as good as no prior",
         }[prior.outcome]
         said.append(f"Prior of {prior.group}: {what}.")
     return tuple(said)
@@ -212,19 +212,20 @@ def in_urdf_sentences(
 
     ``figures``: metrics of the machine by use, when and quantity; ``alone``: of its URDF, by use and quantity.
     """
-    lacks = "A URDF holds neither loops nor joint terms"
+    lacks = "A URDF holds neither closed loops nor joint terms"
     if not alone:
-        return (f"{lacks}: calibrated.urdf alone takes other readings. model.json holds all.",)
+        return (f"{lacks}: calibrated.urdf alone needs other joint readings. model.json holds the whole machine.",)
     use = "validation" if "validation" in figures else "identification"
-    rows = "rows it never saw" if use == "validation" else "rows it was fitted to"
-    said = ", ".join(
-        f"the {quantity} error is {figure(found.rms, found.unit)} rms, where nominal it is "
-        f"{figure(figures[use]['before'][quantity].rms, found.unit)} and with all of model.json "
+    rows = "held-out rows" if use == "validation" else "the fitted rows"
+    said = "; ".join(
+        f"its {quantity} error is {figure(found.rms, found.unit)} rms, that of the nominal robot "
+        f"{figure(figures[use]['before'][quantity].rms, found.unit)}, that of model.json "
         f"{figure(figures[use]['after'][quantity].rms, found.unit)}"
         for quantity, found in alone[use].items()
     )
     doubt = () if converged else ("The fit of calibrated.urdf did not converge.",)
-    return (f"{lacks}: calibrated.urdf is the best without. On {rows}, base and tool fitted anew, {said}.", *doubt)
+    best = f"{lacks}: calibrated.urdf is the best geometry without them."
+    return (f"{best} On {rows}, base and tool fitted anew, {said}.", *doubt)
 
 
 def count(n: int, one: str, several: str) -> str:

@@ -64,12 +64,12 @@ class Calibration:
     """A judged calibration. Made by :func:`assess`.
 
     ``machine``: the calibrated machine of ``fit``. ``metrics[use][when][quantity]``: use is identification or
-    validation, when is before or after. ``sets``: residuals of every table; those after are left by ``machine``, with
-    its residual model where that has values. ``doubts``: why it should not be trusted; ``checks``: all that was asked
-    before it was, ``shown``: for which range, and what would make it more certain. ``findings``: what was doubtful, but
-    usable. ``outliers``: of the data to identify from. ``in_urdf``: what the calibrated URDF alone reaches, where it
-    cannot hold the machine, as there are closed loops or joint terms. ``levels``, ``trace`` and ``choice``: on the way
-    to the fit. ``origin``: what it was made from.
+    validation, when is before or after. ``sets``: residuals of every table; those after calibration are of ``machine``,
+    with its residual model where that has values. ``doubts``: why the calibration should not be trusted; ``checks``:
+    all checks of the verdict; ``shown``: for which range the verdict holds, and what would make it more certain.
+    ``findings``: what looks wrong in the data, but is usable. ``outliers``: of the data to identify from. ``in_urdf``:
+    the metrics of the calibrated URDF alone, if it cannot hold the machine because of closed loops or joint terms.
+    ``levels``, ``trace`` and ``choice``: the steps before the fit. ``origin``: from what it was made.
     """
 
     fit: Fit
@@ -94,11 +94,11 @@ class Calibration:
 
     @property
     def judged_by(self) -> Mapping[str, Mapping[str, Metrics]]:
-        """The metrics that count, by when and quantity: of the data held out, else of those identified from."""
+        """The metrics of the verdict, by when and quantity: of the held-out data, else of the data to identify from."""
         return self.metrics["validation" if "validation" in self.metrics else "identification"]
 
     def accepting(self, names: Collection[Accepted]) -> "Calibration":
-        """Return the calibration with checks of the verdict that the user answers for, and that do not count."""
+        """Return the calibration with some checks of the verdict accepted by the user, so that they count as passed."""
         if not names:
             return self
         now = [(check, answered(check) if check.name in names and not check.passed else check) for check in self.checks]
@@ -138,11 +138,11 @@ def assess(
         found = calib.assess(fit, held_out)
         found.metrics["validation"]["after"]["position"].rms  # m
 
-    ``data``: the tables to identify from, where the fit is a level that took some of them. ``residual_model``: what the
-    machine adds to positions. ``names``: of the tables, first those to identify from; by default where they come from.
-    ``findings``: what was doubtful in the data; when None, what looks wrong with them by themselves. ``trace``: of a
-    total differential that has led to the fit. Raises MeasurementError when data held out are of tools or targets that
-    the fit does not know.
+    ``data``: all tables to identify from, if the fit is a level that used only some of them. ``residual_model``: what
+    the machine adds to positions. ``names``: names of the tables, first those to identify from; by default where they
+    come from. ``findings``: what looks wrong in the data; when None, it is found here. ``trace``: that of the total
+    differential that led to the fit. Raises MeasurementError when held-out data are of tools or targets that the fit
+    does not know.
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)

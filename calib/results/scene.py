@@ -12,10 +12,10 @@ from calib.foundations.errors import PoseError
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.measurement.kinds import size
-from calib.presentation.arm import Arm, arm_of
 from calib.presentation.scene import Mark, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
+from calib.robot.links import Arm, arm_of
 from calib.robot.robot import Deviations
 
 

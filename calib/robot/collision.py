@@ -21,6 +21,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
+from calib.robot.links import arm_of, link_placements
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
@@ -138,7 +139,7 @@ class _Poses:
     """Shapes in some poses, placed as they are asked for."""
 
     def __init__(self, robot: Robot, shapes: Sequence[_Shape], readings: Array, effort: Effort) -> None:
-        placed = _link_placements(robot, readings)
+        placed = link_placements(robot.urdf, arm_of(robot, robot.no_deviations(), readings, np.eye(4)))
         self._shapes, self._n, self._effort = shapes, len(readings), effort
         self._placed = [placed[shape.link] for shape in shapes]
         centres = [_moved(T, shape.centre) for T, shape in zip(self._placed, shapes, strict=True)]
@@ -329,28 +330,6 @@ def _outward(robot: Robot) -> list[str]:
             found.append(name)
             open_.append(child)
     return found
-
-
-def _link_placements(robot: Robot, readings: Array) -> dict[str, Array]:
-    """Return the placements (N, 4, 4) of every link in the root link; joints that are not of the arm stand at rest."""
-    q = robot.joint_positions(readings)
-    column = {robot.chain[i].name: q[:, j] for j, i in enumerate(robot.moving)}
-    placed = {robot.urdf.root: np.broadcast_to(np.eye(4), (len(readings), 4, 4))}
-    joints = {joint.name: joint for joint in robot.urdf.joints}
-    for name in _outward(robot):
-        joint = joints[name]
-        T = placed[joint.parent] @ joint.origin
-        if joint.type in ("revolute", "continuous", "prismatic"):
-            rest = min(max(0.0, joint.lower or 0.0), joint.upper or 0.0) if joint.type != "continuous" else 0.0
-            position = column.get(name, np.full(len(readings), rest))
-            motion = np.broadcast_to(np.eye(4), (len(readings), 4, 4)).copy()
-            if joint.type == "prismatic":
-                motion[:, :3, 3] = position[:, None] * joint.axis
-            else:
-                motion[:, :3, :3] = rigid.rotation_about(joint.axis, position)
-            T = T @ motion
-        placed[joint.child] = T
-    return placed
 
 
 def _moved(T: Array, point: Array) -> Array:

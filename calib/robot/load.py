@@ -40,13 +40,13 @@ def load_robot(
 
         robot = calib.load_robot("humanoid.urdf", "right_hand", links=["left_hand", "head"])
 
-    ``links``: others whose places matter, such as the tips of other arms on the same base: the robot is then all that
-    is between the base and any of them, and :meth:`calib.Robot.with_tip` looks at one of them.
-    ``urdf`` is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data.
-    ``couplings`` replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is
-    a tree, leaves open; the passive joints start their search where they would be by mimicry. ``gravity`` (3,), in
-    m/s^2 in the base link, and ``payload``, in the tip link, matter to joints that give way.
-    Raises RobotError with one sentence when the file or the arm cannot be used.
+    ``links``: other links whose poses are needed, such as the tips of other arms on the same base. The robot is then
+    all that is between the base and any of them, and :meth:`calib.Robot.with_tip` makes one of them the tip. ``urdf``
+    is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data. ``couplings``
+    replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is a tree, leaves
+    open; the search for the passive joints starts where their ``<mimic>`` puts them. ``gravity`` (3,), in m/s^2 in the
+    base link, and ``payload``, in the tip link, are used by terms of wind-up and bending. Raises RobotError with one
+    sentence when the file or the arm cannot be used.
     """
     document = urdf if isinstance(urdf, Urdf) else read_urdf(urdf)
     tip = _only_leaf(document) if tip is None else _known_link(document, tip, "tip")

@@ -16,6 +16,7 @@ from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import OF_DIMENSION
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
@@ -42,7 +43,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """A joint whose position is a sum of multiples of joints, plus ``offset`` (rad or m): mimicry of several."""
+    """A joint whose position is a sum of multiples of other joints' positions, plus ``offset`` (rad or m)."""
 
     joint: str
     drivers: Mapping[str, float]
@@ -157,7 +158,7 @@ class Robot:
 
     @checked
     def with_tip(self, link: str) -> "Robot":
-        """Return the same robot, looked at another one of its ``links``. Raises RobotError for any other link.
+        """Return the same robot with another one of its ``links`` as the tip. Raises RobotError for any other link.
 
         left = robot.with_tip("left_hand")
         """
@@ -257,29 +258,43 @@ class Robot:
         Raises PoseError for a row where a loop cannot close, RobotError for readings of another shape, or a term that
         needs ``conditions`` which the rows do not have.
         """
-        return TipModel(self, deviations).joint_positions(self._own(readings), conditions)
+        return TipModel(self, deviations).joint_positions(self.own(readings), conditions)
 
     @checked
     def tips(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).tips(self._own(readings), conditions)
+        return TipModel(self, deviations).tips(self.own(readings), conditions)
 
     @checked
     def motion(
         self, readings: Array, deviations: Deviations | None = None, conditions: Conditions = NO_CONDITIONS
     ) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
-        return TipModel(self, deviations).motion(self._own(readings), conditions)
+        return TipModel(self, deviations).motion(self.own(readings), conditions)
 
-    def _own(self, readings: Array) -> Array:
-        """Return readings as they are. Raises RobotError when they have not a column for each of this robot's."""
+    def own(self, readings: Array) -> Array:
+        """Return readings (N, nr) as they are.
+
+        Raises RobotError when they have not a column for each of this robot's, or one is not a number within the range
+        of angles or lengths.
+        """
         if readings.ndim != 2 or readings.shape[1] != len(self.readings):
             names = ", ".join(reading.name for reading in self.readings)
             raise RobotError(
                 f"readings of shape {readings.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
             )
+        for k, reading in enumerate(self.readings):
+            allowed = OF_DIMENSION[reading.dimension]
+            low, high = allowed.ends
+            # A comparison with nan is false.
+            within = (readings[:, k] >= low) & (readings[:, k] <= high)
+            if not within.all():
+                row = int(np.argmin(within))
+                raise RobotError(
+                    f"readings: row {row + 1} of {reading.name!r} is {readings[row, k]:g}; allowed is {allowed}."
+                )
         return readings
 
 

@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import meshcat
 import numpy as np
 
-from calib.presentation.arm import arm_of
 from calib.presentation.scene import Scene, render_scene
+from calib.robot.links import arm_of
 from calib.robot.load import load_robot
 from calib.robot.sources import examples_folder
 from scripts.development.browser import Page, browser

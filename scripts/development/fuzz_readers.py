@@ -213,7 +213,7 @@ def _proposal(data: bytes) -> None:
         assert len(question.sentence) <= LONGEST_SENTENCE, f"a question of {len(question.sentence)} characters"
 
 
-_SHEETS = (".jsonl", ".json", ".yaml", ".xlsx", ".txt")
+_SHEETS = (".jsonl", ".json", ".yaml", ".xlsx", ".txt", ".npz")
 
 
 def _sheet(data: bytes) -> None:

@@ -1,16 +1,16 @@
 """From an empty folder to a report: six robots of six makers, each with a file as its users have it.
 
-    python scripts/examples/six_makers.py FOLDER > docs/figures/six_makers.md
+    python scripts/examples/six_makers.py FOLDER
 
 Simulated sessions (60 poses, errors of 1 mm and 2 mrad, an instrument of 0.02 mm) are written in the dialect of every
-maker; then what a person would type is done, and counted.
+maker; then what the README tells to type is typed, and counted.
 """
 
 import json
-import re
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.job.chains import chains
 from calib.robot.urdf import read_urdf
-
-EXAMPLES = "example:"
 
 
 def session(robot, n=60, seed=4):  # type: ignore[no-untyped-def]
@@ -79,10 +77,12 @@ def unitree(path, q, p, R):  # type: ignore[no-untyped-def] # noqa: ARG001
     written(path, None, [np.degrees(q), 1e3 * p])
 
 
-def abb(path, q, p, R):  # type: ignore[no-untyped-def]
-    titles = [f"rax_{k}" for k in range(1, 7)] + ["X", "Y", "Z", "q1", "q2", "q3", "q4"]
-    quaternion = Rotation.from_matrix(R).as_quat()[:, [3, 0, 1, 2]]
-    written(path, titles, [np.degrees(q), 1e3 * p, quaternion], before="// cell 7\n// tracker, mm\n")
+def rethink(path, q, p, R):  # type: ignore[no-untyped-def]
+    titles = [f"left_{joint}" for joint in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")]
+    poses = [f"pose.{what}" for what in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    written(
+        path, [*titles, *poses], [q, p, Rotation.from_matrix(R).as_quat()], before="# rosbag of 3 May\n# left arm\n"
+    )
 
 
 ROBOTS = [
@@ -91,34 +91,46 @@ ROBOTS = [
     ("UFACTORY xArm7", "example:xarm_description/urdf/xarm7.urdf", None, ufactory),
     ("Kinova", "example:kinova_description/robots/kinova.urdf", None, kinova),
     ("Unitree Z1", "example:z1_description/urdf/z1.urdf", None, unitree),
-    ("ABB (a small arm)", "arm.urdf", "flange", abb),
+    ("Rethink Baxter", "example:baxter_description/urdf/baxter.urdf", "left_gripper", rethink),
 ]
 
+README = Path(__file__).parents[2] / "README.md"
 
-def small_arm(path):  # type: ignore[no-untyped-def]
-    page = (Path(__file__).parents[2] / "docs" / "own_robot.md").read_text(encoding="utf-8")
-    path.write_text(re.search(r"<!-- arm.urdf -->\n(.*?)```", page, re.DOTALL)[1], encoding="utf-8")  # type: ignore[index]
+
+def commands() -> list[list[str]]:
+    """Return what the README tells to type between an empty folder and a report, without the comments."""
+    block = README.read_text(encoding="utf-8").partition("## Calibrate your robot\n")[2].split("\n\n")[1]
+    return [line.partition("#")[0].split() for line in block.splitlines()]
+
+
+def walked(folder: Path, urdf: str, tip: str | None, write, command: Callable[[list[str]], int]) -> list[int]:  # type: ignore[no-untyped-def]
+    """Write the file of a session into a folder, type there what the README says, and return the exit codes.
+
+    The install is not typed: what runs this is installed.
+    """
+    write(folder / "measured.csv", *session(calib.load_robot(urdf, tip or tip_of(urdf))))
+    typed = [line for line in commands() if line[0] == "calib"]
+    return [command([urdf if word == "arm.urdf" else word for word in line[1:]]) for line in typed]
 
 
 def main(folder: Path) -> None:
-    print("| robot | commands | exit codes | questions | held out before, after (mm) | seconds |")
-    print("|---|--:|---|--:|---|--:|")
+    print("| robot | commands | exit codes | held out before, after (mm) | seconds |")
+    print("|---|--:|---|--:|--:|")
     for name, urdf, tip, write in ROBOTS:
         here = folder / name.split()[0]
         here.mkdir(parents=True)
-        if not urdf.startswith(EXAMPLES):
-            small_arm(here / urdf)
-        arm = urdf if urdf.startswith(EXAMPLES) else str(here / urdf)
-        write(here / "measured.txt", *session(calib.load_robot(arm, tip or tip_of(arm))))
-        start, codes = time.perf_counter(), []
-        for words in (["init", urdf, "measured.txt", "--yes"], ["calibrate", "calibration.toml", "-o", "out"]):
-            command = [sys.executable, "-c", "from calib.cli import main; main()", *words]
-            done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
-            codes.append(done.returncode)
-            print(done.stderr, end="", file=sys.stderr)
+        start = time.perf_counter()
+
+        def command(words: list[str], here: Path = here) -> int:
+            typed = [sys.executable, "-c", "from calib.cli import main; main()", *words]
+            done = subprocess.run(typed, cwd=here, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+            print(done.stderr.decode(), end="", file=sys.stderr)
+            return done.returncode
+
+        codes = walked(here, urdf, tip, write, command)
         found = errors(here / "out")
         seconds = time.perf_counter() - start
-        print(f"| {name} | {len(codes)} | {codes} | 0 | {found} | {seconds:.0f} |")
+        print(f"| {name} | {len(codes)} | {', '.join(map(str, codes))} | {found} | {seconds:.0f} |")
 
 
 def errors(out: Path) -> str:

@@ -72,7 +72,7 @@ LEFT_OUT = {
 ROBOTS = {"ur5": "UR5", "panda": "Panda"}
 OTHERS = {
     "irb2400 grid": "IRB2400 with wind-up, harmonics and scatter, three levels and a grid",
-    "panda sockets": "Panda, 20 to 30 touches of sockets, stated priors that are right; set-up aligned, nothing left out",
+    "panda sockets": "Panda, 20 to 30 touches of sockets, right priors stated; set-up aligned, nothing left out",
     "ur5 pixels": "UR5, 20 to 30 images of a board; set-up aligned, nothing left out",
 }
 SIZES = (20, 60, 200)
@@ -102,30 +102,32 @@ HEAD = (
 LEAST_COVERAGE, BAD, MOST_BAD, RATIOS = 0.90, 0.75, 0.10, (0.8, 1.6)
 PAGE = """# Do stated regions hold the truth, where the model leaves things out?
 
-Made by `python scripts/studies/coverage.py`, whose first lines say how. {total} simulated sessions in {cells} cells,
-{least} in the one with the fewest; the column `sessions` says how many there are of each. {refused} were refused by the
-toolkit. The simulations share no mathematics with it.
+Made by `python scripts/studies/coverage.py`, whose first lines say how. There are
+{total} simulated sessions in {cells} cells, {least} in the one with the fewest; the column `sessions` says how many
+there are of each. {refused} were refused by the toolkit. The simulations share no mathematics with it.
 
-A session is a robot with errors that the model knows of (0.5 mm, 1 mrad, zeros 5 mrad: one standard deviation, all
-placements and zeros free, base and tool anywhere), measured at random poses by an instrument that states its noise,
-0.05 mm a coordinate; and with errors that the model does not know of, one kind in every table below. At 100 other poses
-the true position of the tool is held against the stated 95 % region, an ellipsoid (`calib.tool_uncertainty`).
+In a session, a robot is measured at random poses by an instrument that states its noise, 0.05 mm a coordinate. The
+robot has errors that the model knows of (0.5 mm, 1 mrad, joint offsets of 5 mrad: one standard deviation; all
+placements and offsets are free, base and tool are anywhere). It also has errors that the model leaves out, one kind
+in every table below. At 100 other poses the true position of the tool is compared with the stated 95 % region, an
+ellipsoid (`calib.tool_uncertainty`).
 
-* `coverage`: share of true positions inside, mean over sessions; `below 0.75`: share of sessions with less than that.
+* `coverage`: share of true positions inside the region, mean over sessions; `below 0.75`: share of sessions with a
+  coverage below that.
 * `true` and `stated`: rms of the error of the position, and of its stated standard deviation, over poses and sessions;
-  `ratio` of the two, and the median of the sessions' own ratios.
-* `holds`: coverage at least 0.90, at most one session in ten below 0.75, ratio from 0.8 to 1.6; of a drift no upper
-  end.
+  `ratio`: stated over true; `median ratio`: median of the ratios of single sessions.
+* `holds`: coverage at least 0.90, at most one session in ten below 0.75, ratio from 0.8 to 1.6; for a drift there is no
+  upper limit of the ratio.
 """
-INTERVALS = """Few touches of sockets leave much of a machine to the stated priors, and these are taken at their word: the
-machines are drawn with the standard deviations that are stated. Of machines nearer to nominal than that, regions are
-wider than errors by as much. Images of one board leave much to the weak priors, whose widths are learned from what the
-images do show: these machines are off by nothing to 5 mm, 5 mrad and, in their zeros, 6 deg.
+INTERVALS = """A few touches of sockets leave many directions to the stated priors, which are used as stated: the
+machines are drawn with these standard deviations. For machines nearer to nominal than that, regions are wider than the
+errors by as much. Images of one board leave many directions to the weak priors. Their widths are learned from what the
+images do determine: these machines are off by 0 to 5 mm, 0 to 5 mrad and, in their joint offsets, by up to 6 deg.
 
 On {n} IRB2400 with wind-up and harmonics that the model does not have, the 95 % interval of k1 by the
 parameters' own sigmas holds the truth {k1} times, that of k2 {k2} times: such sigmas are conditional on the model, and
 are labelled so wherever they are printed. By the covariance of the machine in `uncertainty.json`, which has the whole
-budget, k1 is held {k1_budget} times and k2 {k2_budget} times.
+budget, the interval of k1 holds the truth {k1_budget} times and that of k2 {k2_budget} times.
 """
 
 

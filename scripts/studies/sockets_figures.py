@@ -125,7 +125,7 @@ def told(found: calib.Fit) -> list[str]:
         )
         for jump in report.jumps[:4]
     ]
-    lines += markdown(("likeliest jumps", "rows", "by [mm]", "chi-squared by 3", "chance", ""), rows)
+    lines += markdown(("most significant jumps", "rows", "by [mm]", "chi-squared by 3", "chance", ""), rows)
     rows = [
         (
             f"{group.kind} {group.name}",
@@ -137,7 +137,7 @@ def told(found: calib.Fit) -> list[str]:
         for group in report.groups
         if group.kind == "file"
     ]
-    lines += markdown(("places", "chi-squared", "scatter without", "best told by", ""), rows)
+    lines += markdown(("places", "chi-squared", "scatter without it", "best explained by", ""), rows)
     rows = [
         (f"{row.file}:{row.line}", f"{row.studentised:.2f}", f"{row.leverage:.2f}", f"{row.chance:.1g}")
         for row in report.rows[:3]
@@ -150,40 +150,40 @@ HEAD = """\
 
 Made by `python scripts/studies/sockets_figures.py <sockets folder> --markdown docs/sockets.md`.
 
-Two Franka Pandas and a KUKA iiwa 14, each with a ball on its tool that sat in one of two printed sockets 50 mm apart,
-in several places of the workspace: joint angles and nothing else (Franzese et al., MUKCa,
+The data are of two Franka Pandas and a KUKA iiwa 14. Each had a ball on its tool, which sat in one of two printed
+sockets 50 mm apart, in several places of the workspace. Only joint readings were recorded (Franzese et al., MUKCa,
 github.com/platonics-delft/kinematics_calibration). `scripts/examples/sockets_job.py` makes a job of such recordings,
 and [the tutorial](tutorial_sockets.md) goes through one.
 
-Free are all placements and zeros of the seven joints, with priors of 1 mm and 5 mrad, the ball on the tool, and every
-socket; rows have a stated sigma of 0.5 mm per axis, and the distance of the two sockets of a place one of 0.1 mm.
-Every figure is in mm, of places that took no part in the calibration: the mean distance of the predicted ball from the
-mean of its socket, averaged over sockets. As a smaller arm would pass that test too, "distance off" tells by how much
-the predicted distance of the two sockets differs from 50 mm, on average. "Nominal" is the robot of the URDF with the
-ball fitted.
+All placements and offsets of the seven joints are free, with priors of 1 mm and 5 mrad; so are the ball on the tool
+and every socket. Rows have a stated sigma of 0.5 mm per axis, and the distance of the two sockets of a place has one
+of 0.1 mm. Every figure is in mm, of places that took no part in the calibration: the mean distance of the predicted
+ball from the mean of its socket, averaged over sockets. A smaller arm would pass that test too. So "distance off"
+says by how much the predicted distance of the two sockets differs from 50 mm, on average. "Nominal" is the robot of
+the URDF with the ball fitted. "Asked" is the figure to reach.
 
-"Wind-up" adds one compliance under gravity for each of the joints 2 to 6, with a prior of 0.1 mrad/Nm: the arm carries
-its own weight, and not the same at all places.
+"Wind-up" adds one compliance under gravity for each of the joints 2 to 6, with a prior of 0.1 mrad/Nm: the arm bends
+under its own weight, and by different amounts at different places.
 """
 SPLIT = """\
-"Split": where the rows of the calibration themselves say that a socket has moved, by more than the stated sigma, its
-smaller part is taken for a socket of its own, of whose distance nothing is known. The places that test are left as they
-are. What was split, in the last column:"""
+"Split": if the rows of the calibration themselves show that a socket has moved by more than the stated sigma, the
+smaller part of its rows is treated as another socket, whose distance from the others is not known. The places that
+test are not split. What was split in the last column:"""
 CHOICE = """\
-The sigma of 0.5 mm is one for all three arms, and what a printed ball in a printed socket and an arm under a guiding
-hand make likely; a job states it. What other choices give at the places that test was known when it was stated, so that
-differences of 0.02 mm (0.05 mm for panda_1) mean nothing:"""
+The sigma of 0.5 mm is the same for all three arms. It is a likely value for a printed ball in a printed socket and an
+arm that is guided by hand; the job states it. When it was chosen, the figures of other choices, at the places that
+test, were already known. So differences of 0.02 mm (0.05 mm for panda_1) mean nothing:"""
 MOVES = """\
-Two things, and neither is the grip of the ball. First, back-high asks for another machine than the rest: it lies behind
-the robot and 0.87 m up, where the joints carry another load than over the table. Where joints may give way under
-gravity, no place disagrees any more. Second, in right/hole_1 something moved by almost a millimetre: this jump is there
-with back-high and without, and whether or not joints give way. A socket that moved cannot be predicted by any model, so
-that the rows of that file stay off where they test. Other jumps come and go with the model: there the postures change,
-not the socket. Not all is explained: the distance of the sockets stays off by half a millimetre where panda_1 is
-tested, with wind-up and without.
+Two things disagree, and neither is the grip of the ball. First, the place back-high fits better with other parameters
+than the rest: it lies behind the robot and 0.87 m up, where the joints carry another load than over the table. With
+wind-up in the model, no place disagrees any more. Second, in right/hole_1 something moved by almost a millimetre.
+This jump is found with back-high and without, with wind-up and without. No model can predict a socket that moved, so
+the rows of that file have large errors where they test. Other jumps come and go with the model: there the postures
+change, not the socket. Not everything is explained: where panda_1 is tested, the distance of the sockets is off by
+half a millimetre, with wind-up and without.
 
-A chance is that of as much in ordinary data, at most. Lines count in the table of a place that the converter writes:
-one header, then all rows of hole_0, then those of hole_1."""
+"Chance" is an upper limit of the probability of such a value in data without errors. Lines are those of the table of a
+place that the converter writes: one header, then all rows of hole_0, then those of hole_1."""
 
 
 def main() -> int:

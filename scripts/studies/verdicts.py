@@ -29,25 +29,25 @@ LEAST = ("improvement", "held-out poses", "redundancy", "places", "joints")
 HEAD = """# Does the verdict say no?
 
 Every calibration ends with a list of checks (see [assessment](assessment.md)); it is trusted when all of them pass.
-Here sessions of simulated robots, made without any of the toolkit's mathematics, are judged: sound ones, by which the
-thresholds were set, and bad ones. Made by `python scripts/studies/verdicts.py`; the sessions are described in
-`scripts/studies/verdict_sessions.py`.
+This page judges sessions of simulated robots, which are made without any of the toolkit's mathematics. By the sound
+sessions the thresholds were set; in the bad ones something is wrong. The page is made by
+`python scripts/studies/verdicts.py`; the sessions are described in `scripts/studies/verdict_sessions.py`.
 
-How the thresholds came about: what was called sound was written down before it was judged, but for dense paths. Some of
-the first of these kept to so narrow a region that the calibration improved little on held-out rows, and the verdict
-said that no improvement was shown; paths now go several times through 0.7 rad in every joint. Two thresholds were moved
-after bad sessions had been seen: "redundancy" to less than half the worst of the sound ones, and "explained" to what
-poor arms need, which is less than random numbers leave by a factor of twenty. The check "one machine" was added when
-four of the twenty later sessions had been trusted: its threshold is by the sound ones alone, but it was built to see
-what these were.
+How the thresholds were chosen: what counts as sound was written down before it was judged, except for dense paths. Some
+of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and the
+verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Two thresholds
+were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound sessions, and
+"explained" to what poor arms need, a twentieth of what random numbers leave. The check "one machine" was added when
+four of twenty later sessions had been trusted. Its threshold comes from the sound sessions alone, but it was made to
+find what these were.
 """
 
-TAIL = """## What it cannot see
+TAIL = """## What it cannot find
 
-What is wrong alike in all rows, with those held out, shows in no row. Errors that come and go from row to row in more
-than two ways, or in few of the rows, look like a worse instrument or a worse arm. Where no sigma is stated the verdict
-takes them for that, and the errors of the rows held out, which it quotes, are as large as they really are. State the
-instrument's sigma. Fewer than about forty positions are too few to tell rows of two machines apart.
+An error that is the same in all rows, also in the held-out ones, shows in no row. Errors that come and go from row to
+row in more than two ways, or in few of the rows, look like a worse instrument or a worse arm. If no sigma is stated,
+the verdict cannot tell the difference. But the errors of the held-out rows, which it quotes, are then as large as they
+really are. State the instrument's sigma. About forty positions are needed to split rows between two machines.
 """
 
 
@@ -83,8 +83,9 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         parts.append("Those that were not trusted, by the checks that did not pass:\n")
         parts += [f"- {WORDS[line['layout']]} ({line['robot']}): {', '.join(line['failed'])}" for line in doubted]
         parts.append("")
-    parts.append("What the checks found in sound sessions, and what they allow. A finding also needs significance.\n")
-    rows = ["| check | half of them | all but one of a hundred | the worst | allowed |", "|---|--:|--:|--:|--:|"]
+    said = "What the checks found in sound sessions, and what they allow. To fail, a value must also be significant."
+    parts.append(said + "\n")
+    rows = ["| check | median | 99 of 100 | worst | allowed |", "|---|--:|--:|--:|--:|"]
     for name in dict.fromkeys(name for line in good for name in line["checks"]):
         found = np.array([line["checks"][name] for line in good if name in line["checks"]], dtype=np.float64)
         x = found[np.isfinite(found[:, 0]), 0]
@@ -104,14 +105,14 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         (
             "later",
             "Ten more",
-            f"Written down before any was judged; on another robot ({LATER_ROBOT}). Four of the twenty sessions were "
-            'trusted before the check "one machine" was made to see what these were.',
+            f"Written down before any was judged, on another robot ({LATER_ROBOT}). Four of the twenty sessions were "
+            'trusted before the check "one machine" was made to find what these were.',
         ),
         (
             "last",
             "And ten after that",
-            f"Written down before any was judged, and with that check in place; on one more robot ({LAST_ROBOT}), as "
-            "they came out.",
+            "Written down before any was judged, with that check in place and on one more robot "
+            f"({LAST_ROBOT}); shown as they came out.",
         ),
     ):
         own = [line for line in lines if line["set"] == name]

@@ -309,14 +309,14 @@ def test_verify_says_that_the_base_has_moved(case: Path) -> None:
     text = " ".join(said.out.split())
     assert said.code == 3
     assert "does not explain the errors" in text
-    assert "the arm is as calibrated, and stands elsewhere." in text
+    assert "the arm is as calibrated, but stands elsewhere." in text
     assert run("verify", case / "out", shifted(case, 0.5), "--refit-base", "-q").code == 0
 
 
 def test_compare_of_a_folder_with_itself(case: Path) -> None:
     said = run("compare", case / "out", case / "out")
     assert (said.code, said.err) == (0, "")
-    assert " ".join(said.out.split()).endswith("Nothing has moved by more than the joint uncertainty.")
+    assert " ".join(said.out.split()).endswith("Nothing has moved by more than the uncertainty of both explains.")
     contents = json.loads(run("compare", case / "out", case / "out", "--json").out)
     assert (contents["moved"], contents["tip"]["max"]) == (False, pytest.approx(0.0, abs=1e-9))
 

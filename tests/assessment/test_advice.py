@@ -87,7 +87,7 @@ def test_what_only_moves_alike_is_to_be_left_out() -> None:
     (said,) = null_space_advice(model, [data], seen.null_space)
     assert said.remedies == ()
     assert said.sentence.endswith(
-        "No measurement of the tip tells them apart, as they move it alike; leave one of them out."
+        "No measurement of the tip tells them apart, as they move it in the same way; leave one of them out."
     )
 
 
@@ -175,8 +175,8 @@ def test_what_no_pose_would_show_is_one_sentence() -> None:
     assert len(every) == 18
     (said,) = told_briefly(model, [data], null_space, every)
     assert said == (
-        "18 combinations of parameters no position can show, normal for six revolute joints with a free base and tool; "
-        "no prediction depends on them."
+        "18 combinations that no position determines: normal for six revolute joints with a free base and tool. "
+        "No prediction depends on them."
     )
     # Few directions are told one by one.
     assert told_briefly(model, [data], null_space[:2], every[:2]) == tuple(every[:2])

@@ -27,7 +27,7 @@ def test_tables_of_two_set_ups_under_one_name(moved: tuple[float, float]) -> Non
         bent = data.position + 1e-4 * np.sin(3.0 * data.readings[:, :3])
         sets.append(replace(data, where=f"{k}.csv", position=bent))
     found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets))
-    named = [doubt.split(" asks")[0] for doubt in found.doubts if "asks for a base of its own" in doubt]
+    named = [doubt.split(" fits")[0] for doubt in found.doubts if "fits better with a base of its own" in doubt]
     assert ("2.csv" in named) == (moved[0] > 0.0)
     assert not named or not found.trusted
     if not moved[0]:
@@ -49,7 +49,7 @@ def test_tables_of_two_arms_from_two_stations_are_named_though_tools_may_take_it
         data = machines.Machine(made, anywhere(rng), tool).measure(robot, made.draw(rng, 50), rng=rng, sigma=SIGMA)
         sets.append(replace(data.named(tool=name), where=f"{name}.csv"))
     found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets))
-    assert any("asks for a base of its own" in doubt for doubt in found.doubts)
+    assert any("fits better with a base of its own" in doubt for doubt in found.doubts)
 
 
 def test_what_a_rigid_motion_does_not_explain_asks_for_nothing() -> None:

@@ -77,7 +77,7 @@ def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> No
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
     assert len({check.name for check in found.checks}) == len(found.checks) == 22
-    assert found.shown[0].startswith("Shown where measured: within ")
+    assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
     assert "held out" in alone.shown[1]
@@ -141,7 +141,7 @@ def test_what_the_user_answers_for_does_not_count(cell: Cell) -> None:
     accepted = found.accepting(["joints"])
     assert (accepted.trusted, accepted.doubts) == (True, ())
     (check,) = (check for check in accepted.checks if check.name == "joints")
-    assert check.sentence == "Never moved, or never read: 'wrist_2_joint'. The job says that it is so."
+    assert check.sentence == "Never moved, or never read: 'wrist_2_joint'. The job accepts this."
     assert found.accepting(["lengths"]).doubts == found.doubts
 
 
@@ -254,11 +254,11 @@ def test_a_table_that_asks_for_a_base_of_its_own() -> None:
     found = calib.assess(calib.identify(cell.model, [one, moved]))
     (check,) = (check for check in found.checks if check.name == "groups")
     assert not check.passed
-    assert "it asks for a base of its own" in check.sentence
+    assert "it fits better with a base of its own" in check.sentence
 
 
 def test_a_table_that_asks_for_a_tool_of_its_own_however_much() -> None:
-    """The noise of a table is estimated with what it lacks in it: its size is told by what remains all the same."""
+    """The noise of a table is estimated with what it lacks in it: its size is judged by what remains all the same."""
     cell = Cell(9)
     one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
     sizes = []
@@ -268,6 +268,6 @@ def test_a_table_that_asks_for_a_tool_of_its_own_however_much() -> None:
         found = calib.assess(calib.identify(cell.model, [one, moved]))
         (check,) = (check for check in found.checks if check.name == "groups")
         assert not check.passed
-        assert "it asks for a tool of its own" in check.sentence
+        assert "it fits better with a tool of its own" in check.sentence
         sizes.append(check.statistic)
     assert sizes[1] > 5.0 * sizes[0]

@@ -343,7 +343,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("known: renamed",),
         ("observes: position", "observes: pose", "observes: pair_distance"),
-        "there is no target 's0' to call otherwise; there are none",
+        "there is no target 's0' to rename; there are none",
     ),
     Refusal(
         ("known: length",),

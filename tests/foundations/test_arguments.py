@@ -15,6 +15,7 @@ import calib
 from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import JobError
+from calib.identification.relations import Relation
 from tests.support.cases import CASE, TABLE
 
 
@@ -156,6 +157,36 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
         (lambda: calib.Deviations(None, np.zeros(6)), "Deviations: placements is None; needs an array of numbers."),  # type: ignore[arg-type]
         (lambda: data.subset([99]), "there are no such rows among 60"),
+    ):  # fmt: skip
+        with pytest.raises(calib.CalibError) as caught:
+            slip()
+        assert said in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_numbers_out_of_range_are_sentences() -> None:
+    """Where a number would be taken as it is, and answered with confidence."""
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
+    model = calib.error_model(robot, offsets="all")
+    machine = calib.machine_of(calib.identify(model, data))
+    q, T = data.readings, robot.tips(data.readings)
+    with_nan, wild = (np.where(np.arange(len(q))[:, None] == 2, value, q) for value in (np.nan, 1e300))
+    for slip, said in (
+        (lambda: robot.tips(with_nan), "readings: row 3 of 'joint_1' is nan; allowed is -10000 to 10000 rad."),
+        (lambda: machine.predict(wild), "readings: row 3 of 'joint_1' is 1e+300; allowed is"),
+        (lambda: machine.tool_jacobian(q[:, :5]), "readings of shape (60, 5): needs (N, 6)"),
+        (lambda: machine.tool_jacobian(with_nan), "row 3 of 'joint_1' is nan"),
+        (lambda: calib.poses(robot, q, T.swapaxes(1, 2)), "placements: row 1 is none; needed are a rotation"),
+        (lambda: calib.poses(robot, q, np.where(np.eye(4) > 0, 1e200, T)), "placements: row 1 is none"),
+        (lambda: calib.poses(robot, q, np.full_like(T, np.nan)), "placements: row 1 is none"),
+        (lambda: calib.verify(machine, data, limit=np.nan), "limit is nan m; allowed is 1e-06 to 1000 mm."),
+        (lambda: calib.plan(model, 10, candidates=10**12), "1000000000000 random poses are asked for; allowed are"),
+        (lambda: calib.plan(model, 10, candidates=100, target=-1e-3), "target is -0.001 m; allowed is"),
+        (lambda: calib.plan(model, 2, candidates=with_nan), "row 3 of 'joint_1' is nan"),
+        (lambda: calib.Priors(length=-1.0), "Priors: length is -1 m; allowed is 1e-06 to 1000 mm."),
+        (lambda: Relation("nope", ("a", "b"), 1.0, 1.0), "relation: 'nope' is not one of distance, angle, offset."),  # type: ignore[arg-type]
+        (lambda: Relation("distance", ("a",), 1.0, 1.0), "Relation: targets is ('a',); needs 2 texts."),  # type: ignore[arg-type]
     ):  # fmt: skip
         with pytest.raises(calib.CalibError) as caught:
             slip()

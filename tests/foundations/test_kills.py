@@ -161,7 +161,7 @@ def test_a_writer_waits_for_a_reader_or_is_told(tmp_path: Path, monkeypatch: pyt
             hasty.setattr(folders, "_PATIENCE", 0.05)
             with pytest.raises(OutputError) as caught:
                 write_folder(out, {"a": "new"}, ("a",))
-        assert str(caught.value) == f"{out}: another run is busy with it or beside it; try again when it has ended."
+        assert str(caught.value) == f"{out}: another run is writing here; try again when it has ended."
         assert names(tmp_path) == ["out"]
         threading.Timer(0.1, enough.set).start()
         write_folder(out, {"a": "new"}, ("a",))
@@ -285,7 +285,7 @@ def test_what_cannot_be_put_right_is_said(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(os, "rename", failing(errno.EROFS))
     with pytest.raises(OutputError) as caught, reading_folder(out):
         pass
-    assert str(caught.value) == f"{out}: what an interrupted run left cannot be put right (Read-only file system)."
+    assert str(caught.value) == f"{out}: what an interrupted run left cannot be repaired (Read-only file system)."
     monkeypatch.undo()
     with reading_folder(out):
         assert (out / "a").read_text() == "old"

@@ -14,11 +14,11 @@ from calib.job.inputs import load_arm
 from calib.measurement.kinds import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
-from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
 from calib.presentation.meshes import parse_mesh, simplified
 from calib.presentation.thin_meshes import ThinMesh, thin_mesh
 from calib.presentation.visuals import MOST_SHAPES, visuals
+from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
 from scripts.development import hostile_files

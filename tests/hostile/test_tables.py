@@ -52,13 +52,13 @@ def test_a_table_as_a_german_spreadsheet_saves_it(tmp_path: Path) -> None:
         # 1.234 is a thousand or one and a quarter: whoever mixes has to say which.
         (
             "x [mm];y [mm]\n1,5;2\n3;1.234\n",
-            ":3: column 'y': '1.234' has a decimal point, and {}:2, column 'x', has the other; write one of them in "
-            "the whole file, and nothing between thousands.",
+            ":3: column 'y': '1.234' has a decimal point, and {}:2, column 'x', has a decimal comma; use one of "
+            "them in the whole file, and no mark between thousands.",
         ),
         (
             "x [mm];y [mm]\n1;2\n1.234,5;3\n",
-            ":3: column 'x': '1.234,5' has a decimal comma, and the same cell has the other; write one of them in the "
-            "whole file, and nothing between thousands.",
+            ":3: column 'x': '1.234,5' has a decimal comma, and the same cell has a decimal point; use one of them in "
+            "the whole file, and no mark between thousands.",
         ),
         ("x [mm];y [mm]\n1,2,3;4\n", ":2: column 'x': '1.2.3' is not a number like 12.5 or 1.25e1."),
         ("x [mm];y [mm]\n1,5\n", ":2: the header has 2 cells and this row has 1."),

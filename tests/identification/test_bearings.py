@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.errors import JobError
-from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
@@ -21,7 +20,7 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.sources import resolve
 from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.gears import UR10
 
 Array = np.ndarray
@@ -265,15 +264,7 @@ def test_columns_of_all_parameters_match_central_differences() -> None:
     x = lab.rng.uniform(-20.0, 20.0, len(parameters)) * scale
     problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (lab.measure(),))
 
-    def residuals(v: Array) -> Array:
-        return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()
-
-    (J,) = system.jacobian(problem, x)
-    J = J.reshape(-1, len(x))
-    for k, parameter in enumerate(parameters):
-        step = 1e-2 * scale * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / (2 * step[k])
-        assert np.abs(J[:, k] - numeric).max() <= 2e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
+    jacobians.check(problem, x, 1e-2 * scale, within=2e-6, least=1e-2)
 
 
 def test_neither_the_order_of_rows_nor_the_place_of_the_room_matters() -> None:

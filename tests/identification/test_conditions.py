@@ -13,7 +13,6 @@ from calib.assessment.choice import candidates, choose_terms
 from calib.compensation import targets
 from calib.compensation.commands import for_joint_targets
 from calib.foundations.errors import JobError, MeasurementError, RobotError
-from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
@@ -21,7 +20,7 @@ from calib.machine.model_file import model_json
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.gears import UR10, geared
 
 Array = np.ndarray
@@ -102,15 +101,7 @@ def test_columns_match_central_differences() -> None:
     data = calib.read_measurements(lab.columns(), lab.robot)
     problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (data,))
 
-    def residuals(v: Array) -> Array:
-        return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()
-
-    (J,) = system.jacobian(problem, x)
-    J = J.reshape(-1, len(x))
-    for k, parameter in enumerate(parameters):
-        step = 1e-5 * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / 2e-5
-        assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
+    jacobians.check(problem, x)
 
 
 def test_measured_torques_wind_drives_up() -> None:

@@ -8,7 +8,6 @@ import pytest
 
 import calib
 from calib.foundations.errors import JobError
-from calib.identification import system
 from calib.identification.error_model import corrected_dh
 from calib.identification.machine import Frames, machine
 from calib.identification.observability import Observability, observability
@@ -17,7 +16,7 @@ from calib.machine.urdf import calibrated_urdf
 from calib.robot import dh
 from calib.robot.dh import DhRow, DhTable
 from calib.robot.urdf import parse_urdf
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.dh_tables import CONVENTIONS, product, random_table, robot_of
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -105,16 +104,7 @@ def test_columns_match_central_differences(convention: str) -> None:
             model, parameters, Frames(machines.anywhere(rng)[None], machines.anywhere(rng, 0.3)[None]), (data,)
         )
         x = rng.uniform(-0.3, 0.3, len(parameters))
-        (J,) = system.jacobian(problem, x)
-
-        def residual(values: Array, problem: Problem = problem, data: calib.Measurements = data) -> Array:
-            return system.residuals(problem.model.robot, (data,), problem.machine(values))[0]
-
-        h = 1e-5
-        for k, parameter in enumerate(parameters):
-            step = h * (np.arange(len(x)) == k)
-            numeric = (residual(x + step) - residual(x - step)) / (2 * h)
-            assert np.abs(J[:, :, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
+        jacobians.check(problem, x, least=1e-2)
 
 
 def poses(robot: calib.Robot, rng: np.random.Generator, n: int = 6, observes: str = "position") -> calib.Measurements:

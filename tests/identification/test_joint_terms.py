@@ -10,13 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.errors import JobError
-from calib.identification import system
 from calib.identification.error_model import with_terms
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.identification.total_differential import total_differential
 from calib.robot.terms import JointTerm
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.gears import UR10, geared, wavy
 
 Array = np.ndarray
@@ -124,16 +123,7 @@ def test_columns_match_central_differences(name: str) -> None:
     data = true.measure(robot, readings, "pose", sigma=1e-3, sigma_angle=1e-3)
     problem = replace(problem, measurements=(replace(data, orientation=seen[:, :3, :3]),))
 
-    def residuals(v: Array) -> Array:
-        return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()
-
-    (J,) = system.jacobian(problem, x)
-    J = J.reshape(-1, len(x))
-    h = 1e-5
-    for k, parameter in enumerate(parameters):
-        step = h * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / (2 * h)
-        assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
+    jacobians.check(problem, x)
 
 
 def robot_tips(model: calib.ErrorModel, readings: Array, at: object) -> Array:

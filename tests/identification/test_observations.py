@@ -17,7 +17,7 @@ from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.machines import Array, anywhere, pose
 from tests.support.touching import NORMALS, RADIUS, SOCKETS, UR10, Lab, between, lab
 
@@ -97,37 +97,19 @@ def at_random(
     return Problem(model, parameters, reference, (data,), relations=tuple(relations)), x
 
 
-def check(analytic: Array, of: Callable[[Array], Array], x: Array, names: Sequence[str]) -> None:
-    """Analytic and numeric columns agree to 1e-6 of the column, or of 1 mm per m where a column is smaller."""
-    h = 1e-5
-    for k, name in enumerate(names):
-        step = h * (np.arange(len(x)) == k)
-        numeric = (of(x + step) - of(x - step)) / (2 * h)
-        error = np.abs(analytic[:, k] - numeric).max()
-        assert error <= 1e-6 * max(np.abs(numeric).max(), 1e-3), name
-
-
-def check_columns(found: Problem, x: Array) -> None:
-    def residuals(at: Array) -> Array:
-        return system.residuals(found.model.robot, found.measurements, found.machine(at))[0].ravel()
-
-    (J,) = system.jacobian(found, x)
-    check(J.reshape(-1, len(x)), residuals, x, [parameter.name for parameter in found.parameters])
-
-
 @pytest.mark.parametrize(("kind", "known", "offset"), CASES)
 @pytest.mark.parametrize("name", ["ur10", "skew", "loop"])
 def test_columns_match_central_differences(name: str, kind: str, known: bool, offset: bool) -> None:
     found, x = at_random(name, kind, known=known, offset=offset)
-    of_targets = [parameter.name for parameter in found.parameters if parameter.kind == "target"]
+    of_targets = [parameter.name for parameter in found.parameters if parameter.nuisance]
     free = {"pair_distance": 0, "plane": 6, "indicator": 2}.get(kind, 6)
     assert len(of_targets) == (0 if known and kind != "indicator" else free) + offset
-    check_columns(found, x)
+    jacobians.check(found, x)
 
 
 @pytest.mark.parametrize("kind", COLUMNS)
 def test_columns_of_dh_parameters_match_central_differences(kind: str) -> None:
-    check_columns(*at_random("ur10", kind, known=False, offset=False, dh=True))
+    jacobians.check(*at_random("ur10", kind, known=False, offset=False, dh=True))
 
 
 @pytest.mark.parametrize(
@@ -151,7 +133,7 @@ def test_relations_match_central_differences(kind: str, of: str, value: float) -
     J = system.evaluate(found, sigmas, x).relations[:, :-1] / scales(found.parameters)
     assert len(J) == (2 if value in (0.0, np.pi) and kind == "angle" else 1)
     assert np.abs(J).max() > 1.0
-    check(J, residuals, x, [parameter.name for parameter in found.parameters])
+    jacobians.compare(J, residuals, x, [parameter.name for parameter in found.parameters])
 
 
 # ---- (b) the truth is found

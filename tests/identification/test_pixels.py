@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.errors import JobError, MeasurementError
-from calib.identification import system, targets
+from calib.identification import targets
 from calib.identification.identify import residuals_of
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.observability import observability
 from calib.identification.system import Problem
 from calib.identification.targets import Target
-from tests.support import cameras, machines
+from tests.support import cameras, jacobians, machines
 from tests.support.cameras import BLOCK, BOARD, MARK, TIP, UR5, Array, Scene, scene
 
 ROBOT, NOMINAL = machines.load(UR5, TIP), machines.arm(UR5, TIP)
@@ -52,16 +52,7 @@ def test_columns_match_central_differences(camera_on: str, what: str) -> None:
     parameters = (*model.parameters(), *targets.unknowns([data], {}, layout))
     problem = replace(start, parameters=parameters)
     x = values_at(ROBOT, parameters, start.reference) + rng.uniform(-0.04, 0.04, len(parameters))
-    (J,), h = system.jacobian(problem, x), 1e-6
-
-    def residuals(at: Array) -> Array:
-        return system.residuals(ROBOT, problem.measurements, problem.machine(at))[0]
-
-    assert J.shape == (len(data), 2, len(parameters))
-    for k, parameter in enumerate(parameters):
-        step = h * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / (2 * h)
-        assert np.abs(J[:, :, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 10.0), parameter.name
+    jacobians.check(problem, x, 1e-6, least=10.0)
 
 
 @pytest.mark.parametrize(("what", "rank"), [("board", 30), ("block", 30), ("mark", 26)])

@@ -217,16 +217,16 @@ def test_orientations(arm: str, spoil: Spoil, says: str) -> None:
 def test_what_is_said() -> None:
     assert Lab("ur10").sentence(joint("elbow_joint", np.negative)) == (
         "arrays: it looks as if 'elbow_joint' is read with the wrong sign: the nominal robot misses the measurements "
-        "by 729 mm rms, and by 2.6 mm with this mended."
+        "by 729 mm rms, and by 2.6 mm with this corrected."
     )
     assert Lab("ur10").sentence(joint("wrist_3_joint", np.negative)) == (
         "arrays: it looks as if 'wrist_3_joint' is read with the wrong sign: the nominal robot misses the measurements "
-        "by 51 mm rms, and by 2.6 mm with this mended; as well it could be that 'wrist_2_joint' is read from another "
+        "by 51 mm rms, and by 2.6 mm with this corrected; it could also be that 'wrist_2_joint' is read from another "
         "zero and needs 180 deg."
     )
     assert Lab("panda", "pose").sentence(wxyz(lambda q: q[:, [1, 2, 3, 0]])) == (
         "arrays: it looks as if qw, qx, qy, qz hold x, y, z, w: the nominal robot misses the measurements by 2489 mm "
-        "rms (1 rad counted as 1.42 m), and by 7 mm with this mended."
+        "rms (1 rad counted as 1.42 m), and by 7 mm with this corrected."
     )
 
 
@@ -337,7 +337,7 @@ def test_two_mistakes_are_not_taken_for_one() -> None:
             "unexplained",
             "arrays: the nominal robot misses the measurements by 420 mm rms, and no typical mistake explains it (the "
             "nearest, that 'panda_joint5' is read from another zero and needs 180 deg, leaves 154 mm): is this the "
-            "URDF of the robot that was measured, is a zero off by more than 10 deg, do readings and measurements of a "
+            "URDF of the robot that was measured, is a joint offset above 10 deg, do readings and measurements of a "
             "row belong together, or are there two mistakes?",
         ),
     )

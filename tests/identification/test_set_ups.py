@@ -169,7 +169,7 @@ def test_bad_set_ups_are_refused(cell: Cell) -> None:
     sets = [cell.measure("left"), cell.measure("right")]
     with pytest.raises(JobError, match="a prior of the base has a length and an angle; give both"):
         SetUp(np.eye(4), 1e-3)
-    with pytest.raises(JobError, match="'moon' is in no measurement; they have 'left', 'right'"):
+    with pytest.raises(JobError, match="'moon' is in no measurement; the measurements have 'left', 'right'"):
         calib.identify(calib.error_model(cell.robot, known=calib.Known(setups={"moon": SetUp(np.eye(4))})), sets)
     fixed = calib.error_model(cell.robot, base="fixed", known=calib.Known(setups={"left": SetUp(np.eye(4))}))
     with pytest.raises(JobError, match="the pose of the base in 'right' is missing, and the base is fixed"):

@@ -15,6 +15,7 @@ from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
 from calib.measurement.checks import table_findings
 from calib.measuring import Camera
+from tests.support import jacobians
 from tests.support.machines import Array, anywhere, pose
 from tests.support.trees import TIPS, TOOLS, Tree, touching, tree
 
@@ -86,15 +87,7 @@ def test_columns_match_central_differences(kind: str, links: dict[str, str]) -> 
     model = calib.error_model(made.robot, offsets="all", placements=["*"], tool="pose")
     found = Problem(model, found.parameters, found.reference, (data,))
 
-    def residuals(at: Array) -> Array:
-        return system.residuals(found.model.robot, found.measurements, found.machine(at))[0].ravel()
-
-    (J,) = system.jacobian(found, x)
-    J = J.reshape(-1, len(x))
-    for k, parameter in enumerate(found.parameters):
-        step = 1e-5 * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / 2e-5
-        assert np.abs(J[:, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
+    jacobians.check(found, x)
 
 
 def test_what_both_frames_have_in_common_cancels() -> None:

@@ -9,7 +9,6 @@ import pytest
 import calib
 from calib.assessment.choice import Candidate, choose_terms
 from calib.compensation.commands import for_joint_targets
-from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
@@ -17,7 +16,7 @@ from calib.machine.model_file import model_json
 from calib.robot.gravity import Payload
 from calib.robot.terms import JointTerm
 from scripts.simulate import irb2400 as simulation
-from tests.support import machines
+from tests.support import jacobians, machines
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,15 +92,7 @@ def test_columns_match_central_differences(robot: calib.Robot) -> None:
     data = calib.read_measurements(columns, robot)
     problem = Problem(model, parameters, Frames(np.eye(4)[None], np.eye(4)[None]), (data,))
 
-    def residuals(v: Array) -> Array:
-        return system.residuals(model.robot, problem.measurements, problem.machine(v))[0].ravel()
-
-    (J,) = system.jacobian(problem, x)
-    J = J.reshape(-1, len(x))
-    for k, parameter in enumerate(parameters):
-        step = 1e-2 * scale * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / (2 * step[k])
-        assert np.abs(J[:, k] - numeric).max() <= 2e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
+    jacobians.check(problem, x, 1e-2 * scale, within=2e-6, least=1e-2)
 
 
 def test_it_is_chosen_where_it_is(robot: calib.Robot) -> None:

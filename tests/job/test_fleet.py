@@ -126,7 +126,7 @@ def test_json_and_doubts(folder: Path) -> None:
     assert said.out == (folder / "fleet/summary.json").read_text(encoding="utf-8")
     (one,) = json.loads(said.out)["fleet"]
     assert (one["name"], one["word"]) == ("jobs", "not trusted")
-    assert "On data that the fit never saw the position error is no smaller than before calibration." in one["why"]
+    assert "On held-out data the position error is no smaller than before calibration." in one["why"]
 
 
 # Before anything runs. --------------------------------------------------------------------------------------------
@@ -259,6 +259,20 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
     running.communicate()
     chosen = fleet_jobs([Path(f"jobs/{name}") for name in many], Path("fleet"))
     assert 1 <= sum(map(unchanged, chosen)) < len(many)
+
+
+def test_workers_that_are_being_born_do_not_hear_ctrl_c(folder: Path) -> None:
+    """While they read their modules, long before they could say what to do about it."""
+    (folder / "jobs/other.toml").write_bytes((folder / "jobs/plain.toml").read_bytes())
+    listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {MAIN}"
+    command = [sys.executable, "-W", "error", "-c", listening, "fleet", *jobs("plain.toml", "other.toml"), "-j", "2"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    parent = psutil.Process(running.pid)
+    while running.poll() is None and not parent.children():
+        time.sleep(0.001)
+    os.killpg(running.pid, signal.SIGINT)
+    said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
+    assert (running.wait(), *running.communicate()) == (130, "", said)
 
 
 # A cluster. -------------------------------------------------------------------------------------------------------

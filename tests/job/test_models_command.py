@@ -49,7 +49,7 @@ def test_the_document_tells_every_model(folder: Path) -> None:
 def test_chosen_terms_are_named() -> None:
     code, out, _ = run("models", CASE / "calibration_realistic.toml", "--folds", "3")
     assert code == 0
-    assert re.search(r"\d+ joint terms are chosen by all rows: joint_1\.cos_1,", out)
+    assert re.search(r"\d+ joint terms are chosen with all rows: joint_1\.cos_1,", out)
     assert "Recommended: joint terms" in out
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 import calib
 from tests.support import machines
-from tests.support.cases import run
+from tests.support.cases import run, write_table
 from tests.support.machines import Array, anywhere, pose
 from tests.support.touching import UR10
 
@@ -24,13 +23,6 @@ tip = "tool0"
 offsets = "all"
 placements = "all"
 """
-
-
-def write(path: Path, columns: Mapping[str, object]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("judge", "right", "ball", 20),
         ("far", "far", "long", 20),
     ):
-        write(folder / f"{name}.csv", columns(setup, tool, n))
+        write_table(folder / f"{name}.csv", columns(setup, tool, n))
     both = [columns("left", "ball", 30), columns("right", "ball", 30)]
-    write(
+    write_table(
         folder / "both.csv",
         {name: np.concatenate([part[name] for part in both]) for name in both[0]}
         | {"setup": ["left"] * 30 + ["right"] * 30, "tool": ["ball"] * 60},
@@ -105,7 +97,7 @@ def test_an_arm_from_two_places(folder: Path) -> None:
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6))
     for setup in ("left", "right"):
         placed = machine.at(setup).predict(q, tool="ball")[:, :3, 3]
-        write(folder / "wanted.csv", {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")})
+        write_table(folder / "wanted.csv", {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")})
         (folder / "corrected.csv").unlink(missing_ok=True)
         options = ("--tool", "ball", "--setup", setup, "--frame", "instrument", "-q")
         assert run("compensate", out, folder / "wanted.csv", "-o", folder / "corrected.csv", *options).code == 0
@@ -153,7 +145,7 @@ WRONG = {
     "set-up by key and column": ((table("both", setup="left"),), "both.csv: the setup is given twice, as 'left'"),
     "set-up of nothing": (
         (LEFT, f"[setups.moon]\n{FRAME}"),
-        "job.toml: setups: 'moon' is in no measurement; they have 'left'.",
+        "job.toml: setups: 'moon' is in no measurement; the measurements have 'left'.",
     ),
     "base of no set-up": (
         (LEFT, f'[base]\n{FRAME}prior = {{ length = "1 mm", angle = "1 mrad" }}\n'),

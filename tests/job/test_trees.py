@@ -2,16 +2,15 @@
 
 import csv
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
-from calib.presentation.arm import arm_of, link_placements
+from calib.robot.links import arm_of, link_placements
 from calib.robot.urdf import parse_urdf
-from tests.support.cases import run
+from tests.support.cases import run, write_table
 from tests.support.machines import anywhere, pose
 from tests.support.trees import TIPS, TOOLS, Tree, gap, touching, tree, urdf
 
@@ -31,13 +30,6 @@ TOUCH = '[[measurements]]\nfile = "touch.csv"\nobserves = "socket"\ntip = "left_
 ON = '[targets.a]\non = "right_hand"\n[targets.b]\non = "right_hand"\nposition = ["-60 mm", "30 mm", "120 mm"]\n'
 
 
-def write(path: Path, columns: Mapping[str, object]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-
-
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tree]:
     """Both hands tracked, the right one without a column of the left arm and the other way round; and they touch."""
@@ -47,11 +39,13 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tree]:
     for name, tip, n in (("right", "right_hand", 120), ("left", "left_hand", 120), ("judge", "left_hand", 40)):
         q = made.draw(rng, n)
         seen = (base @ made.link(tip, q) @ TOOLS[tip])[:, :3, 3] + rng.normal(scale=SIGMA, size=(n, 3))
-        write(folder / f"{name}.csv", made.columns(q, (tip,)) | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")})
+        write_table(
+            folder / f"{name}.csv", made.columns(q, (tip,)) | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")}
+        )
     places = np.repeat([(0.05, 0.02, 0.15), (-0.06, 0.03, 0.12)], 30, axis=0)
     q = touching(made, rng, places + rng.normal(scale=SIGMA, size=places.shape))
     # The head moves as well, and matters to nothing.
-    write(folder / "touch.csv", made.columns(q) | {"target": ["a"] * 30 + ["b"] * 30})
+    write_table(folder / "touch.csv", made.columns(q) | {"target": ["a"] * 30 + ["b"] * 30})
     return folder, made
 
 
@@ -82,7 +76,7 @@ def test_two_arms_that_touch_each_other(cell: tuple[Path, Tree]) -> None:
     # Corrected commands of one arm are of its joints alone, and take it where they say.
     wanted = {f"{name} [rad]": q[:5, k] for k, name in enumerate(r.name for r in machine.robot.readings)}
     wanted = {name: values for name, values in wanted.items() if not name.startswith("right_")}
-    write(folder / "wanted.csv", wanted)
+    write_table(folder / "wanted.csv", wanted)
     options = ("--tool", "left_hand", "--what", "position", "-q")
     assert run("compensate", out, folder / "wanted.csv", "-o", folder / "corrected.csv", *options).code == 0
     with (folder / "corrected.csv").open(encoding="utf-8") as file:
@@ -139,7 +133,7 @@ def test_a_camera_on_the_head_sees_a_mark_on_the_hand(cell: tuple[Path, Tree]) -
     x = (np.linalg.inv(made.link("head", q) @ eye) @ made.link("left_hand", q) @ TOOLS["left_hand"])[:, :3, 3]
     good = np.flatnonzero((x[:, 2] > 0.2) & (np.abs(x[:, :2]).max(axis=1) < x[:, 2]))[:150]
     u, v = (800.0 * x[good, :2] / x[good, 2:] + 500.0 + rng.normal(scale=0.05, size=(len(good), 2))).T
-    write(folder / "pixels.csv", made.columns(q[good], TIPS[1:]) | {"u [px]": u, "v [px]": v})
+    write_table(folder / "pixels.csv", made.columns(q[good], TIPS[1:]) | {"u [px]": u, "v [px]": v})
     job, out = folder / "eye.toml", folder / "eye"
     job.write_text(JOB + EYE.replace("{}", '{ link = "head" }') + LEFT, encoding="utf-8")
     said = run("calibrate", job, "-o", out)
@@ -181,7 +175,7 @@ def test_a_torso_joint_that_undoes_others(cell: tuple[Path, Tree], tmp_path: Pat
         seen = (at.tips(q, true) @ TOOLS[tip])[:, :3, 3] + rng.normal(scale=SIGMA, size=(150, 3))
         told = at.driving((tip,))
         columns = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings) if r.name in told}
-        write(tmp_path / f"{name}.csv", columns | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")})
+        write_table(tmp_path / f"{name}.csv", columns | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")})
     (tmp_path / "job.toml").write_text(JOB + COUPLED + RIGHT + LEFT, encoding="utf-8")
     assert run("calibrate", tmp_path / "job.toml", "-o", tmp_path / "out", "-q").code == 0
     machine = calib.load_machine(tmp_path / "out")

@@ -118,7 +118,7 @@ def test_all_is_told(found: Calibration, out: Path) -> None:
     report = (out / "report.md").read_text()
     for value in (position, found.judged_by["after"]["position"]):
         assert f"{value.rms * 1e3:.4f} mm" in report
-    assert "calibrated.urdf is the best without. On rows it never saw, base and tool fitted anew" in report
+    assert "calibrated.urdf is the best geometry without them. On held-out rows, base and tool fitted anew" in report
 
 
 def test_write_urdf_writes_the_same(fit: Fit, out: Path, tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ MISMATCHES: dict[str, tuple[Change, str]] = {
     "a joint less": (lambda c: c["joints"].pop(), "its joints are not those of nominal.urdf."),
     "another coupling": (
         put(2.0, "transmission", 2, "readings", "lift"),
-        "its transmission is not that of nominal.urdf.",
+        "its couplings are not those of nominal.urdf.",
     ),
     "no such tip": (put("flange", "tip"), "its robot cannot be used: out/nominal.urdf: tip 'flange' is not a link"),
 }

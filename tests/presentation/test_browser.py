@@ -12,10 +12,10 @@ import pytest
 from calib.foundations.rigid import inverse
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.arm import link_placements
 from calib.results.calibration import Calibration
 from calib.results.folder import report, scene, write_results
 from calib.results.scene import scene_of
+from calib.robot.links import link_placements
 from scripts.development.browser import CHROMIUM, Page, browser
 from tests.support.cases import CASE, JOB
 

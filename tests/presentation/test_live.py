@@ -24,9 +24,9 @@ import pytest
 from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.machine.model_file import load_machine
-from calib.presentation.arm import arm_of
 from calib.presentation.live import answer, sliders
 from calib.results.folder import write_results
+from calib.robot.links import arm_of
 from scripts.development.browser import CHROMIUM, browser
 from tests.support.cases import CASE, JOB, run
 
@@ -207,9 +207,7 @@ def test_questions_without_sense_are_answered_in_words(results: Path) -> None:
         {"readings": [0.0]},
         {"readings": []},
     ):
-        assert answer(model, json.dumps({**good, **changes})) == {
-            "sentence": "This is no question that the server knows."
-        }
+        assert answer(model, json.dumps({**good, **changes})) == {"sentence": "The server does not know this request."}
     for message in ("", "[]", "[" * 5000, b"\xff"):
         assert "positions" not in answer(model, message)
     assert "loop 'parallelogram'" in answer(model, json.dumps({**good, "apart": 1e6}))["sentence"]

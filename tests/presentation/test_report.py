@@ -125,20 +125,20 @@ def test_the_verdict_is_of_data_held_out(outcome: Calibration, report: Report) -
     before = outcome.metrics["validation"]["before"]["position"]
     assert report.verdict.trusted
     said = report.verdict.headline
-    assert said.startswith(f"{before.rms / after.rms:.0f} times better: on 30 rows it never saw")
+    assert said.startswith(f"{before.rms / after.rms:.0f} times better: on 30 held-out rows")
     assert f"from {before.rms * 1e3:.4f} mm to {after.rms * 1e3:.4f} mm rms" in said
     doubted = report_of(replace(outcome, doubts=("It is wrong.",))).verdict
     assert (doubted.trusted, doubted.reasons) == (False, ("Not to be trusted: It is wrong.",))
     own = replace(outcome, metrics={"identification": outcome.metrics["identification"]})
     alone = report_of(own).verdict
-    assert "60 rows it was fitted to" in alone.headline
+    assert "60 fitted rows" in alone.headline
     assert "no data were held out" in alone.reasons[0]
 
 
 def test_no_better_is_said_so(outcome: Calibration) -> None:
     swapped = {use: {"before": whens["after"], "after": whens["before"]} for use, whens in outcome.metrics.items()}
     said = report_of(replace(outcome, metrics=swapped)).verdict.headline
-    assert said.startswith("No better: on 30 rows it never saw")
+    assert said.startswith("No better: on 30 held-out rows")
 
 
 def test_every_part_of_the_issue_is_there(report: Report) -> None:
@@ -317,7 +317,7 @@ def test_levels_and_loops_are_told() -> None:
     (levels,) = [section for section in report.sections if section.key == "levels"]
     (sheet,) = [block for block in levels.blocks if isinstance(block, Sheet)]
     assert [row.cells[0] for row in sheet.rows] == ["base", "joint", "kinematic", "residual"]
-    assert "A URDF holds neither loops nor joint terms" in render_page(report)
+    assert "A URDF holds neither closed loops nor joint terms" in render_page(report)
 
 
 def test_importing_the_report_loads_no_template_engine() -> None:

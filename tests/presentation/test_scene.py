@@ -15,11 +15,11 @@ from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, placement, rotation_about
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.arm import arm_of, link_placements
 from calib.presentation.meshes import balls, parse_mesh, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
 from calib.presentation.thin_meshes import thin_mesh
 from calib.results.scene import scene_of
+from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
 from calib.robot.sources import find_mesh

@@ -48,6 +48,29 @@ def test_points_by_their_names(folder: Path) -> None:
     assert run("import", "joints.csv", "sa.txt", "-o", "measured.csv").code == 1
 
 
+def test_arrays(folder: Path) -> None:
+    s = session()
+    T = np.concatenate([s.rotation, s.position[:, :, None]], axis=2)
+    T = np.concatenate([T, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (40, 1, 1))], axis=1)
+    odd = {"rate": 500.0, "log": np.zeros(7), "any": np.array([{}] * 40, dtype=object)}
+    np.savez(folder / "m.npz", q=s.readings, p=s.position, quat=quaternions(s.rotation), **odd)
+    assert run("import", "m.npz", "-o", "a.csv", "-q") == (0, "", "")
+    names = understood(folder / "a.csv")
+    assert [names[key] for key in ("shoulder_pan_joint [rad]", "x [m]", "qw")] == ["q_0", "p_x", "quat_0"]
+    np.savez_compressed(folder / "n.npz", joints=np.degrees(s.readings), T=T)
+    assert run("import", "n.npz", "-o", "b.csv", "-q") == (0, "", "")
+    names = understood(folder / "b.csv")
+    assert [names[key] for key in ("shoulder_pan_joint [deg]", "x [m]", "r12")] == ["joints_0", "T_0_3", "T_0_1"]
+    held = read_sheet(folder / "m.npz")
+    assert float(held.rows[3][held.titles.index("p_y")]) == s.position[3, 1]
+    (folder / "cut.npz").write_bytes((folder / "m.npz").read_bytes()[:900])
+    said = run("import", "cut.npz", "-o", "c.csv")
+    assert (said.code, said.err) == (1, "Error: cut.npz: is no archive of arrays that can be read.\n")
+    np.savez(folder / "o.npz", any=odd["any"])
+    assert "holds no arrays of numbers or words" in run("import", "o.npz", "-o", "c.csv").err
+    assert not (folder / "c.csv").exists()
+
+
 def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
     logs(folder)
     assert "40 rows joined in their order" in run("import", "joints.csv", "in_order.txt", "-o", "a.csv").out

@@ -1,6 +1,7 @@
 """``calib init``, and ``calib check`` of files before there is a job."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,30 @@ def test_from_files_to_a_report_in_two_commands(folder: Path) -> None:
     result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
     assert result["trusted"]
     assert result["metrics"]["validation"]["after"]["position"]["rms"] < 1e-4
+
+
+def test_titles_of_any_characters_are_written_whole(folder: Path) -> None:
+    put(folder, "no units")
+    text = (folder / "measured.csv").read_text(encoding="utf-8")
+    title = 'X "\\\x7f\U0001f916-'
+    (folder / "measured.csv").write_text(text.replace("X", title, 1), encoding="utf-8")
+    assert run("init", UR10, "measured.csv", "-q").code == 0
+    job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+    assert job["measurements"][0]["columns"]["x [mm]"] == title
+
+
+def test_a_tracker_that_was_moved_is_told_with_the_row(folder: Path) -> None:
+    put(folder, "a tracker that was moved, and nothing says so")
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 1
+    assert "rows 1 to 20 and the rows after them fit the arm separately" in " ".join(said.err.split())
+    put(folder, "stations under a word of their own")
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.err.endswith("answer by --column 'setup=Station' or --column 'tool=Station'.\n")
+    assert run("init", UR10, "measured.csv", "--column", "setup=Station", "-q") == (0, "", "")
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q") == (0, "", "")
+    result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
+    assert sorted(result["setups"]) == ["7", "8"]
 
 
 def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Path) -> None:

@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 import calib
+from calib.job.chains import chains
+from calib.robot.load import load_robot
+from calib.robot.urdf import read_urdf
 from tests.proposal.twins import TWINS, URDF_OF, Expected, Twin
 
 
@@ -27,6 +30,16 @@ def test_twin(twin: Twin, tmp_path: Path) -> None:
     assert not found.questions, found.questions
     assert twin.expected is not None
     check(found, twin.expected)
+
+
+@pytest.mark.parametrize("urdf", ["baxter_description/urdf/baxter.urdf", "panda_description/urdf/panda.urdf"])
+def test_an_arm_has_the_readings_that_move_it_also_behind_fingers_that_follow_others(urdf: str) -> None:
+    document = read_urdf(f"example:{urdf}")
+    arms = chains(document)
+    assert len(arms) > 6
+    for arm in arms:
+        robot = load_robot(document, arm.tip, arm.base)
+        assert tuple(reading.name for reading in robot.readings) == arm.joints
 
 
 def check(found: calib.measuring.Proposal, expected: Expected) -> None:

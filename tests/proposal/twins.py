@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tests.support.people import PANDA, UR10, angles, quaternions, session, text
 
@@ -60,6 +61,23 @@ def degrees() -> np.ndarray:
 
 def mm() -> np.ndarray:
     return 1e3 * S().position
+
+
+def places(first: str, second: str, share: float) -> list[str]:
+    return [first] * round(40 * share) + [second] * (40 - round(40 * share))
+
+
+def moved_mm(share: float) -> np.ndarray:
+    """Points of which the last were measured from another place."""
+    turn = Rotation.from_rotvec([0.2, -0.4, 2.2]).as_matrix()
+    later = np.array(places("", "later", share)) == "later"
+    return np.where(later[:, None], 1e3 * (S().position @ turn.T + (3.0, 1.0, -0.5)), mm())
+
+
+def other_tool_mm() -> np.ndarray:
+    """Points of which every other one was measured on another tool, 0.4 m away."""
+    aside = 1e3 * S().rotation @ np.array((0.1, -0.3, 0.25))
+    return mm() + np.where(np.arange(40)[:, None] % 2, aside, 0.0)
 
 
 def posed(titles: list[str], convention: str, joints: list[str] = J) -> str:
@@ -236,6 +254,28 @@ TWINS = [
         lambda: text([*J, *XYZ], [degrees(), 1e3 * S().flange[:, :3, 3]]),
         Expected(J, "deg", XYZ, says="computed"),
     ),
+    # ---- more than one place, more than one tool
+    Twin(
+        "two set-ups",
+        lambda: text([*J, *XYZ, "setup"], [degrees(), moved_mm(0.6), places("A", "B", 0.6)]),
+        Expected(J, "deg", XYZ, ignore=[]),
+    ),
+    Twin(
+        "two tools by turns",
+        lambda: text([*J, *XYZ, "tool"], [degrees(), other_tool_mm(), ["ball", "cone"] * 20]),
+        Expected(J, "deg", XYZ, ignore=[]),
+    ),
+    Twin(
+        "stations under a word of their own",
+        lambda: text([*J, *XYZ, "Station"], [degrees(), moved_mm(0.6), places("7", "8", 0.6)]),
+        asks="setup",
+        answers={"columns": {"setup": "Station"}},
+    ),
+    Twin(
+        "a tracker that was moved, and nothing says so",
+        lambda: text([*J, *XYZ], [degrees(), moved_mm(0.5)]),
+        asks="setup",
+    ),
     # ---- orientations of controllers
     Twin(
         "KUKA",
@@ -347,6 +387,21 @@ TWINS = [
         Expected(J, "deg", observes="socket", words={"target": "hole"}),
     ),
     Twin(
+        "sockets without a header",
+        lambda: sockets(None),
+        Expected(numbered("column {}"), "deg", observes="socket", words={"target": "column 7"}),
+    ),
+    Twin(
+        "numbered sockets without a header, before the joints and behind a counter",
+        lambda: sockets(None, 4.0),
+        Expected(numbered("column {}", 3), "deg", observes="socket", words={"target": "column 2"}),
+    ),
+    Twin(
+        "joints without a header and a word that nothing touches",
+        lambda: text(None, [degrees(), ["left", "right"] * 20]),
+        asks="observes",
+    ),
+    Twin(
         "distances",
         lambda: text(
             [*J, "anchor", "length"],
@@ -425,7 +480,7 @@ TWINS = [
 ]
 
 
-def sockets(title: str) -> str:
+def sockets(title: str | None, first: float | None = None) -> str:
     """Touches of two sockets: forty poses of a Panda's first six joints would need a search, a wrist's turns do not."""
     from scipy.optimize import least_squares
 
@@ -445,4 +500,7 @@ def sockets(title: str) -> str:
         if found.cost < 1e-16 and np.abs(found.x).max() < 6.0:
             rows.append(np.degrees(found.x))
             names.append(name)
-    return text([*J, title], [np.array(rows) + 1e-3 * chance.standard_normal((24, 6)), names])
+    joints = np.array(rows) + 1e-3 * chance.standard_normal((24, 6))
+    if first is not None:
+        return text(None, [np.arange(24), [first + (name == "left") for name in names], joints])
+    return text(None if title is None else [*J, title], [joints, names])

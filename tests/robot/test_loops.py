@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.errors import PoseError, RobotError
-from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
@@ -20,7 +19,7 @@ from calib.robot.load import load_robot, with_document
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.sampling import closing, random_readings
 from calib.robot.urdf import parse_urdf
-from tests.support import machines
+from tests.support import jacobians, machines
 from tests.support.loops import four_bar_urdf, mimic, tree
 
 Array = np.ndarray
@@ -266,13 +265,7 @@ def test_the_jacobian_of_a_machine_with_loops_is_that_of_central_differences(nam
         columns |= {"qw": qw, "qx": qx, "qy": qy, "qz": qz}
     data = calib.read_measurements(columns, robot, observes, sigma=(1e-3, 1e-3 if observes == "pose" else None))
     found = Problem(model, parameters, reference, (data,))
-    (J,) = system.jacobian(found, x)
-    h = 1e-5
-    for k, parameter in enumerate(parameters):
-        step = h * (np.arange(len(x)) == k)
-        up, down = (system.residuals(robot, (data,), found.machine(x + s))[0] for s in (step, -step))
-        numeric = (up - down) / (2 * h)
-        assert np.abs(J[:, :, k] - numeric).max() <= 1e-6 * max(np.abs(numeric).max(), 1e-2), parameter.name
+    jacobians.check(found, x, least=1e-2)
 
 
 @pytest.mark.parametrize("name", MACHINES)

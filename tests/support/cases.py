@@ -1,11 +1,12 @@
 """The shipped case in a folder of its own, to be run as a user runs it, and to be broken."""
 
 import contextlib
+import csv
 import hashlib
 import io
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -95,6 +96,14 @@ def write(name: str, contents: str | bytes) -> Edit:
         (folder / name).write_bytes(data)
 
     return apply
+
+
+def write_table(path: Path, columns: Mapping[str, object]) -> None:
+    """Write columns as a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
 
 
 def cut(name: str, end: int) -> Edit:

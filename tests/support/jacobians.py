@@ -1,5 +1,6 @@
 """A problem far from zero with everything free, and its analytic columns against central differences."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,17 +40,34 @@ def problem(
     return found, x
 
 
-def check(found: Problem, x: machines.Array) -> None:
-    """Analytic and numeric columns agree to 1e-6 of the column, or of 1 mm per m where a column is smaller."""
+def check(
+    found: Problem, x: machines.Array, steps: machines.Array | float = 1e-5, within: float = 1e-6, least: float = 1e-3
+) -> None:
+    """Analytic and numeric columns agree as :func:`compare` asks."""
 
     def residuals(at: machines.Array) -> machines.Array:
         return system.residuals(found.model.robot, found.measurements, found.machine(at))[0].ravel()
 
-    h = 1e-5
     (J,) = system.jacobian(found, x)
-    J = J.reshape(-1, len(x))
-    for k, parameter in enumerate(found.parameters):
+    names = [parameter.name for parameter in found.parameters]
+    compare(J.reshape(-1, len(x)), residuals, x, names, steps, within, least)
+
+
+def compare(
+    analytic: machines.Array,
+    of: Callable[[machines.Array], machines.Array],
+    x: machines.Array,
+    names: Sequence[str],
+    steps: machines.Array | float = 1e-5,
+    within: float = 1e-6,
+    least: float = 1e-3,
+) -> None:
+    """Columns (m, p) agree with central differences, by ``within`` of the column, or of ``least`` where it is smaller.
+
+    ``steps``: one of each parameter (p,), or the same for all.
+    """
+    for k, (name, h) in enumerate(zip(names, np.broadcast_to(steps, x.shape), strict=True)):
         step = h * (np.arange(len(x)) == k)
-        numeric = (residuals(x + step) - residuals(x - step)) / (2 * h)
-        error = np.abs(J[:, k] - numeric).max()
-        assert error <= 1e-6 * max(np.abs(numeric).max(), 1e-3), parameter.name
+        numeric = (of(x + step) - of(x - step)) / (2 * h)
+        error = np.abs(analytic[:, k] - numeric).max()
+        assert error <= within * max(np.abs(numeric).max(), least), name

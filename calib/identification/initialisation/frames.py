@@ -151,7 +151,7 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
                 continue
             raise MeasurementError(
                 f"{names.where}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
-                "there, or three sockets whose places are known or found from elsewhere, or give its pose."
+                "there, or three sockets whose places are known or found from another set-up, or give its pose."
             )
         bases[s] = base_and_tools(every, KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
         stands[s] = True

@@ -59,7 +59,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
 
 
 def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with common lists of tools, set-ups, targets and lengths.
+    """Return the sets with common lists of tools, set-ups, targets and scalars.
 
     Raises MeasurementError when they are not of this robot, or lack what a joint term needs.
     """
@@ -78,7 +78,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
-    offsets = tuple(dict.fromkeys(offset for data in sets for offset in data.offsets))
+    scalars = tuple(dict.fromkeys(scalar for data in sets for scalar in data.scalars))
     for found, what, most in (
         (tools, "tools", MOST_TOOLS),
         (setups, "set-ups", MOST_SETUPS),
@@ -104,8 +104,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
             other=None
             if data.other is None
             else replace(data.other, tool=numbered(data.tools, tools, data.other.tool)),
-            offsets=offsets,
-            offset=offsets.index(data.offsets[data.offset]) if data.offset >= 0 else -1,
+            scalars=scalars,
+            uses={role: scalars.index(data.scalars[k]) for role, k in data.uses.items()},
         )
         for data in sets
     )
@@ -155,13 +155,13 @@ def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
 
 
 def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
-    """Return a machine with the set-ups, tools, targets and lengths of sets with common names that it does not know.
+    """Return a machine with the set-ups, tools, targets and scalars of sets with common names that it does not know.
 
     The sets' names are the machine's, then new ones. Raises IdentificationError when the measurements are too few.
     """
     frames, names = machine.frames, sets[0]
-    known = (len(frames.bases), len(frames.tools), len(frames.targets), len(frames.lengths))
-    if known == (len(names.setups), len(names.tools), len(names.targets), len(names.offsets)):
+    known = (len(frames.bases), len(frames.tools), len(frames.targets), len(frames.scalars))
+    if known == (len(names.setups), len(names.tools), len(names.targets), len(names.scalars)):
         return machine
     _refuse_unplaced(model, sets)
     placed = initialise(model, sets, machine).frames
@@ -172,12 +172,12 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
                 (frames.bases, placed.bases),
                 (frames.tools, placed.tools),
                 (frames.targets, placed.targets),
-                (frames.lengths, placed.lengths),
+                (frames.scalars, placed.scalars),
             )
         )
     )
     layout = Layout.of(model.robot, placed)
-    starts = (layout.base, layout.tools, layout.targets, layout.lengths)
+    starts = (layout.base, layout.tools, layout.targets, layout.scalars)
     ends = (*starts[1:], layout.size)
     new = tuple(
         parameter
@@ -193,7 +193,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
     others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
-    of_setup = any(parameter.kind != "target" for parameter in new)
+    of_setup = any(not parameter.nuisance for parameter in new)
     return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
 
 
@@ -218,7 +218,9 @@ def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> N
     names = sets[0].setups
     for name in model.setups:
         if name not in names:
-            raise JobError(f"setups: {name!r} is in no measurement; they have {', '.join(map(repr, names))}.")
+            raise JobError(
+                f"setups: {name!r} is in no measurement; the measurements have {', '.join(map(repr, names))}."
+            )
     _refuse_unplaced(model, sets)
 
 
@@ -274,7 +276,7 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
     for name in model.targets:
         if name not in found:
             there = ", ".join(found) or "no targets"
-            raise JobError(f"targets: {name!r} does not appear in the measurements; they have {there}.")
+            raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
@@ -283,7 +285,7 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
         if a != b:
             raise JobError(
                 f"relations: {relation.targets[0]!r} is on {a} and {relation.targets[1]!r} on {b}; a relation is "
-                "between targets that do not move against each other."
+                "between targets that do not move relative to each other."
             )
         for name in relation.targets:
             if found.get(name) != shape:

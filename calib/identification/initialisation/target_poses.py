@@ -24,7 +24,7 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
     """Return the frames with the targets where the nominal robot puts them."""
     sets = [one.data for one in rows]
     names, found = sets[0].targets, targets.shapes(sets)
-    poses, lengths = np.tile(np.eye(4), (len(names), 1, 1)), np.zeros(len(sets[0].offsets))
+    poses, scalars = np.tile(np.eye(4), (len(names), 1, 1)), np.array([one.start for one in sets[0].scalars])
     carried = [one.seen(frames.bases) for one in rows]
     points = [(T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, carried, strict=True)]
     for t, name in enumerate(names):
@@ -47,14 +47,16 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
             else:
                 poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
         cameras.refuse_behind(sights, frames.tools, poses[t])
-    for k in range(len(lengths)):
+    for k in range(len(scalars)):
         missing = [
-            value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1)
-            for data, x, value in zip(sets, points, (data.value for data in sets), strict=True)
-            if data.offset == k and data.kind != "pair_distance" and len(data)
+            sign * (data.value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1))
+            for role, sign in (("offset", 1.0), ("radius", -1.0))
+            for data, x in zip(sets, points, strict=True)
+            if data.uses.get(role) == k and data.kind != "pair_distance" and len(data)
         ]
-        lengths[k] = np.concatenate(missing).mean() if missing else 0.0
-    return Frames(frames.bases, frames.tools, poses, lengths)
+        if missing:
+            scalars[k] = np.concatenate(missing).mean()
+    return Frames(frames.bases, frames.tools, poses, scalars)
 
 
 def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
@@ -106,7 +108,7 @@ def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
     length = np.concatenate([value[:, 0] for _, _, value in own])
     middle = x.mean(axis=0)
     y = x - middle
-    offset = [length] if any(data.offset >= 0 for data, _, _ in own) and np.ptp(length) > 0.0 else []
+    offset = [length] if any(data.uses for data, _, _ in own) and np.ptp(length) > 0.0 else []
     A = np.column_stack([2.0 * y, np.ones(len(y)), *offset])
     z = np.linalg.lstsq(A, (y * y).sum(axis=1) - length**2, rcond=NEGLIGIBLE)[0]
     return np.asarray(middle + z[:3])

@@ -11,18 +11,22 @@ from calib.identification.observations.seen import Linearised, Seen, point_colum
 
 # Where both points are one, the distance has no direction; any answer this small leaves the derivative zero.
 _TINY = 1e-12
+# A length is too long by its offset; the centre is the ball's radius further away than the probe's.
+_SIGNS = {"offset": -1.0, "radius": 1.0}
 
 
 def residual(seen: Seen) -> Linearised:
-    """Return r = l - |x - c| - o (n, 1) in m: measured length l, the target at c, the unknown part o of lengths."""
+    """Return r = l - o + b - |x - c| (n, 1) in m: length l, its unknown part o or the ball's radius b."""
     r, by_tool = _between(seen, seen.targets)
-    return Linearised(r, point_columns(by_tool, seen.tools), target=point_columns(-by_tool, seen.targets))
+    target = point_columns(-by_tool, seen.targets)
+    return Linearised(r, point_columns(by_tool, seen.tools), target=target, scalars=_by_scalars(seen, r))
 
 
 def residual_of_pairs(seen: Seen) -> Linearised:
-    """Return r = l - |x - x'| - o (n, 1) in m, with x' the tool point at the other end."""
+    """Return r = l - o - |x - x'| (n, 1) in m, with x' the tool point at the other end."""
     r, by_tool = _between(seen, seen.others)
-    return Linearised(r, point_columns(by_tool, seen.tools), other=point_columns(-by_tool, seen.others))
+    other = point_columns(-by_tool, seen.others)
+    return Linearised(r, point_columns(by_tool, seen.tools), other=other, scalars=_by_scalars(seen, r))
 
 
 def _between(seen: Seen, ends: Array) -> tuple[Array, Array]:
@@ -30,4 +34,9 @@ def _between(seen: Seen, ends: Array) -> tuple[Array, Array]:
     apart = seen.tools[:, :3, 3] - ends[:, :3, 3]
     distance = np.linalg.norm(apart, axis=1, keepdims=True)
     direction = apart / np.maximum(distance, _TINY)
-    return seen.data.value[seen.rows] - distance - seen.length, -direction[:, None, :]
+    unknown = sum(_SIGNS[role] * value for role, value in seen.scalars.items())
+    return seen.data.value[seen.rows] - distance + unknown, -direction[:, None, :]
+
+
+def _by_scalars(seen: Seen, r: Array) -> dict[str, Array]:
+    return {role: np.full_like(r, _SIGNS[role]) for role in seen.scalars}

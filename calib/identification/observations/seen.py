@@ -1,5 +1,7 @@
 """What an observation is told of its rows, and what it answers."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +14,8 @@ class Seen(NamedTuple):
     """Rows of one set as a machine predicts them.
 
     ``tools`` (n, 4, 4): tool placements in the instrument's frame; ``others``: those at the other ends, ``targets``:
-    what each row is about, both empty where the kind has none. ``length``: the unknown part of the measured lengths.
+    what each row is about, both empty where the kind has none. ``scalars``: unknown numbers that the rows depend on, by
+    what they are to them.
     """
 
     data: Measurements
@@ -20,20 +23,21 @@ class Seen(NamedTuple):
     tools: Array
     others: Array
     targets: Array
-    length: float
+    scalars: Mapping[str, float]
 
 
 class Linearised(NamedTuple):
     """Residuals (n, d), measured minus predicted, and their change (n, d, 6) with the local twist of each tool.
 
     ``other`` and ``target`` (n, d, 6): their change with the local twists of the other end and of the target; None
-    where the kind has none. One unit of an unknown length takes one unit from every residual of its set.
+    where the kind has none. ``scalars`` (n, d) each: their change with one unit of every scalar of ``Seen``.
     """
 
     residual: Array
     twist: Array
     other: Array | None = None
     target: Array | None = None
+    scalars: Mapping[str, Array] = MappingProxyType({})
 
 
 def point_columns(by_point: Array, frames: Array) -> Array:

@@ -60,23 +60,37 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pick:
-    """Columns that may be the joints of an arm and, where the file has one, a point."""
+    """Columns that may be the joints of an arm and, where the file has one, a point.
+
+    ``target``: the column of a table without a header that may name what was touched.
+    """
 
     arm: Chain
     joints: Joints
     point: Point | None
     turned: tuple[Orientation, ...]
+    target: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A pick in units: how well the arm follows it. ``units``: of angles, of joints that slide, of the point."""
+    """A pick in units: how well the arm follows it, from ``tips`` (N, 4, 4) to ``position`` (N, 3) in m.
+
+    ``units``: of angles, of joints that slide, of the point; ``rows`` (N): of the table, that were tried.
+    """
 
     pick: Pick
     units: tuple[str, str, str]
     tips: Array
+    position: Array
     rows: IntArray
     fit: Followed
+
+    @property
+    def point(self) -> Point:
+        """The point of the pick: nothing is tried without one."""
+        assert self.pick.point is not None
+        return self.pick.point
 
 
 def run_of(names: Sequence[str]) -> str:

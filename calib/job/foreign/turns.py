@@ -1,6 +1,7 @@
 """Which convention makes an orientation turn with the arm."""
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,109 +10,121 @@ from calib.foundations.arrays import Array
 from calib.foundations.units import DEG, UNITS
 from calib.identification.followed import turned_along
 from calib.job.foreign.answers import Trial, ask, of_dimension, values_of
-from calib.job.foreign.fits import TIMES, Fits
+from calib.job.foreign.fits import TIMES, options
+from calib.job.foreign.seen import Seen
 from calib.measurement.orientations import EULER, MAKERS, rotations_of
 from calib.measurement.raw import RawColumn
-from calib.measurement.roles import (
-    Orientation,
-)
+from calib.measurement.roles import Orientation
 from calib.measurement.table import QUATERNION_COLUMNS
 
 _FOLLOWS_ANGLE, _ALIKE_ANGLE = 0.2, 0.015
 _SAME_ANGLE = 1e-6
 
 
-class Turns(Fits):
-    """Decides on the orientation that belongs to a point, or leaves it out."""
+class _Way(NamedTuple):
+    """One reading of an orientation, and the rms angle in rad by which it does not turn with the arm."""
 
-    def _orientation(self, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
-        """Return convention, columns and unit of the orientation that turns with the arm; None where none does."""
-        ways = []
-        for one in best.pick.turned:
-            own = [self.raw.columns[k] for k in one.columns]
-            numbers = np.column_stack([values_of(column) for column in own])[best.rows]
-            if not np.isfinite(numbers).all():
-                continue
-            for orientation, order, unit, rotation in self._rotations(one, own, numbers):
-                angle = turned_along(best.tips, best.fit.base, rotation)
-                ways.append((angle, orientation, tuple(one.columns[k] for k in order), unit, rotation, one))
-        if not ways or not np.isfinite(best.fit.share):
-            return self._only_written(best)
-        ways.sort(key=lambda way: way[0])
-        angle, orientation, columns, unit, rotation, one = ways[0]
-        if angle > _FOLLOWS_ANGLE:
-            self.reasons.append(
-                f"{self._titles(one.columns)} are no orientation that turns with the arm (at best "
-                f"{angle / DEG:.3g} deg are left): they are left out"
-            )
-            return None
-        alike = [way for way in ways if way[0] < max(TIMES * angle, _ALIKE_ANGLE)]
-        others = [
-            way
-            for way in alike
-            if np.linalg.norm(rigid.log3(np.swapaxes(way[4], 1, 2) @ rotation), axis=-1).max() > _SAME_ANGLE
-        ]
-        by_name = [way for way in alike if way[1] is not None and way[1] == way[5].convention]
-        if others and by_name:
-            angle, orientation, columns, unit, rotation, one = by_name[0]
-        elif others:
-            choices = tuple(dict.fromkeys(way[1] or "quaternion" for way in alike))
-            if self.answers.observes is None:
-                raise ask(
-                    "orientation",
-                    f"{self.raw.where}: {self._titles(one.columns)} fit as {', '.join(choices[:8])} alike",
-                    choices,
-                )
-        else:
-            # One rotation by several names: the one that the columns have, or the shortest.
-            same = [way for way in alike if way[1] == way[5].convention] or alike[:1]
-            angle, orientation, columns, unit, rotation, one = same[0]
-        self.reasons.append(
-            f"{self._titles(columns)} are the orientation, {_called(orientation)}"
-            + ("" if orientation in (None, "matrix") else f" in {unit}")
-            + f": it turns with the arm within {angle / DEG:.2g} deg"
+    angle: float
+    convention: str | None
+    columns: tuple[int, ...]
+    unit: str
+    rotation: Array
+    of: Orientation
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the columns' names say this convention."""
+        return self.convention == self.of.convention
+
+    def is_like(self, other: "_Way") -> bool:
+        """Whether both give the same rotations in all rows."""
+        between = np.swapaxes(self.rotation, 1, 2) @ other.rotation
+        return bool(np.linalg.norm(rigid.log3(between), axis=-1).max() <= _SAME_ANGLE)
+
+
+def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
+    """Return convention, columns and unit of the orientation that turns with the arm; None where none does."""
+    ways = []
+    for one in best.pick.turned:
+        own = [seen.raw.columns[k] for k in one.columns]
+        numbers = np.column_stack([values_of(column) for column in own])[best.rows]
+        if not np.isfinite(numbers).all():
+            continue
+        for convention, order, unit, rotation in _rotations(seen, one, own, numbers):
+            angle = turned_along(best.tips, best.fit.base, rotation)
+            ways.append(_Way(angle, convention, tuple(one.columns[k] for k in order), unit, rotation, one))
+    if not ways or not np.isfinite(best.fit.share):
+        return _only_written(seen, best)
+    ways.sort(key=lambda way: way.angle)
+    way = ways[0]
+    if way.angle > _FOLLOWS_ANGLE:
+        seen.reasons.append(
+            f"{seen.titles(way.of.columns)} are no orientation that turns with the arm (at best "
+            f"{way.angle / DEG:.3g} deg are left): they are left out"
         )
-        return orientation, columns, unit
-
-    def _only_written(self, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
-        """Return an orientation whose columns have our names, where nothing can be tried; else it is left out."""
-        for one in best.pick.turned:
-            names = tuple(self.raw.columns[k].name for k in one.columns)
-            if names == QUATERNION_COLUMNS:
-                return None, one.columns, ""
-        if best.pick.turned:
-            self.reasons.append(
-                f"{self._titles(best.pick.turned[0].columns)} are left out: too few rows tell what orientation they are"
-            )
         return None
+    alike = [other for other in ways if other.angle < max(TIMES * way.angle, _ALIKE_ANGLE)]
+    named = [other for other in alike if other.is_named]
+    if all(other.is_like(way) for other in alike):
+        # One rotation by several names: the one that the columns have, or the shortest.
+        way = (named or alike)[0]
+    elif any(other.convention is not None for other in named):
+        way = next(other for other in named if other.convention is not None)
+    else:
+        choices = tuple(dict.fromkeys(other.convention or "quaternion" for other in alike))
+        raise ask(
+            "orientation",
+            f"{seen.raw.where}: {seen.titles(way.of.columns)} fit equally well as {', '.join(choices[:8])}",
+            choices,
+        )
+    seen.reasons.append(
+        f"{seen.titles(way.columns)} are the orientation, {_called(way.convention)}"
+        + ("" if way.convention in (None, "matrix") else f" in {way.unit}")
+        + f": it turns with the arm within {way.angle / DEG:.2g} deg"
+    )
+    return way.convention, way.columns, way.unit
 
-    def _rotations(
-        self, one: Orientation, columns: Sequence[RawColumn], numbers: Array
-    ) -> Iterable[tuple[str | None, Sequence[int], str, Array]]:
-        given = self.answers.orientation
-        if one.form == "quaternion":
-            size = np.linalg.norm(numbers, axis=1)
-            if given is not None or np.abs(size - 1.0).max() > 1e-2:
-                return
-            # Columns that are called x, y, z, w say their order; numbered ones have w first, or last.
-            letters = {column.name.lower()[-1:] for column in columns}
-            orders = [(0, 1, 2, 3)] if "w" in letters else [(0, 1, 2, 3), (3, 0, 1, 2)]
-            for order in orders:
-                yield None, order, "", rigid.rotation_of_quaternion(numbers[:, order])
-        elif one.form == "matrix":
-            matrices = numbers.reshape(-1, 3, 3)
-            if np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() < 1e-2:
-                yield "matrix", range(9), "", rotations_of(numbers, "matrix")
-        elif of_dimension(columns, "angle"):
-            names = [given] if given is not None else ["rotation_vector", *EULER]
-            if one.convention in MAKERS and given is None:
-                names = [one.convention, *(name for name in names if name != MAKERS[one.convention])]
-            for unit in self._options(columns, self.answers.angles, ("rad", "deg")):
-                factors = [UNITS[column.symbol or unit].factor for column in columns]
-                if np.abs(numbers * factors).max() > 1e3:
-                    continue
-                for name in names:
-                    yield name, range(3), unit, rotations_of(numbers * factors, name)
+
+def _only_written(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
+    """Return an orientation whose columns have our names, where nothing can be tried; else it is left out."""
+    for one in best.pick.turned:
+        names = tuple(seen.raw.columns[k].name for k in one.columns)
+        if names == QUATERNION_COLUMNS:
+            return None, one.columns, ""
+    if best.pick.turned:
+        seen.reasons.append(
+            f"{seen.titles(best.pick.turned[0].columns)} are left out: too few rows tell what orientation they are"
+        )
+    return None
+
+
+def _rotations(
+    seen: Seen, one: Orientation, columns: Sequence[RawColumn], numbers: Array
+) -> Iterable[tuple[str | None, Sequence[int], str, Array]]:
+    given = seen.answers.orientation
+    if one.form == "quaternion":
+        size = np.linalg.norm(numbers, axis=1)
+        if given is not None or np.abs(size - 1.0).max() > 1e-2:
+            return
+        # Columns that are called x, y, z, w say their order; numbered ones have w first, or last.
+        letters = {column.name.lower()[-1:] for column in columns}
+        orders = [(0, 1, 2, 3)] if "w" in letters else [(0, 1, 2, 3), (3, 0, 1, 2)]
+        for order in orders:
+            yield None, order, "", rigid.rotation_of_quaternion(numbers[:, order])
+    elif one.form == "matrix":
+        matrices = numbers.reshape(-1, 3, 3)
+        if np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() < 1e-2:
+            yield "matrix", range(9), "", rotations_of(numbers, "matrix")
+    elif of_dimension(columns, "angle"):
+        names = [given] if given is not None else ["rotation_vector", *EULER]
+        if one.convention in MAKERS and given is None:
+            names = [one.convention, *(name for name in names if name != MAKERS[one.convention])]
+        for unit in options(columns, seen.answers.angles, ("rad", "deg")):
+            factors = [UNITS[column.symbol or unit].factor for column in columns]
+            if np.abs(numbers * factors).max() > 1e3:
+                continue
+            for name in names:
+                yield name, range(3), unit, rotations_of(numbers * factors, name)
 
 
 def _called(orientation: str | None) -> str:
@@ -120,5 +133,5 @@ def _called(orientation: str | None) -> str:
     if orientation in ("matrix", "rotation_vector"):
         return f"a {orientation.replace('_', ' ')}"
     order = MAKERS.get(orientation, orientation)
-    about = "axes that turn along" if order.isupper() else "axes that stay"
+    about = "the turned axes (intrinsic)" if order.isupper() else "fixed axes (extrinsic)"
     return f"{orientation}, turns about {', '.join(order.lower())}, {about},"

@@ -10,7 +10,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats import records, workbook
+from calib.measurement.formats import arrays, records, workbook
 from calib.measurement.layout import is_number, layout
 
 _MOST_COLUMNS = 1000
@@ -36,7 +36,7 @@ class Sheet:
 
 
 def read_sheet(path: str | Path) -> Sheet:
-    """Return the sheet of a file: a table of text, JSON lines (.jsonl), YAML or JSON records, or a workbook (.xlsx).
+    """Return the sheet of a file: a table of text, records (.jsonl, YAML, JSON), a workbook (.xlsx), arrays (.npz).
 
     Raises MeasurementError when it cannot be read, or holds no rows.
     """
@@ -48,6 +48,7 @@ def read_sheet(path: str | Path) -> Sheet:
         ".yaml": records.from_yaml,
         ".yml": records.from_yaml,
         ".xlsx": workbook.from_xlsx,
+        ".npz": arrays.from_npz,
     }
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())

@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Sequence
 
 from calib.foundations.errors import MeasurementError
+from calib.measurement.layout import is_number
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
@@ -40,7 +41,7 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     rows = [(row + [""] * width)[:width] for row in rows]
     if not rows:
         raise MeasurementError(f"{where}: has no rows.")
-    if all(_is_number(cell) for cell in rows[0] if cell):
+    if all(is_number(cell, ",") for cell in rows[0] if cell):
         return [f"column {k + 1}" for k in range(width)], rows
     titles = [title or f"column {k + 1}" for k, title in enumerate(rows[0])]
     return titles, rows[1:]
@@ -48,11 +49,3 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
 
 def _cell(value: object) -> str:
     return "" if value is None else " ".join((repr(value) if isinstance(value, float) else str(value)).split())[:200]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

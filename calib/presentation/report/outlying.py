@@ -12,7 +12,7 @@ _COLUMNS = ("row", "leverage", "distance", "chance", "moves most", "by sigmas")
 def outlier_section(found: Outliers) -> Section:
     """Return the rows that are no accident, or the worst ones; targets that moved; groups that disagree."""
     told = found.outlying
-    title = "Rows that do not go with the others" if told else "Rows that go least with the others"
+    title = "Outlying rows" if told else "No outlying rows; the farthest from the others"
     sheet = Sheet(
         title,
         _COLUMNS,
@@ -30,8 +30,8 @@ def outlier_section(found: Outliers) -> Section:
             )
             for row in (told or found.rows)[:_MOST_ROWS]
         ),
-        "distance: from what the other rows say, in their scatter; chance: of one such row in ordinary data; moves "
-        "most: the parameter that changes most without the row",
+        "distance: from the prediction by the other rows, in standard deviations; chance: that data without errors "
+        "have one such row; moves most: the parameter that changes most without the row",
         brief=bool(told),
     )
     blocks: list[Block] = [sheet]
@@ -54,9 +54,10 @@ def _moved(found: Outliers) -> tuple[str, ...]:
         ]
         sentences.append(
             f"The target {jump.target} seems to have moved after {jump.file}:{jump.line}, by {', '.join(by)} "
-            f"({jump.rows[0]} rows before, {jump.rows[1]} after; chi-squared {jump.gain:.0f} by {len(jump.shift)})."
+            f"({jump.rows[0]} rows before, {jump.rows[1]} after; chi-squared {jump.gain:.0f}, degrees of freedom "
+            f"{len(jump.shift)})."
         )
-    return (*sentences, "Or the machine is not what the model says at the postures that come after.")
+    return (*sentences, "A model that is wrong at the postures after such a row looks the same.")
 
 
 def _disagreeing(found: Outliers) -> tuple[str, ...]:
@@ -64,8 +65,9 @@ def _disagreeing(found: Outliers) -> tuple[str, ...]:
     for group in found.disagreeing[:_MOST_GROUPS]:
         best = f", {group.differs_gain:.0f} of it by {group.differs} alone" if group.differs else ""
         sentences.append(
-            f"The {group.kind} {group.name} asks for another machine than the rest: chi-squared {group.gain:.0f} by "
-            f"{group.freedom}{best}; without it all others scatter {group.scatter:.2f} times as much."
+            f"The {group.kind} {group.name} disagrees with the rest and would fit better with other parameters: "
+            f"chi-squared {group.gain:.0f}, degrees of freedom {group.freedom}{best}. Without it the others scatter "
+            f"{group.scatter:.2f} times as much."
         )
     more = len(found.disagreeing) - _MOST_GROUPS
     return (*sentences, *([f"{count(more, 'group', 'groups')} more disagree."] if more > 0 else []))

@@ -122,7 +122,7 @@ def verdict(
     said, tiles = [], []
     for quantity, after in judged["after"].items():
         before = judged["before"][quantity]
-        rows = "rows it never saw" if held_out else "rows it was fitted to"
+        rows = "held-out rows" if held_out else "fitted rows"
         names = (figure(before.rms, before.unit), figure(after.rms, after.unit))
         if after.rms < before.rms:
             # Data without noise leave rounding alone, and a ratio of it is no figure.
@@ -296,20 +296,20 @@ def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None
     tool = next(iter(machine.tools))
     found = tool_uncertainty(machine, readings, tool)
     said = (
-        f"Of {tool!r}, returning to configurations that were measured. Parameters that the data do not show have the "
-        "width that is stated for them, or a wide one. What the model leaves out is told by what residuals have in "
-        "common."
+        f"Of {tool!r}, at configurations that were measured. Parameters that the data do not determine have the "
+        "standard deviation of their prior. If none is stated, it is learned from other parameters of their kind, or "
+        "it is wide. What the model leaves out is estimated from what the residuals have in common."
     )
     return Section(
-        "budget", "How sure the tool is", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
+        "budget", "Uncertainty of the tool", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
     )
 
 
 def parameters(fit: Fit) -> Section:
     """Return all parameters."""
     said = (
-        "A parameter that is identifiable only in combination has no sigma: other values of it, with changes of "
-        "others, fit the data as well. Weakly determined ones have a sigma above half their parameter scale."
+        "A parameter that is identifiable only in combination has no sigma: other values of it fit the data as well "
+        "if other parameters change with it. Weakly determined ones have a sigma above half their parameter scale."
     )
     sentences = (said,) if fit.unidentifiable.any() or fit.weak.any() else ()
     blocks: list[Block] = [parameter_sheet(fit)]
@@ -363,7 +363,7 @@ def seen(fit: Fit) -> Section:
     said = (
         f"Formal rank {fit.rank}, numerical rank {fit.numerical_rank}, of {len(values)} parameters. The inverse of a "
         "singular value is the standard deviation along its direction, in parameter scales (1 mm, 1 mrad or the "
-        "prior). Dots on the lower edge lie below it."
+        "prior). Dots on the lower edge stand for smaller values."
     )
     blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
     if fit.null_space:

@@ -1,7 +1,7 @@
-"""An arm through many poses, as tables that a viewer needs no kinematics library to follow: origins and positions.
+"""All links of a robot through many poses, those beside the arm too, as tables of origins and positions of its joints.
 
-A link sits in its parent at ``origin @ motion(position)``: that is all of a URDF's kinematics. Closed loops, couplings
-and offsets are in the positions already.
+A link sits in its parent at ``origin @ motion(position)``: that is all of a URDF's kinematics, and a viewer needs no
+library to follow it. Closed loops, couplings and offsets are in the positions already.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Arm:
 def arm_of(
     robot: Robot, deviations: Deviations, readings: Array, root: Array, conditions: Conditions = NO_CONDITIONS
 ) -> Arm:
-    """Return an arm at readings (N, nr). Joints beside the arm rest at 0, or follow what they mimic.
+    """Return an arm at readings (N, nr). Joints beside it follow what they mimic, or rest as near to 0 as limits allow.
 
     Raises PoseError for a row where a closed loop cannot close, RobotError for a joint term whose ``conditions`` lack.
     """
@@ -66,12 +66,19 @@ def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
 
 
 def _following(urdf: Urdf, k: int, column: dict[str, int], positions: Array, known: frozenset[int]) -> Array:
-    """Return the positions (N,) of a joint that is not on the arm: those of its driver, or 0."""
+    """Return the positions (N,) of a joint that is not on the arm: those of its driver, or at rest."""
     multiple, constant = 1.0, 0.0
     while k not in known and (mimic := urdf.joints[k].mimic) is not None:
         multiple, constant = multiple * mimic.multiplier, constant + multiple * mimic.offset
         k = column[mimic.joint]
-    return multiple * positions[:, k] + constant if k in known else np.full(len(positions), constant)
+    own = positions[:, k] if k in known else np.full(len(positions), _rest(urdf.joints[k]))
+    return multiple * own + constant
+
+
+def _rest(joint: UrdfJoint) -> float:
+    """Return the position nearest to 0 that a joint may have."""
+    lowest = 0.0 if joint.lower is None else max(0.0, joint.lower)
+    return lowest if joint.upper is None else min(lowest, joint.upper)
 
 
 def _motions(joint: UrdfJoint, q: Array) -> Array:

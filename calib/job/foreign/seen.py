@@ -1,0 +1,82 @@
+"""What is looked at while one table is read, and what has been concluded so far."""
+
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+
+from calib.foundations.arrays import BoolArray
+from calib.foundations.errors import JobError
+from calib.job.chains import Chain, chains
+from calib.job.foreign.answers import Answers, run_of
+from calib.measurement.raw import RawColumn, RawTable
+from calib.measurement.roles import Roles, roles
+from calib.measurement.table import holds_words
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+
+
+class Seen:
+    """A table, the arms that it may be of, what names say and a person answered, and the ``reasons`` so far.
+
+    ``robot``: the arm that tables before it have shown.
+    """
+
+    def __init__(self, document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -> None:
+        self.document, self.raw, self.answers = document, raw, answers
+        self.arms = chains(document, answers.tip)
+        self._robots: dict[Chain, Robot] = {}
+        if robot is not None:
+            base = None if robot.base == document.root else robot.base
+            arm = Chain(base, robot.tip, tuple(reading.name for reading in robot.readings))
+            self.arms, self._robots = (arm,), {arm: robot}
+        self.known = roles(raw) if raw.named else Roles((), (), (), (), None, frozenset())
+        self.named = answers.named()
+        self.reasons: list[str] = []
+        for ours, theirs in self.named.items():
+            if not any(theirs in (column.title, column.name) for column in raw.columns):
+                raise JobError(f"columns: {ours} is to be {theirs!r}, which is no column of {raw.where}.")
+
+    def robot(self, arm: Chain) -> Robot:
+        """Return the nominal arm."""
+        if arm not in self._robots:
+            self._robots[arm] = load_robot(self.document, arm.tip, arm.base)
+        return self._robots[arm]
+
+    def column(self, title: str) -> int:
+        """Return the column with a title, or with a name."""
+        return next(k for k, column in enumerate(self.raw.columns) if title in (column.title, column.name))
+
+    def alike(self) -> BoolArray:
+        """Return the rows (N) of the set-up and the tool that most rows have; all, where no column tells them."""
+        kinds = [self._told(name) for name in ("setup", "tool")]
+        told = list(zip(*(words for words in kinds if words is not None), strict=True))
+        most = Counter(told).most_common(1)
+        return np.array([one == most[0][0] for one in told]) if most else np.ones(len(self.raw.columns[0].words), bool)
+
+    def _told(self, name: str) -> tuple[str, ...] | None:
+        """Return the words of a column of ours, by its own name or as answered."""
+        if name in self.named:
+            return self.raw.columns[self.column(self.named[name])].words
+        own = (column for column in self.raw.columns if self.raw.named and column.name == name and is_ours(column))
+        return next((column.words for column in own), None)
+
+    def first_rows(self, last: int) -> str:
+        """Return the rows up to one of those that are looked at, in words."""
+        seen, count = len(self.raw.columns[0].words), self.raw.count
+        return f"rows 1 to {last + 1}" if seen == count else f"rows 1 to about {1 + round(last * count / seen)}"
+
+    def titles(self, columns: Iterable[int]) -> str:
+        """Return the titles of columns, the middle of many left out."""
+        return run_of([self.raw.columns[k].title for k in columns])
+
+
+def is_ours(column: RawColumn) -> bool:
+    """Return whether a column that has our name is one of ours: words, or numbers with a unit, whole."""
+    if not all(column.words):
+        return False
+    if holds_words(column.name):
+        few = column.name in ("tool", "target") and len(set(column.words)) > 0.34 * len(column.words)
+        return column.symbol is None and not few
+    return column.numbers is not None and column.symbol is not None

@@ -1,0 +1,76 @@
+"""Arrays in NumPy's archive (.npz): one after the other, rows of as many as most of them have."""
+
+import io
+import re
+import tokenize
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.foundations.errors import MeasurementError
+
+# Of the archive unpacked.
+_LARGEST = 200_000_000
+_MOST_COLUMNS = 1000
+# Arrays of joints, whose columns have numbers also where there are three of them.
+_JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
+_UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFError, NotImplementedError),
+    *(MemoryError, OverflowError, RuntimeError, TypeError, SyntaxError, tokenize.TokenError),
+)
+
+
+def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
+    """Return titles and cells of arrays (N,), (N, k) or (N, i, j); N is the first length that most arrays share.
+
+    The columns of an array ``q`` are ``q_0``, ``q_1``, ..., those of a point (N, 3) ``p_x``, ``p_y``, ``p_z``, those of
+    matrices ``T_0_3``. Other arrays, and such as hold neither numbers nor words, are left out.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > _LARGEST:
+            raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
+        with np.load(io.BytesIO(data), allow_pickle=False) as held:
+            arrays = {name: array for name in held.files if (array := _readable(held, name)) is not None}
+    except _UNREADABLE as e:
+        raise MeasurementError(f"{where}: is no archive of arrays that can be read.") from e
+    counts = Counter(len(array) for array in arrays.values())
+    if not counts:
+        raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")
+    rows = max(counts, key=lambda count: (counts[count], count))
+    columns = [column for name, array in arrays.items() if len(array) == rows for column in _columns(name, array)]
+    if len(columns) > _MOST_COLUMNS:
+        raise MeasurementError(f"{where}: has {len(columns)} columns; allowed are {_MOST_COLUMNS}.")
+    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True))
+
+
+def _readable(held: "np.lib.npyio.NpzFile", name: str) -> npt.NDArray[np.generic] | None:
+    """Return an array of numbers or words; None for one of objects, which would run code of the file, and others."""
+    try:
+        array = np.asarray(held[name])
+    except ValueError:
+        return None
+    return array if array.dtype.kind in "iufU" and array.ndim in (1, 2, 3) and array.size else None
+
+
+def _columns(name: str, array: npt.NDArray[np.generic]) -> Iterator[tuple[str, list[str]]]:
+    if array.ndim == 1:
+        yield name, _cells(array)
+    elif array.ndim == 2:
+        is_point = array.shape[1] == 3 and array.dtype.kind == "f" and not _JOINTS.match(name)
+        ends: Sequence[object] = "xyz" if is_point else range(array.shape[1])
+        for k, end in enumerate(ends):
+            yield f"{name}_{end}", _cells(array[:, k])
+    else:
+        for i, j in np.ndindex(array.shape[1], array.shape[2]):
+            yield f"{name}_{i}_{j}", _cells(array[:, i, j])
+
+
+def _cells(values: npt.NDArray[np.generic]) -> list[str]:
+    cells = (" ".join(str(value).split())[:200] for value in values.tolist())
+    return ["" if cell == "nan" else cell for cell in cells]

@@ -1,0 +1,41 @@
+"""Scalars: unknown numbers of instruments, boards and clocks, found with the machine that they measured.
+
+The unknown part of a measured length is one. Poses are none: base, tools and targets have names of their own.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from calib.foundations.arguments import refuse_fields
+
+ScalarUnit = Literal["m", "rad", "px", "s", "1"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """One unknown number, the same for all rows that name it.
+
+    ``name``: that of its parameter, such as ``length.wire.offset``; in sets that are fitted together, one name is one
+    number. ``start``: where the search begins, and what its prior is about, in ``unit``. ``size``: its parameter scale.
+    ``prior``: the standard deviation of what is known of it, None where nothing is; ``weak``: that of the weak prior
+    which then takes its place, wide enough to be negligible wherever the data determine the number.
+
+        Scalar("length.wire.offset", "m", size=1e-3, weak=10.0)
+    """
+
+    name: str
+    unit: ScalarUnit
+    size: float
+    start: float = 0.0
+    prior: float | None = None
+    weak: float = math.inf
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+
+
+def of_length(name: str) -> Scalar:
+    """Return the unknown part of measured lengths, or the unknown radius of a ball, by the name of its parameter."""
+    # Millimetres; and no wire is longer than ten metres without anybody's knowing.
+    return Scalar(name, "m", size=1e-3, weak=10.0)

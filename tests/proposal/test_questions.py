@@ -1,0 +1,94 @@
+"""What ``calib init`` asks a person at a terminal, and what it makes of the answers."""
+
+import os
+import pty
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.proposal.twins import TWINS
+from tests.support.people import UR10
+
+OF = {twin.name: twin for twin in TWINS}
+
+
+class Talk(NamedTuple):
+    code: int
+    said: str
+    job: dict[str, object] | None
+
+
+def talk(folder: Path, twin: str, answers: str, titles: tuple[str, str] = ("", "")) -> Talk:
+    """Run ``calib init`` at a terminal where a person types ``answers``."""
+    contents = OF[twin].contents()
+    assert isinstance(contents, str)
+    (folder / "measured.csv").write_text(contents.replace(*titles) if titles[0] else contents, encoding="utf-8")
+    ours, theirs = pty.openpty()
+    os.write(ours, answers.encode())
+    command = [sys.executable, "-c", "from calib.cli import main; main()", "init", UR10, "measured.csv"]
+    done = subprocess.run(command, cwd=folder, stdin=theirs, capture_output=True, timeout=120, check=False)
+    os.close(ours)
+    os.close(theirs)
+    job = folder / "calibration.toml"
+    read = tomllib.loads(job.read_text(encoding="utf-8")) if job.exists() else None
+    return Talk(done.returncode, done.stderr.decode() + done.stdout.decode(), read)
+
+
+UNITS = "four rows without units, of which two would do"
+
+
+def columns(talk: Talk) -> dict[str, str]:
+    assert talk.job is not None, talk.said
+    return talk.job["measurements"][0]["columns"]  # type: ignore[index, no-any-return]
+
+
+def test_a_unit_is_asked_until_the_answer_is_one_of_the_choices(tmp_path: Path) -> None:
+    found = talk(tmp_path, UNITS, "degrees\n7\n2\n")
+    assert found.code == 0
+    assert "J1 to J6 have no unit, and rad and deg are both within the limits" in found.said
+    assert "  1  rad\n  2  deg\n" in found.said
+    assert found.said.count("Which") == 3
+    assert columns(found)["shoulder_pan_joint [deg]"] == "J1"
+
+
+def test_columns_are_asked_by_their_titles(tmp_path: Path) -> None:
+    found = talk(tmp_path, "stations under a word of their own", "1\n")
+    assert found.code == 0
+    assert "  1  'setup=Station'\n  2  'tool=Station'\n" in found.said
+    assert columns(found)["setup"] == "Station"
+
+
+def test_a_title_cannot_command_the_terminal(tmp_path: Path) -> None:
+    found = talk(tmp_path, "stations under a word of their own", "1\n", ("Station", "\x1bcStation"))
+    assert "\\x1bcStation" in found.said
+    assert "\x1b" not in found.said
+    assert columns(found)["setup"] == "\x1bcStation"
+
+
+def test_an_end_of_answers_ends_it_and_writes_nothing(tmp_path: Path) -> None:
+    found = talk(tmp_path, UNITS, "\x04")
+    assert found.code == 1
+    assert found.job is None
+    assert "Traceback" not in found.said
+
+
+def test_what_has_no_choices_is_an_error_at_a_terminal_too(tmp_path: Path) -> None:
+    found = talk(tmp_path, "a tracker that was moved, and nothing says so", "1\n")
+    assert found.code == 1
+    assert "answer by a column setup, or tool" in found.said
+    assert found.job is None
+
+
+@pytest.mark.parametrize("option", ["--quiet", "--json"])
+def test_nobody_is_asked(tmp_path: Path, option: str) -> None:
+    (tmp_path / "measured.csv").write_text(str(OF[UNITS].contents()), encoding="utf-8")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", "from calib.cli import main; main()", "init", UR10, "measured.csv", option]
+    done = subprocess.run(command, cwd=tmp_path, stdin=theirs, capture_output=True, timeout=120, check=False)
+    os.close(ours)
+    os.close(theirs)
+    assert (done.returncode, b"Which" in done.stderr) == (1, False)
