@@ -418,8 +418,8 @@ def one_machine(found: TwoMachines, fit: Fit) -> Check:
     passed = found.times <= TWO_MACHINES
     said = f"Split between two machines, the rows scatter {found.times:.2g} times less"
     what = (
-        f": {100.0 * found.share:.0f} % of them differ by {found.apart / MM:.2g} mm from the rest. Did something change "
-        "between rows: a payload, backlash, the robot or the target?"
+        f": {100.0 * found.share:.0f} % of them differ by {found.apart / MM:.2g} mm from the rest. Did something "
+        "change between rows: a payload, backlash, the robot or the target?"
     )
     return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
