@@ -6,15 +6,20 @@ from calib.identification.targets import Target
 from calib.job.proposal import Proposal, ProposedTable, Question
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
+from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.measurements import Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.read import read_measurements, read_stream
+from calib.measurement.streams.rest import at_rest
+from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
 
 __all__ = [
+    "Board",
     "Camera",
+    "Clock",
     "Columns",
     "Conditions",
     "Finding",
@@ -27,10 +32,12 @@ __all__ = [
     "SetUp",
     "Target",
     "TouchingArm",
+    "at_rest",
     "distances",
     "poses",
     "positions",
     "read_measurements",
+    "read_stream",
     "sockets",
     "touched",
 ]

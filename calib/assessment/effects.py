@@ -33,6 +33,8 @@ _MOST_ROWS, _RUN = 6000, 100
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
 _MOST_SPLITS = 60
+# Rows with times that are no farther apart, in s, are a motion.
+_STREAM = 1.0
 # A scatter of a nanometre is rounding.
 _ROUNDING = 1e-9
 # Rows on either side of a jump.
@@ -45,8 +47,9 @@ class Stretch:
 
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
-    change from row to row. ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up.
-    ``least``: variance of r that is rounding.
+    change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
+    ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up. ``least``: variance of r
+    that is rounding.
     """
 
     r: Array
@@ -58,6 +61,7 @@ class Stretch:
     values: Array
     rates: Array
     row: Array
+    step: float
     data: Measurements
     used: float
     least: float
@@ -126,7 +130,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         J = np.concatenate([b.J for b in blocks]) / sigma * w
         r = np.concatenate([b.observed.residual for b in blocks]) / sigma[:, :, 0] * w[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
-        rates = np.gradient(data.readings, axis=0) if len(data) > 1 else np.zeros_like(data.readings)
+        rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
             Stretch(
                 r,
@@ -138,12 +142,26 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 part.readings[:, column],
                 rates[rows][:, column],
                 rows.astype(np.float64),
+                step,
                 data,
                 float(np.sum((J @ residue.C) * J)),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
             )
         )
     return tuple(found)
+
+
+def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
+    """Return how fast the readings (N, k) change, in a second, and the seconds between rows; or from row to row."""
+    if data.stream is not None and data.times is not None:
+        return data.stream.rates(data.shifts(scalars)), float(np.median(np.diff(data.times)))
+    if len(data) < 2:
+        return np.zeros_like(data.readings), float("nan")
+    if data.times is not None:
+        steps = np.diff(data.times)
+        if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
+            return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
+    return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
 
 
 def _chosen(n: int) -> np.ndarray:
@@ -202,15 +220,20 @@ def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
     }
 
 
-def delay(parts: Sequence[Stretch], C: Array, interval: float = 1.0) -> Effect:
+def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
     """Return by how much what was measured is later than the readings beside it: residuals that follow the speed.
 
-    Rows are in the order of time, ``interval`` apart: in rows, or in seconds for that of a stream. Nan for kinds with
-    two ends.
+    In seconds, and the seconds between rows, where all rows have times as streams have them. Else in rows, in their
+    order, and nan. No effect for kinds with two ends.
     """
     usable = [part for part in parts if part.data.other is None]
-    late = effect(usable, [np.einsum("ndk,nk->nd", part.by_joint, -part.rates) for part in usable], C)
-    return Effect(late.value * interval, late.sigma * interval, late.size)
+    step = float(np.mean([part.step for part in usable])) if usable else float("nan")
+    # Where some tables have times, and others have none, rows are what they have in common.
+    units = [1.0 if np.isfinite(step) or not np.isfinite(part.step) else part.step for part in usable]
+    moved = [
+        np.einsum("ndk,nk->nd", part.by_joint, -part.rates * unit) for part, unit in zip(usable, units, strict=True)
+    ]
+    return effect(usable, moved, C), step
 
 
 class Score(NamedTuple):

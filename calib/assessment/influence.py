@@ -110,7 +110,7 @@ class Residue:
             fit,
             files,
             problem,
-            fit.covariance / units[:, None] / units,
+            fit.covariance_alone / units[:, None] / units,
             plain,
             w,
             np.array(squares),

@@ -55,7 +55,7 @@ def verdict(
         by_row = (
             checks.jump(steps(parts, C), found),
             checks.drift(wandering(parts, C), fit),
-            checks.late(delay(parts, C)),
+            checks.late(*delay(parts, C)),
             checks.gear(gains(parts, C), fit),
         )
         told = (
@@ -77,6 +77,7 @@ def verdict(
             checks.joints(fit, own),
             checks.lengths(fit, parts),
             checks.tool_and_base(fit),
+            checks.lens(fit),
             checks.warnings(findings),
         )
     return Verdict(told, checks.shown(fit, own, held_out))

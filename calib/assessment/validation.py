@@ -31,6 +31,8 @@ from calib.measurement.measurements import Measurements
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
 # different poses of a calibration are a tenth of a radian apart.
 _ONE_POSE = 1e-3
+# Stretches of a stream, in s, and farther than any pose in units of one.
+_STRETCH, _FAR = 5.0, 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,12 @@ class HeldOut:
 def groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Numbered by the poses
-    in them, so that neither the order of the rows nor that of the sets matters.
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
+    together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
+    of the rows nor that of the sets matters.
     """
-    readings = np.concatenate([_both_ends(data) for data in measurements])
-    cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
+    poses = np.concatenate([_poses(data, k) for k, data in enumerate(measurements)])
+    cells, cell = np.unique(poses, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
     first: dict[tuple[str, str], int] = {}
@@ -114,9 +117,16 @@ def _places(measurements: Sequence[Measurements]) -> list[str | None]:
     return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
 
 
-def _both_ends(data: Measurements) -> Array:
-    """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
-    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
+def _poses(data: Measurements, number: int) -> Array:
+    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice, in units of one pose.
+
+    Of a stream its stretches, far from all poses and from those of another ``number``.
+    """
+    both = np.round(np.hstack([data.ends[0].readings, data.ends[-1].readings]) / _ONE_POSE)
+    if data.stream is not None:
+        both[:, 1:] = _FAR * (1.0 + number)
+        both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
+    return np.asarray(both)
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:

@@ -13,6 +13,7 @@ from calib.identification.identifiability import NullDirection
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
+from calib.identification.memory import Memory
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.measurements import Measurements
@@ -37,6 +38,8 @@ class Fit:
     ``losses``: of every set. ``learned``: the learned priors, which the parameters also have as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
+    ``memories``: how rows with times err together, which the covariance includes; ``covariance_alone`` (p, p): what it
+    would be if all rows erred independently.
     """
 
     model: ErrorModel
@@ -44,6 +47,7 @@ class Fit:
     parameters: tuple[Parameter, ...]
     values: Array
     covariance: Array
+    covariance_alone: Array
     rank: int
     numerical_rank: int
     singular_values: Array
@@ -63,6 +67,7 @@ class Fit:
     converged: bool
     learned: tuple[LearnedPrior, ...] = ()
     narrowed: float = 1.0
+    memories: tuple[Memory, ...] = ()
 
     @property
     def robot(self) -> Robot:

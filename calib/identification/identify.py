@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
-from calib.identification import identifiability
+from calib.identification import identifiability, weights
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.frames import is_fit
@@ -20,6 +20,7 @@ from calib.identification.initialisation.problem import initial_problem, with_co
 from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
+from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solution_at, solve
@@ -108,12 +109,15 @@ def _identify(
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), variances)
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
+    sigmas = weights.sigmas_of(problem, found.variances, after)
+    covariance, memories = with_memory(problem, found.x, sigmas, after, found.covariance)
     return Fit(
         model=model,
-        measurements=sets,
+        measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
         parameters=problem.parameters,
         values=read_only(found.x),
-        covariance=read_only(found.covariance),
+        covariance=read_only(covariance),
+        covariance_alone=read_only(found.covariance),
         rank=rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
@@ -133,6 +137,7 @@ def _identify(
         converged=found.converged,
         learned=learned,
         narrowed=found.narrowed,
+        memories=memories,
     )
 
 
@@ -205,6 +210,18 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
     return residuals(fit.model.robot, sets, with_new_frames(fit.model, sets, machine)) if sets else ()
 
 
+def at_clocks(fit: Fit, measurements: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return measurements with the readings of streams as the fit has found their clocks. Raises as residuals_of."""
+    if all(data.stream is None for data in measurements):
+        return tuple(measurements)
+    sets = with_common_names(fit.model, (fit.measurements[0], *measurements))[1:]
+    scalars = with_new_frames(fit.model, sets, fit.machine).frames.scalars
+    return tuple(
+        replace(data, readings=common.at_clock(scalars).readings)
+        for data, common in zip(measurements, sets, strict=True)
+    )
+
+
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
 
@@ -222,6 +239,8 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         fit,
         values=read_only(values),
         covariance=read_only(found.covariance),
+        covariance_alone=read_only(found.covariance),
+        memories=(),
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),

@@ -86,7 +86,7 @@ class Parameter:
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
     the prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
     none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
-    determine the parameter.
+    determine the parameter. ``centre``: about which value the prior is, where that is neither nominal nor the start.
     """
 
     name: str
@@ -97,6 +97,7 @@ class Parameter:
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak: float = math.inf
+    centre: float | None = None
 
     @property
     def of_robot(self) -> bool:

@@ -106,7 +106,7 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
     not of this robot.
     """
     with linear.one_thread():
-        sets = [data for data in measurements if len(data) and data.position is not None]
+        sets = [data.at_readings() for data in measurements if len(data) and data.position is not None]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         return tuple(
             finding for setup in setups for finding in _signatures(model.at(setup), [data.at(setup) for data in sets])

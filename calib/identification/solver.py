@@ -122,7 +122,9 @@ class _Prior(NamedTuple):
         robot = [parameter.of_robot for parameter in problem.parameters]
         stated = [parameter.prior is not None for parameter in problem.parameters]
         hold = np.array([parameter.hold for parameter in problem.parameters])
-        return cls(hold, np.where(robot, 0.0, z0), np.array(stated, dtype=bool), np.array(robot, dtype=bool))
+        told = [np.nan if p.centre is None else p.centre / p.scale for p in problem.parameters]
+        centre = np.where(np.isnan(told), np.where(robot, 0.0, z0), told)
+        return cls(hold, centre, np.array(stated, dtype=bool), np.array(robot, dtype=bool))
 
     @property
     def has_weak(self) -> bool:

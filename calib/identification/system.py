@@ -25,6 +25,8 @@ from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, motions, without
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
+from calib.measurement.streams.stream import SHIFTS
+from calib.robot.conditions import Conditions
 from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
 
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
@@ -206,15 +208,14 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
         residual = np.empty(data.sigma.shape)
         for rows in _blocks(data):
             with _naming(data, rows):
-                tips = links[data.tip].tips(data.readings[rows], data.conditions.subset(rows))
+                readings = data.readings_at(at.frames.scalars, rows)
+                tips = links[data.tip].tips(readings, data.conditions.subset(rows))
                 others = None
                 if data.other is not None:
                     others = links[data.tip].tips(data.other.readings[rows], data.other.conditions.subset(rows))
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
-                    base[own] = rigid.inverse(
-                        links[link].tips(data.readings[rows][own], data.conditions.subset(rows).subset(own))
-                    )
+                    base[own] = rigid.inverse(links[link].tips(readings[own], data.conditions.subset(rows).subset(own)))
             placed = base @ tips @ at.frames.tools[data.tool[rows]]
             residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
         found.append(residual)
@@ -280,7 +281,7 @@ def _observe(
     ends = frames.targets[:0]
     if data.other is not None and others is not None:
         ends = base @ others @ frames.tools[data.other.tool[rows]]
-    scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items()}
+    scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
     return observe(data.kind, Seen(data, rows, tools, ends, targets, scalars))
 
 
@@ -300,6 +301,16 @@ class _Carried(NamedTuple):
     joints: Array
     tools: Array
     link: Array
+
+
+class _Clocked(NamedTuple):
+    """Rates (n, k) of the readings of rows of a stream, and how the controller's time (n, p) follows the parameters."""
+
+    rates: Array
+    by: Array
+
+    def subset(self, rows: IntArray) -> "_Clocked":
+        return _Clocked(self.rates[rows], self.by[rows])
 
 
 class Rates:
@@ -326,11 +337,12 @@ class Rates:
             base, group, others = _bases(frames, data, rows), data.setup[rows], None
             with _naming(data, rows):
                 told = data.conditions.subset(rows)
-                motion = tip.motion(data.readings[rows], told)
+                readings = data.readings_at(frames.scalars, rows)
+                motion = tip.motion(readings, told)
                 if data.other is not None:
                     others = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
                 seats = [
-                    (link, own, self._links[link].motion(data.readings[rows][own], told.subset(own)))
+                    (link, own, self._links[link].motion(readings[own], told.subset(own)))
                     for link, own in _on_links(data, rows)
                 ]
             for _, own, seat in seats:
@@ -341,6 +353,9 @@ class Rates:
             placed = base @ motion.placement @ frames.tools[tool]
             observed = _observe(data, rows, frames, placed, base, None if others is None else others.placement)
             J = self._through_robot(data.tip, observed.twist, motion, tool, group)
+            clock = self._clock(data, rows)
+            if clock is not None:
+                J += self._through_time(data.tip, observed.twist, motion, tool, readings, told, clock)
             moved = [(observed.twist, placed)]
             if data.other is not None and others is not None and observed.other is not None:
                 tool = self._tool(data.other.tool[rows])
@@ -350,6 +365,9 @@ class Rates:
                 # The observer moved by xi: what is seen from it moves by -Ad(T^-1) xi.
                 by_seat = -observed.twist[own] @ rigid.adjoint(rigid.inverse(placed[own]))
                 J[own] += self._through_robot(link, by_seat, seat, None, group[own])
+                if clock is not None:
+                    then = readings[own], told.subset(own), clock.subset(own)
+                    J[own] += self._through_time(link, by_seat, seat, None, *then)
             if observed.target is not None:
                 J += observed.target @ self._by_target[data.target[rows]]
             for role, by_scalar in observed.scalars.items():
@@ -371,6 +389,33 @@ class Rates:
         if self._robot.terms:
             J += _times(by_link @ motion.by_terms, self._of_terms)
         return J
+
+    def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
+        """Return how the moments of rows follow the parameters, None where they are no stream or no clock is free."""
+        roles = [role for role in SHIFTS if role in data.uses]
+        if data.stream is None or not roles:
+            return None
+        rates = data.stream.rates(data.shifts(self._frames.scalars), rows)
+        by = np.stack([data.stream.by_shift(role, rows) for role in roles], axis=1)
+        return _Clocked(rates, by @ self._of_scalars[[data.uses[role] for role in roles]])
+
+    def _through_time(
+        self,
+        link: str,
+        twist: Array,
+        motion: TipMotion,
+        tool: IntArray | int | None,
+        readings: Array,
+        told: Conditions,
+        clock: "_Clocked",
+    ) -> Array:
+        """Return derivatives (n, d, p) as :meth:`_through_robot`, by the moment at which the robot is looked at.
+
+        The tool moves with the velocity that it has then: minus that is what an offset of the clock does.
+        """
+        by_link = twist if tool is None else _times(twist, self._to_tool[tool])
+        velocity = self._links[link].following(motion, readings, told) @ clock.rates[:, :, None]
+        return np.asarray((by_link @ velocity) * clock.by[:, None, :])
 
     def _on(self, link: str) -> _Carried:
         """Return how frames on a link follow the parameters."""

@@ -103,7 +103,10 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
             _refuse_no_direction(data, known)
     for k, one in enumerate(sets[0].scalars):
         direction = ((layout.scalars + k, 1.0),)
-        parameters.append(Parameter(one.name, one.unit, "instrument", direction, one.prior, one.size, weak=one.weak))
+        centre = None if one.prior is None else one.start
+        parameters.append(
+            Parameter(one.name, one.unit, "instrument", direction, one.prior, one.size, weak=one.weak, centre=centre)
+        )
     return tuple(parameters)
 
 

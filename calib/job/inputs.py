@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
+from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
@@ -26,7 +27,7 @@ from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.fields import Quantity
 from calib.job.propose import reading_that_fits
-from calib.job.read import read_job
+from calib.job.read import read_board, read_job
 from calib.job.schema import (
     FLOOR,
     CouplingSection,
@@ -41,10 +42,15 @@ from calib.job.schema import (
 )
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding, table_findings
+from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
+from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL, Lens
 from calib.measurement.measurements import ONLY_SETUP, Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.optics import seen_by
+from calib.measurement.prints import Print
+from calib.measurement.read import read_measurements, stream_of
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -63,7 +69,7 @@ class Inputs:
     """Everything a job names, read and checked.
 
     ``model``: with what is known of targets and set-ups that are identified from; ``known``: with what is known of all.
-    ``hashes``: SHA-256 of every input file by its name in the job.
+    ``hashes``: SHA-256 of every input file by its name in the job. ``optics``: how many numbers lenses and boards have.
     """
 
     job: Job
@@ -79,6 +85,7 @@ class Inputs:
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
+    optics: tuple[OpticsChoice, ...] = ()
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -120,10 +127,18 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
-    stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
+    named = list(dict.fromkeys(name for section in sections for name in (section.file, section.readings) if name))
+    prints = _prints(job, folder)
+    lenses = _lenses(job, folder)
+    named += [name for name in (*prints, *lenses) if name not in named]
+    stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
-    sets = [_shared_out(_measurements(section, job, robot, folder, arms, doubts), section) for section in sections]
+    sets = [
+        _shared_out(_measurements(section, job, robot, folder, arms, prints, lenses, doubts), section)
+        for section in sections
+    ]
+    sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
@@ -146,7 +161,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
-        **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
+        **{name: sha256(read_bytes(folder / name, JobError)) for name in named},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
@@ -170,10 +185,67 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         files=(
             path,
             urdf,
-            *(folder / section.file for section in sections),
+            *(folder / name for name in named),
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
+        optics=optics,
     )
+
+
+def _prints(job: Job, folder: Path) -> dict[str, Print]:
+    """Return what is printed on the boards of a job, by the names of their files."""
+    names = dict.fromkeys(section.board for section in job.measurements if section.board is not None)
+    return {name: read_board(folder / name) for name in names}
+
+
+def _lenses(job: Job, folder: Path) -> dict[str, tuple[Lens, tuple[int, int] | None]]:
+    """Return the lenses that files of a job state, by the names of these."""
+    used = {section.instrument for section in job.measurements}
+    names = (eye.lens_file for name, eye in job.instruments.items() if name in used)
+    return {name: read_lens(folder / name) for name in dict.fromkeys(names) if name is not None}
+
+
+def _with_optics(
+    job: Job, sets: Sequence[Measurements], prints: Mapping[str, Print], progress: Progress
+) -> tuple[list[Measurements], tuple[OpticsChoice, ...]]:
+    """Return sets with lenses and boards of as many numbers as photographs ask for, and what was compared for it.
+
+    Of every camera with a free lens, and of boards that may have several shapes; told by what is to be identified from.
+    """
+    found, choices, done = list(sets), [], set()
+    for data, section in zip(sets, job.measurements, strict=True):
+        if data.camera is None or data.board is None or section.use != "identify" or section.instrument is None:
+            continue
+        key = (data.camera.name, data.board.name)
+        shapes = ("flat",) if section.board is None else prints[section.board].shapes
+        rational = job.instruments[section.instrument].lens == "free"
+        if key in done or not (rational or len(shapes) > 1 or data.camera.unknown):
+            continue
+        done.add(key)
+        progress(f"looking at the lens of {section.instrument}")
+        same = [_is_of(key, other) for other in found]
+        own = zip(found, job.measurements, same, strict=True)
+        chosen = choose_optics(
+            [other for other, one, alike in own if alike and one.use == "identify"], shapes, rational=rational
+        )
+        if chosen is not None:
+            camera, board, choice = chosen
+            choices.append(choice)
+            found = [
+                seen_by(other, camera, board) if alike else other for other, alike in zip(found, same, strict=True)
+            ]
+            # Another board of the same camera has the same lens.
+            found = [_of_camera(other, camera) for other in found]
+    return found, tuple(choices)
+
+
+def _is_of(key: tuple[str, str], data: Measurements) -> bool:
+    return data.camera is not None and data.board is not None and (data.camera.name, data.board.name) == key
+
+
+def _of_camera(data: Measurements, camera: Camera) -> Measurements:
+    same = data.camera is not None and data.camera.name == camera.name and data.camera != camera
+    return seen_by(data, camera, data.board) if same else data
 
 
 def _refuse_levels(job: Job, path: Path) -> None:
@@ -482,24 +554,34 @@ def _measurements(
     robot: Robot,
     folder: Path,
     arms: Mapping[str, ReadArm],
+    prints: Mapping[str, Print],
+    lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
 ) -> Measurements:
+    clock = _clock(section, job)
     if section.instrument is not None and section.instrument in arms:
+        if clock is not None:
+            raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
         return data.named(tool=section.tool, setup=section.setup)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
-        data = read_measurements(
-            folder / section.file,
-            seen_from,
-            section.observes,
-            sigma=(_si(section.sigma), _si(section.sigma_angle)),
-            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-            offset=section.length_offset,
-            in_order=section.in_order,
-            columns=_columns(section),
-        )
+        how: dict[str, Any] = {
+            "sigma": (_si(section.sigma), _si(section.sigma_angle)),
+            "instrument": None
+            if section.instrument is None
+            else _instrument(section.instrument, job.instruments[section.instrument], lenses),
+            "offset": section.length_offset,
+            "in_order": section.in_order,
+            "columns": _columns(section),
+        }
+        if section.readings is None or clock is None:
+            board = None if section.board is None else prints[section.board].board(Path(section.board).stem)
+            data = read_measurements(folder / section.file, seen_from, section.observes, board=board, **how)
+        else:
+            joints = folder / section.readings
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
@@ -520,19 +602,42 @@ def _measurements(
     return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
 
 
+def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+    """Return what a job says of the clock of a stream, None of other tables."""
+    if section.readings is None:
+        for key in ("clock", "latency", "gap"):
+            if getattr(section, key) is not None:
+                raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
+        return None
+    streams = list(dict.fromkeys(other.file for other in job.measurements if other.readings is not None))
+    stems = [Path(file).stem for file in streams]
+    own = Path(section.file).stem
+    name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
+    gap = GAP if section.gap is None else section.gap.si
+    return Clock(section.clock or "free", section.latency is not None, gap, name)
+
+
 def _columns(section: MeasurementsSection) -> Columns:
     return Columns(section.columns, section.ignore, section.orientation)
 
 
-def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
+def _instrument(
+    name: str, section: InstrumentSection, lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]]
+) -> LaserTracker | Camera:
+    sigma = 0.0 if section.sigma is None else section.sigma.si
     if section.kind == "camera":
-        assert section.camera_on is not None, "the schema asks where a camera is"
-        fx, fy, cx, cy = (pixels.si for pixels in (section.fx, section.fy, section.cx, section.cy) if pixels)
-        bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
+        fx, fy, cx, cy = (None if q is None else q.si for q in (section.fx, section.fy, section.cx, section.cy))
         place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
-        return Camera(place, fx, fy, cx, cy, *bent, section.sigma.si)
+        free = {"given": (), "free": (*FOCAL, *CENTRE, *BENT)}.get(section.lens, section.lens)
+        bent = {key: getattr(section, key) for key in (*BENT, *RATIONAL)}
+        numbers: dict[str, Any] = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **bent}
+        size = section.size
+        if section.lens_file is not None:
+            lens, size = lenses[section.lens_file]
+            numbers = lens._asdict()
+        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name)
     x, y, z = (length.si for length in section.station)
-    return LaserTracker(section.sigma.si, section.sigma_per_metre.si, (x, y, z))
+    return LaserTracker(sigma, section.sigma_per_metre.si, (x, y, z))
 
 
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:

@@ -13,6 +13,7 @@ from calib.job.fields import (
     AboutWords,
     AnglePrior,
     CompliancePrior,
+    Counts,
     CouplingOffset,
     Direction,
     Distortion,
@@ -27,6 +28,8 @@ from calib.job.fields import (
     Names,
     Position,
     PrincipalPoint,
+    PrintedLength,
+    PrintedShare,
     Quantity,
     Quaternion,
     RelationSigma,
@@ -36,6 +39,7 @@ from calib.job.fields import (
     SigmaAngle,
     at_most,
     camera_place,
+    free_of_lens,
     iterations,
     list_of,
     orientation_name,
@@ -44,7 +48,9 @@ from calib.job.fields import (
     term_option,
     this_schema,
 )
+from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
+from calib.measurement.prints import PrintKind, PrintShape
 from calib.robot.terms import KINDS
 
 # Asked before anything of the entries is.
@@ -224,11 +230,13 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers.
+    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a
+    ``lens`` that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
+    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
-    sigma: InstrumentSigma
+    sigma: InstrumentSigma | None = None
     sigma_per_metre: Annotated[Quantity, PlainValidator(quantity("sigma_per_metre"))] = quantity("sigma_per_metre")(
         "0 um"
     )
@@ -249,6 +257,24 @@ class InstrumentSection(_Section):
     p1: Distortion = 0.0
     p2: Distortion = 0.0
     k3: Distortion = 0.0
+    k4: Distortion = 0.0
+    k5: Distortion = 0.0
+    k6: Distortion = 0.0
+    lens: Annotated[Any, BeforeValidator(free_of_lens)] = "given"
+    size: Counts | None = None
+    lens_file: Name | None = None
+
+
+class BoardSection(_Section):
+    """A ``board.toml``: what was printed, how well its scale is known, and which shape the print may have."""
+
+    kind: PrintKind
+    squares: Counts
+    square: PrintedLength
+    marker: PrintedLength | None = None
+    dictionary: str = ""
+    square_sigma: PrintedShare = SQUARE_SIGMA
+    shape: PrintShape = "auto"
 
 
 class SolverSection(_Section):
@@ -287,13 +313,23 @@ class LevelSection(_Section):
 
 
 class MeasurementsSection(_Section):
-    """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged."""
+    """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged.
+
+    Of a stream, ``readings`` is the file of its joints, and ``clock`` says whether both are one clock; ``latency``, of
+    a given clock, whether readings come late; longer gaps than ``gap`` are not bridged.
+    ``board``: the board.toml of what a camera saw.
+    """
 
     file: Name
+    readings: Name | None = None
+    clock: Literal["free", "given"] | None = None
+    latency: Literal["free"] | None = None
+    gap: Annotated[Quantity, PlainValidator(quantity("gap"))] | None = None
     observes: Kind = "position"
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    board: Name | None = None
     tip: Name | None = None
     tool: Name | None = None
     setup: Name | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.chance import autocorrelations
+from calib.foundations.chance import correlation_time
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
 from calib.identification.fit import Fit
@@ -38,8 +38,6 @@ _FAR = 2.0
 _ALIKE, _MOST_NOISE, _MOST_STEPS = 1.4, 1e3, 300
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
-# Autocorrelation counts while it is beyond chance by so many standard errors.
-_BEYOND_CHANCE = 3.0
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
 # Singular values below this share of the largest are rounding.
@@ -246,17 +244,9 @@ def _rows_as_one(problem: Problem, systematic: Systematic, coefficients: Array) 
     for c, rows in systematic.rows():
         left[c].append(rows @ coefficients)
     numbers = [len(problem.measurements[c.measurements]) for c in problem.components]
-    return np.array([_correlation_time(np.concatenate(r).reshape(n, -1)) for r, n in zip(left, numbers, strict=True)])
-
-
-def _correlation_time(r: Array) -> float:
-    """Return the integrated autocorrelation of rows (N, d): 1 where rows err alone."""
-    (N, d), found = r.shape, 1.0
-    for lag, correlation in enumerate(autocorrelations([r], min(_LONGEST_LAG, N // 4)), 1):
-        if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * d):
-            break
-        found += 2.0 * correlation
-    return found
+    return np.array(
+        [correlation_time(np.concatenate(r).reshape(n, -1), _LONGEST_LAG) for r, n in zip(left, numbers, strict=True)]
+    )
 
 
 def _short(columns: Array) -> Array:

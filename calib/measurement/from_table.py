@@ -10,6 +10,7 @@ from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
+from calib.measurement.boards import Board
 from calib.measurement.columns import (
     BOARD,
     PIXELS,
@@ -17,6 +18,7 @@ from calib.measurement.columns import (
     SIGMA_ANGLES,
     SIGMAS,
     filled,
+    numbers,
     orientations,
     refuse_unknown,
     require,
@@ -27,6 +29,7 @@ from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
 from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
+from calib.measurement.optics import seen_by
 from calib.measurement.projection import undistort
 from calib.measurement.scalars import of_length
 from calib.measurement.table import Table
@@ -81,6 +84,7 @@ def measurements_from_table(
     offset: str | None = None,
     in_order: bool = False,
     joints: Joints = ALL_READ,
+    board: Board | None = None,
 ) -> Measurements:
     """Return what a table says of a robot with these ``readings``; ``joints``: which of the URDF's are needed.
 
@@ -89,6 +93,7 @@ def measurements_from_table(
     ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
     length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
     poses were taken one after the other, and the order of the rows says from which side joints were reached.
+    ``board``: what a camera saw, and what is unknown of it; a flat one of a scale that is known to half a percent.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a pair has not two rows or two lengths, and when the noise is given twice or of coordinates
@@ -159,7 +164,10 @@ def measurements_from_table(
         tip=joints.tip,
         absent=absent,
         unused=tuple(name for name in joints.idle if name in table.columns),
+        times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
+    if camera is not None:
+        return seen_by(found, camera, board or Board())
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
 
@@ -227,7 +235,8 @@ def _pixels(table: Table, camera: Camera) -> Array:
     """Return u and v in px and the mark's place on its board in m, zero where no column says it (N, 5)."""
     require(table, PIXELS, "of the pixel that was seen")
     pixels = stacked(table, dict.fromkeys(PIXELS, "pixel"))
-    seen = undistort(camera, pixels)[1]
+    # Of a lens that is to be found nothing is known that a pixel could contradict.
+    seen = np.ones(len(pixels), dtype=np.bool_) if camera.free else undistort(camera.lens, pixels)[1]
     if not seen.all():
         row = int(np.argmin(seen))
         u, v = pixels[row]

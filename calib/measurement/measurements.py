@@ -9,9 +9,11 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
+from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.scalars import Scalar
+from calib.measurement.streams.stream import SHIFTS, Stream
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
 
@@ -49,10 +51,13 @@ class Measurements:
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
-    ``camera``: by which ``pixels`` were seen.
+    ``camera``: by which ``pixels`` were seen, ``board``: of what, where that is a board of which something is unknown;
+    ``mark`` (N): which of its marks, where its shape is not flat.
     ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
     that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
     since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
+    ``times`` (N,): when rows were measured, in s, None where no column says. ``stream``: of rows whose readings another
+    stream has, by its own clock; ``readings`` are then those by the clock as it is known so far.
     """
 
     __repr__ = brief
@@ -78,13 +83,39 @@ class Measurements:
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
     camera: Camera | None = None
+    board: Board | None = None
+    mark: IntArray | None = None
     tip: str = ""
     target_links: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    times: Array | None = None
+    stream: Stream | None = None
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    def shifts(self, scalars: Array) -> dict[str, float]:
+        """Return what the scalars (s,) make of the clock of a stream."""
+        return {role: float(scalars[self.uses[role]]) for role in SHIFTS if role in self.uses}
+
+    def readings_at(self, scalars: Array, rows: slice = slice(None)) -> Array:
+        """Return the readings (n, k) of rows where scalars (s,) have these values: those of a stream follow them."""
+        if self.stream is None:
+            return self.readings[rows]
+        return self.stream.readings(self.shifts(scalars), rows)
+
+    def at_clock(self, scalars: Array) -> "Measurements":
+        """Return the rows with the readings that they have where scalars (s,) have these values."""
+        if self.stream is None:
+            return self
+        return replace(self, readings=read_only_view(self.readings_at(scalars)))
+
+    def at_readings(self) -> "Measurements":
+        """Return the rows as a table that has their readings beside them, with no clock to be found."""
+        if self.stream is None:
+            return self
+        return replace(self, stream=None, uses={role: k for role, k in self.uses.items() if role not in SHIFTS})
 
     @property
     def ends(self) -> tuple[End, ...]:
@@ -202,7 +233,10 @@ class Measurements:
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
+            mark=None if self.mark is None else read_only_view(self.mark[index]),
             conditions=self.conditions.subset(index),
+            times=None if self.times is None else read_only_view(self.times[index]),
+            stream=None if self.stream is None else self.stream.subset(index),
         )
 
 

@@ -50,6 +50,7 @@ MEASURED: Rgb = (0.13, 0.13, 0.13)
 NOMINAL: Rgb = (0.0, 0.447, 0.698)
 TOOL: Rgb = (0.8, 0.475, 0.655)
 MARK: Rgb = (0.0, 0.52, 0.39)
+REGION: Rgb = (0.0, 0.62, 0.45)
 AXES: tuple[Rgb, Rgb, Rgb] = ((0.80, 0.15, 0.15), (0.13, 0.58, 0.23), (0.15, 0.30, 0.80))
 # matplotlib's "plasma" without its yellow end, which white paper swallows: in order for every kind of colour vision.
 _SCALE = ("0d0887", "46039f", "7201a8", "9c179e", "bd3786", "d8576b", "ed7953", "fb9f3a")
@@ -62,7 +63,7 @@ _GRID: Rgb = (0.80, 0.81, 0.83)
 
 # A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
 _MOST_FACES = 40_000
-_MOST_POINTS = 1000
+_MOST_POINTS = 10_000
 # Links that are drawn as round sticks; more of them get four sides.
 _MOST_ROUND = 100
 # Below a nanometre an error is rounding, and magnifying it would show noise as a finding.
@@ -71,16 +72,21 @@ _PAGE = "scene.html.jinja"
 _SCRIPT = "scene.js"
 
 
+MarkKind = Literal["point", "ball", "socket", "plane", "axis"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
-    """Something beside the arm: a ball at a point, a plate in x and y, or a line along z of ``T`` (4, 4) in the world.
+    """Something beside the arm, at ``T`` (4, 4) in the world.
 
-    Marks of one ``layer`` are shown and hidden together. ``size`` in m: the ball's radius, or half the side or length.
+    A point is drawn as a ball, a ball is seen through, a socket is a cup that is open along z, a plane a plate in x and
+    y, an axis a line along z. Marks of one ``layer`` are shown and hidden together. ``size`` in m: the radius, or half
+    the side or length.
     """
 
     layer: str
     name: str
-    kind: Literal["point", "plane", "axis"]
+    kind: MarkKind
     T: Array
     size: float
 
@@ -95,7 +101,9 @@ class Scene:
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
     ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
-    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told.
+    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told. ``groups``:
+    by what rows may be coloured, such as their table, and the name (N) that each has. ``regions``: of some rows the
+    half axes (3, 3), as columns, of the ellipsoid around the prediction where the calibrated tool is with 95 %.
     """
 
     title: str
@@ -115,6 +123,8 @@ class Scene:
     judged: bool = True
     joints: tuple[tuple[str, str], ...] = ()
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    regions: Mapping[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,6 +221,8 @@ def render_scene(scene: Scene) -> str:
         "readings": scene.readings[rows].round(4).tolist() if scene.joints else [],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
+        "groups": _groups(scene, rows),
+        "regions": _regions(scene, rows, T_base_world[:3, :3]),
         "scales": scene.scales,
         "factors": _factors(scene.scales),
         "radius": 0.004 * extent,
@@ -357,9 +369,28 @@ def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array
     }
 
 
+def _groups(scene: Scene, rows: IntArray) -> dict[str, dict[str, Any]]:
+    """Return the names of every kind of group, and which of them the rows drawn have; none of a kind of one name."""
+    found = {}
+    for kind, names in scene.groups.items():
+        every = list(dict.fromkeys(names))
+        if len(every) > 1:
+            numbers = {name: k for k, name in enumerate(every)}
+            found[kind] = {"names": every, "kinds": [numbers[names[n]] for n in rows]}
+    return found
+
+
+def _regions(scene: Scene, rows: IntArray, R_base_world: Array) -> list[tuple[int, list[float]]]:
+    """Return the half axes, one after the other, of the regions of rows that are drawn, by their places among them."""
+    place = {int(n): k for k, n in enumerate(rows)}
+    return [
+        (place[n], (R_base_world @ axes).T.ravel().round(9).tolist()) for n, axes in scene.regions.items() if n in place
+    ]
+
+
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
     for mark in marks:
-        opacity = 0.35 if mark.kind == "plane" else 1.0
+        opacity = 0.35 if mark.kind in ("plane", "ball") else 1.0
         path = ("marks", _node(mark.layer), _node(mark.name))
         yield _Drawing(path, [_shape(mark)], T_base_world @ mark.T, opacity=opacity)
 
@@ -367,6 +398,13 @@ def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
 def _shape(mark: Mark) -> Triangles:
     if mark.kind == "point":
         return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=2)
+    if mark.kind == "ball":
+        return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+    if mark.kind == "socket":
+        whole = balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+        lower = whole.faces[whole.vertices[whole.faces][:, :, 2].mean(axis=1) < 0.0]
+        # Both sides: it is looked into.
+        return Triangles(whole.vertices, np.concatenate([lower, lower[:, ::-1]]), MARK)
     if mark.kind == "axis":
         end = np.array([[0.0, 0.0, mark.size]])
         return sticks(-end, end, 0.02 * mark.size, MARK, sides=12)
@@ -453,9 +491,13 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         "drawn": _factors(scene.scales).index(scene.scales[0]),
         "apart": None if scene.nominal is None else f"{scene.apart:g}",
         "colours": [_css(rgb) for rgb in SCALE],
+        "groups": list(_groups(scene, np.arange(n))),
+        "regions": bool(scene.regions),
+        "views": ["all", "front", "side", "top", "along the tool"]
+        + ([] if np.allclose(scene.calibrated.root, np.eye(4), atol=1e-6) else ["from the instrument"]),
         "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
         "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],
-        "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK)},
+        "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK), "regions": _css(REGION)},
         "marks": [(_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks)],
         "cell": f"{cell:g}",
         "notes": notes,

@@ -1,7 +1,6 @@
 """The scene of a calibration."""
 
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,12 +10,18 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
-from calib.measurement.kinds import size
-from calib.presentation.scene import Mark, Scene, magnification
+from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty import squared_bound
+from calib.measurement.kinds import Kind, size
+from calib.measurement.measurements import Measurements
+from calib.presentation.scene import Mark, MarkKind, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
 from calib.robot.links import Arm, arm_of
 from calib.robot.robot import Deviations
+
+# Ellipsoids of all rows would hide one another, and take longer than the fit.
+_MOST_REGIONS = 60
 
 
 def scene_of(found: Calibration) -> Scene:
@@ -64,18 +69,94 @@ def scene_of(found: Calibration) -> Scene:
         judged=bool(with_points),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
+        groups={
+            "table": [judged.file for judged in sets for _ in range(len(judged.data))],
+            "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
+        },
+        regions=_regions(found, sets) if with_points else {},
     )
 
 
+def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
+    """Return the half axes (3, 3) of the region of the tool with 95 %, in the first set-up's axes, of some rows."""
+    if found.machine.uncertainty is None:
+        return {}
+    known = found.machine.uncertainty
+    radius = np.sqrt(squared_bound(0.95, 3, known.degrees_of_freedom))
+    total = sum(len(judged.data) for judged in sets)
+    chosen = np.unique(np.linspace(0, total - 1, _MOST_REGIONS).astype(int))
+    axes: dict[int, Array] = {}
+    start = 0
+    for judged in sets:
+        data, own = judged.data, chosen[(chosen >= start) & (chosen < start + len(judged.data))] - start
+        turned = _carried(found, judged)[:, :3, :3]
+        for setup, tool in sorted({(data.setups[data.setup[n]], data.tools[data.tool[n]]) for n in own}):
+            rows = np.array([n for n in own if (data.setups[data.setup[n]], data.tools[data.tool[n]]) == (setup, tool)])
+            told = data.conditions.subset(rows)
+            sure = tool_uncertainty(found.machine.at(setup), data.readings[rows], tool, conditions=told)
+            sizes, ways = np.linalg.eigh(sure.covariance[:, :3, :3])
+            half = turned[rows] @ ways * (radius * np.sqrt(np.maximum(sizes, 0.0)))[:, None, :]
+            axes |= {start + int(n): one for n, one in zip(rows, half, strict=True)}
+        start += len(data)
+    return dict(sorted(axes.items()))
+
+
+# What targets of a kind of rows are: their layer, and how they are drawn.
+_DRAWN: Mapping[Kind, tuple[str, MarkKind]] = {
+    "socket": ("sockets", "socket"),
+    "sphere": ("balls", "ball"),
+    "plane": ("planes", "plane"),
+    "indicator": ("indicated planes", "plane"),
+    "distance": ("anchors", "point"),
+    "pixels": ("boards and cameras", "plane"),
+}
+
+
 def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
-    """Yield the sockets, anchors, balls, planes, boards and cameras where the calibration has found them."""
-    fit = found.fit
+    """Yield sockets, anchors, balls, planes, boards and cameras where the calibration has found them.
+
+    Planes are as large as they were touched, balls as far away from their centres as the tool's point was; sockets are
+    open to where the tip was.
+    """
+    fit, own = found.fit, found.fit.measurements[0]
     known = shapes(fit.measurements)
-    for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
-        shape = known.get(name)
-        if shape and name not in fit.measurements[0].target_links:
-            kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
-            yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
+    for t, (name, T) in enumerate(zip(own.targets, fit.machine.frames.targets, strict=True)):
+        if name not in known or name in own.target_links:
+            continue
+        sets = [data for data in fit.measurements if t in data.target and data.kind in _DRAWN]
+        layer, kind = _DRAWN[sets[0].kind]
+        if known[name] == "point" and kind == "plane":
+            layer, kind = "marks", "point"
+        touched = np.concatenate([_tool_points(found, data)[data.target == t] for data in sets])
+        placed, size = _as_touched(kind, T, touched[:, 0], touched[:, 1], extent)
+        yield Mark(layer, name, kind, placed, size)
+
+
+def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: float) -> tuple[Array, float]:
+    """Return the place (4, 4) and the size of a target that tools at ``points`` (N, 3), on ``tips``, have touched."""
+    off = (points - T[:3, 3]) @ T[:3, :3]
+    if kind == "ball":
+        return T, float(np.median(np.linalg.norm(off, axis=1)))
+    if kind == "plane" and np.abs(off[:, 2]).max() < 0.1 * max(float(np.ptp(off[:, :2])), 1e-6):
+        middle = np.append((off[:, :2].min(axis=0) + off[:, :2].max(axis=0)) / 2.0, 0.0)
+        half = float(np.abs(off[:, :2] - middle[:2]).max())
+        return rigid.placement(T[:3, :3], T[:3, 3] + T[:3, :3] @ middle), max(1.1 * half, 0.01 * extent)
+    if kind == "socket":
+        up = (tips - points).mean(axis=0)
+        size = float(np.linalg.norm(up))
+        if size > 0.0:
+            across = np.cross(np.eye(3)[np.argmin(np.abs(up))], up / size)
+            across /= np.linalg.norm(across)
+            R = np.column_stack([across, np.cross(up / size, across), up / size])
+            return rigid.placement(R, T[:3, 3]), 0.018 * extent
+    return T, (0.08 if kind == "plane" else 0.012) * extent
+
+
+def _tool_points(found: Calibration, data: Measurements) -> Array:
+    """Return the points (N, 2, 3) of tools and of the tips that carry them, in the instrument's frame of the set-up."""
+    fit = found.fit
+    tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
+    return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 
 def _points(found: Calibration, judged: JudgedSet) -> Array:

@@ -364,10 +364,20 @@ class TipModel:
         """
         q = self._positions(readings, conditions)
         placement, by_joint = self._kinematics.jacobian(q)
+        return placement, self._by_reading(q, by_joint, readings)
+
+    def following(self, motion: TipMotion, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the local twists (N, 6, nr) of :meth:`driven` from a motion at these readings (N, nr)."""
+        every = [6 * j + (5 if kind == "revolute" else 2) for j, kind in enumerate(self._types)]
+        # Only loops ask where the joints are.
+        q = readings if self._closure is None else self._positions(readings, conditions)
+        return self._by_reading(q, motion.regressor[:, :, every], readings)
+
+    def _by_reading(self, q: Array, by_joint: Array, readings: Array) -> Array:
         by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
-        return placement, by_reading
+        return by_reading
 
     def _positions(self, readings: Array, conditions: Conditions) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""

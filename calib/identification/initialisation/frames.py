@@ -18,9 +18,11 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.carried import Carried
+from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
 from calib.identification.machine import Frames, Machine
 from calib.measurement.measurements import Measurements
+from calib.measurement.scalars import Scalar
 from calib.robot.robot import Deviations
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
@@ -40,11 +42,12 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     """Return bases, tools and targets that explain sets with common names best with the nominal robot.
 
     What is fixed or known stays as given, a base with a prior where the prior has it. ``begun``: a machine whose robot
-    is taken in the place of the nominal one, and whose set-ups and tools, the first of the names, stay.
+    is taken in the place of the nominal one, and whose set-ups, tools and scalars, the first of the names, stay.
 
     Raises MeasurementError where nothing shows where the base of a set-up is.
     """
-    sets = [_thinned(data) for data in sets]
+    known = None if begun is None else _values(sets[0].scalars, begun.frames.scalars)
+    sets = [_thinned(data) for data in with_found_lenses(sets, known)]
     carried = [_carried(model, data, None if begun is None else begun.deviations) for data in sets]
     tips = [rows.tips for rows in carried]
     at = _Placed.of(model, sets[0], None if begun is None else begun.frames)
@@ -68,6 +71,11 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     if not at.stands.all():
         at = _by_targets(model, carried, at)
     return Initialisation(with_targets(model, carried, Frames(at.bases, at.tools)), unshown)
+
+
+def _values(scalars: Sequence[Scalar], values: Array) -> dict[str, float]:
+    """Return values (s,) of the first of the scalars, by name."""
+    return {one.name: float(value) for one, value in zip(scalars, values, strict=False)}
 
 
 def _carried(model: ErrorModel, data: Measurements, deviations: Deviations | None) -> Carried:
@@ -197,7 +205,8 @@ def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
 def is_fit(sets: Sequence[Measurements]) -> bool:
     """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
     data = sets[0]
-    alone = len(sets) == len(data.setups) == 1
+    # A clock's start is no least-squares fit.
+    alone = len(sets) == len(data.setups) == 1 and not data.uses
     return alone and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
 
 

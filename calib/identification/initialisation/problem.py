@@ -74,6 +74,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
     sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
     links = _common_links(sets)
+    _refuse_other_optics(sets)
     _refuse_absent(model, sets)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
@@ -109,6 +110,27 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         )
         for data in sets
     )
+
+
+def _refuse_other_optics(sets: Sequence[Measurements]) -> None:
+    """Refuse cameras of one name with other numbers, and boards of one name with other marks."""
+    cameras: dict[str, Measurements] = {}
+    boards: dict[str, Measurements] = {}
+    for data in sets:
+        if data.camera is not None and data.camera.free:
+            first = cameras.setdefault(data.camera.name, data)
+            if first.camera != data.camera:
+                raise MeasurementError(
+                    f"{data.where}: the camera {data.camera.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
+        if data.board is not None:
+            first = boards.setdefault(data.board.name, data)
+            if not data.board.same_as(first.board):
+                raise MeasurementError(
+                    f"{data.where}: the board {data.board.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
 
 
 def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
@@ -192,7 +214,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
-    others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
+    others = [data for data in sets if data.stream or (data.kind in targets.SHAPES and data.kind != "socket")]
     of_setup = any(not parameter.nuisance for parameter in new)
     return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
 
