@@ -12,6 +12,7 @@ from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.two_machines import TwoMachines
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
@@ -34,7 +35,8 @@ TOO_LARGE = 3.0
 ROUNDING = 1e-9
 
 # The thresholds. Beside each: the largest of the sound sessions of docs/verdicts.md, where it says something.
-LEFT = 0.01
+# Poor arms leave up to half of it; what does not belong together leaves all.
+LEFT = 0.05
 # One place that was touched has no spread; this share of the reach stands for it.
 ONE_PLACE = 0.05
 SURELY = 0.975
@@ -49,7 +51,9 @@ SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 SEEN_IN_TIME = 0.3
-GROSS, GROSS_ROBUST, FAR = 0.05, 0.15, 5.0
+# Fewer rows than that share are gross errors, which another check judges.
+TWO_MACHINES, MANY = 3.0, 0.15
+GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
 FROZEN = 0.02
 OWN_BASE = 2.0
 LINE = 5e-3
@@ -391,12 +395,16 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
 
 
 def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
-    """Whether files, groups or targets ask for another machine than the rest; ``sets``: for a base of their own."""
+    """Whether groups or targets ask for another machine than the rest; ``sets``: files, for a base or tool of theirs.
+
+    The noise of a file is its own: what it asks for otherwise is in that as well.
+    """
     width = max(r.shape[1] for r in fit.residuals)
     told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
     told += [
         (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "other parameters")
         for group in found.disagreeing
+        if group.kind != "file"
     ]
     size, name, asks = max(told, default=(0.0, "", ""))
     if size <= SIZE:
@@ -414,6 +422,20 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
         return _check("set-ups", NOTHING, OWN_BASE, True, "No table fits much better with a base of its own.")
     times = worst.error / worst.moved
     return _check("set-ups", times, OWN_BASE, False, worst.sentence)
+
+
+def one_machine(found: TwoMachines, fit: Fit) -> Check:
+    """Whether all rows are of one machine: told apart in two, they would leave hardly less, or be hardly apart."""
+    limit = OF_REACH * fit.model.robot.reach
+    if found.share < MANY or found.apart < limit:
+        return _check("one machine", NOTHING, TWO_MACHINES, True, "The rows do not seem to come from two machines.")
+    passed = found.times <= TWO_MACHINES
+    said = f"Split between two machines, the rows scatter {found.times:.2g} times less"
+    what = (
+        f": {100.0 * found.share:.0f} % of them differ by {found.apart / MM:.2g} mm from the rest. Did something "
+        "change between rows: a payload, backlash, the robot or the target?"
+    )
+    return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:

@@ -253,7 +253,7 @@ def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
     return effect(usable, moved, C), step
 
 
-class _Score(NamedTuple):
+class Score(NamedTuple):
     """What directions gain, taken together: chi-squared ``gain`` (...) of so many ``numbers`` (...).
 
     ``sizes`` (..., k): by what directions would have to be multiplied.
@@ -264,13 +264,13 @@ class _Score(NamedTuple):
     sizes: Array
 
 
-def _score(A: Array, S: Array, g: Array, C: Array) -> _Score:
+def score_test(A: Array, S: Array, g: Array, C: Array) -> Score:
     """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k)."""
     values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
     kept = values > _TAKEN * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
     u = np.einsum("...ij,...i->...j", V, g)
     weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
-    return _Score(
+    return Score(
         np.sum(u * weighed, axis=-1), np.count_nonzero(kept, axis=-1), -np.einsum("...ij,...j->...i", V, weighed)
     )
 
@@ -290,26 +290,29 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         D = np.einsum("ndk,ns->ndks", part.by_base, shapes).reshape(part.r.size, -1)
         J = part.J.reshape(part.r.size, -1)
         S = D.T @ J
-        found = _score(D.T @ D, S, D.T @ part.r.ravel(), C)
+        found = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
         chance = _chance(found, part.r + shift, part, C)
-        seen = part.by_base[:, :, :3]
-        # By how much the whitened numbers follow a metre.
-        per_metre = float(np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2)) / 3.0)))
-        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / max(per_metre, 1e-12)
+        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / per_metre([part])
         if size > best[0]:
             best = (size, chance)
     return best
 
 
-def _chance(found: _Score, rest: Array, part: Stretch, C: Array) -> float:
+def per_metre(parts: Sequence[Stretch]) -> float:
+    """Return by how much the whitened numbers of a row (rms of their norms) follow a metre by which the base moves."""
+    squares = sum(float(np.sum(part.by_base[:, :, :3] ** 2)) / 3.0 for part in parts)
+    return max(float(np.sqrt(squares / sum(len(part.r) for part in parts))), 1e-12)
+
+
+def _chance(found: Score, rest: Array, part: Stretch, C: Array) -> float:
     """Return how probable a gain is, against what remains (n, d), of rows that remember each other."""
     freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
     variance = max(float(np.sum(rest**2)) / freedom, part.least)
     return _by_chance(found, variance, freedom, rest)
 
 
-def _by_chance(found: _Score, variance: float, freedom: float, r: Array) -> float:
+def _by_chance(found: Score, variance: float, freedom: float, r: Array) -> float:
     """Return how probable a gain is where residuals (n, d) remember each other, by a variance of such a freedom."""
     inflation = 1.0 + 2.0 * memory([r])
     square = float(found.gain) / variance / inflation
@@ -328,19 +331,21 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
     ends = np.cumsum([0, *(part.r.size for part in parts)])
     r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
-    free = max(len(r) - sum(part.used for part in parts), 0.1 * len(r))
     for k, part in enumerate(parts if len(parts) > 1 else ()):
         rows, n = slice(ends[k], ends[k + 1]), len(part.r)
         for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
             D = Z.reshape(part.r.size, -1)
             S = D.T @ J[rows]
-            score = _score(D.T @ D, S, D.T @ r[rows], C)
+            score = score_test(D.T @ D, S, D.T @ r[rows], C)
             rest = r - J @ (C @ (S.T @ score.sizes))
             rest[rows] += D @ score.sizes
-            variance = max(float(rest @ rest) / free, *(one.least for one in parts))
+            # Judged by what remains in this set: its noise may have been estimated with the change in it.
+            own = rest[rows].reshape(part.r.shape)
+            free = max(own.size - part.used - D.shape[1], 0.1 * own.size)
+            variance = max(float(np.sum(own**2)) / free, part.least)
             others = sum(len(one.r) for one in parts) - n
             size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _by_chance(score, variance, free, part.r)
+            chance = _by_chance(score, variance, free, own)
             found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
@@ -358,9 +363,9 @@ def _steps_of(part: Stretch, C: Array) -> list[Step]:
     for what, Z in things:
         sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
         S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
-        scores = _score(A, S, g, C)
+        scores = score_test(A, S, g, C)
         best = int(np.argmax(scores.gain))
-        score, place = _Score(*(of[best] for of in scores)), int(places[best])
+        score, place = Score(*(of[best] for of in scores)), int(places[best])
         if score.gain <= 0.0:
             continue
         D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes

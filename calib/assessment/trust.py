@@ -16,6 +16,7 @@ from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.two_machines import two_machines
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -69,6 +70,7 @@ def verdict(
             *by_row,
             checks.groups(found, apart(parts, C), fit),
             checks.set_ups(moved),
+            checks.one_machine(two_machines(parts), fit),
             checks.gross_errors(fit, own),
             checks.frozen(own),
             checks.in_line(own),

@@ -76,7 +76,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 22
+    assert len({check.name for check in found.checks}) == len(found.checks) == 23
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
@@ -263,3 +263,19 @@ def test_a_table_that_asks_for_a_base_of_its_own() -> None:
     (check,) = (check for check in found.checks if check.name == "groups")
     assert not check.passed
     assert "it fits better with a base of its own" in check.sentence
+
+
+def test_a_table_that_asks_for_a_tool_of_its_own_however_much() -> None:
+    """The noise of a table is estimated with what it lacks in it: its size is judged by what remains all the same."""
+    cell = Cell(9)
+    one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
+    sizes = []
+    for shift in (1e-3, 10e-3):
+        T = cell.machine.see(other.readings)[:, :3, :3]
+        moved = replace(other, position=other.position + T @ np.array([shift, 0.0, 0.0]))
+        found = calib.assess(calib.identify(cell.model, [one, moved]))
+        (check,) = (check for check in found.checks if check.name == "groups")
+        assert not check.passed
+        assert "it fits better with a tool of its own" in check.sentence
+        sizes.append(check.statistic)
+    assert sizes[1] > 5.0 * sizes[0]
