@@ -66,7 +66,8 @@ class Priors:
         refuse_fields(self)
         for field, name in _RANGES.items():
             width = getattr(self, field)
-            if width is not None and width != "learned":
+            # Other words, and what is not above zero, the error model refuses, which knows of what the prior is.
+            if isinstance(width, float | int) and width > 0.0:
                 refuse_beyond(width, name, f"Priors: {field}")
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
