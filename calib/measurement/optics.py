@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
@@ -58,6 +59,7 @@ def board_scalars(board: Board) -> dict[str, Scalar]:
     return ({SCALE: Scalar(f"{prefix}.{SCALE}", "1", sigma, prior=sigma)} if sigma > 0.0 else {}) | found
 
 
+@checked
 def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> Measurements:
     """Return pixels as seen by another camera, of another board: what is unknown of these is then theirs.
 
