@@ -11,6 +11,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
+from calib.foundations.ranges import MOST_TARGETS
 from calib.foundations.units import Dimension
 from calib.measurement.columns import numbers, stacked
 from calib.measurement.conditions import conditions
@@ -69,7 +70,8 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     in one or several places (``target``), touched with a probe whose ball has the diameter ``ball``; with ``group``,
     in several articulations. With neither: cones (``target``), each touched in many articulations.
 
-    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension.
+    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension, and for very many
+    targets.
     """
     columns = table.columns
     kind: TestKind = "cone"
@@ -93,10 +95,15 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
         if (values <= 0.0).any():
             row = int(np.argmin(values))
             raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
+    said = {name: cast(tuple[str, ...], columns[name].values) for name in words}
+    # What belongs to a name is sought: the place of a cone, a sphere. Lengths are only counted.
+    for name in ("target", "group") if kind != "length" else ():
+        if (count := len(set(said.get(name, ())))) > MOST_TARGETS:
+            raise MeasurementError(f"{table.where}: column {name!r} has {count} names; allowed are {MOST_TARGETS}.")
     return Touches(
         kind,
         stacked(table, joints),
-        {name: cast(tuple[str, ...], columns[name].values) for name in words},
+        said,
         of_shapes,
         table.where,
         table.lines,
