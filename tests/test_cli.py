@@ -153,6 +153,15 @@ def doubled(folder: Path) -> None:
 DOUBLED = f"{TABLE}: 1 of 61 rows repeat an earlier one to the last digit, at line 66."
 
 
+def test_the_same_table_twice_is_refused(folder: Path) -> None:
+    """By its own name, and as a copy of another: no job is written, and none is calibrated."""
+    for name in (TABLE, "copy.csv"):
+        (folder / name).write_bytes((folder / TABLE).read_bytes())
+        said = run("init", folder / "arm_cmm.urdf", folder / TABLE, folder / name, "-o", folder / "n.toml", "--yes")
+        assert (said.code, (folder / "n.toml").exists()) == (1, False)
+        assert said.err.rstrip().endswith("; leave out the copies."), said.err
+
+
 def test_duplicate_rows_warn(folder: Path) -> None:
     doubled(folder)
     said = run("calibrate", JOB, "-o", "out")

@@ -60,6 +60,7 @@ COUNTED = (
     "radians-as-degrees",
     "metres-as-millimetres",
     "not-held-out",
+    "copied-rows",
 )
 
 

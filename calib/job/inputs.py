@@ -40,7 +40,7 @@ from calib.job.schema import (
     TargetSection,
 )
 from calib.machine.touching import touched
-from calib.measurement.checks import Finding, table_findings
+from calib.measurement.checks import Finding, copied_tables, table_findings
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
@@ -136,6 +136,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     _refuse_no_noise(job, sets, path)
     doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
+    findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
