@@ -2,6 +2,7 @@
 
 from calib.assessment.candidates import Candidates, Setup, Sight, possible, random_candidates, roughly
 from calib.assessment.planning import Forecast, Plan, plan
+from calib.assessment.telling import most_telling
 from calib.robot.collision import SelfCollision, self_collision
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "SelfCollision",
     "Setup",
     "Sight",
+    "most_telling",
     "plan",
     "possible",
     "random_candidates",

@@ -252,7 +252,7 @@ def test_help_begins_with_the_way_to_a_calibrated_machine() -> None:
 
 def test_every_command_has_an_example_that_it_takes() -> None:
     found = commands()
-    assert len(found) == 19
+    assert len(found) == 20
     for name, text in found.items():
         (example,) = re.findall(r"^  Example: (.*)", text, re.MULTILINE)
         program, command, *arguments = shlex.split(example)

@@ -246,7 +246,7 @@ def _shows_base(machine: CalibratedMachine, data: Measurements) -> bool:
 
 def _base_motion(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
-    in_base = data.tips(machine.robot, machine.deviations) @ machine.state.frames.tools[data.tool]
+    in_base = data.tips(machine.robot, machine.deviations) @ data.placed_by(machine.state.frames.tools)
     local = rigid.adjoint(rigid.inverse(in_base))
     placed = machine.state.frames.bases[data.setup] @ in_base
     motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.units import MM, MRAD
+from calib.foundations.units import DISPLAY, MRAD
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
@@ -30,6 +30,7 @@ Kind = Literal["null space", "weak", "correlated"]
 _SHOWN = 0.05
 _MOST_ROWS = 200
 _CORRELATED = 0.95
+_TO_SHOW_A_CLOCK = "A clock shows where the speed changes: move now faster and now slower, in other directions."
 # Where more tool points are tried, in m on the tip link beside the first one.
 _MORE_POINTS = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.05))
 # A base or tool that a direction moves by less of a parameter scale has no part in it.
@@ -65,7 +66,7 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     parameters whose correlation exceeds 0.95.
     """
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
-    factor = {"m": (1.0 / MM, "mm"), "rad": (1.0 / MRAD, "mrad")}
+    factor = {**DISPLAY, "rad": (1.0 / MRAD, "mrad")}
     said = []
     for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
         if weak:
@@ -94,8 +95,20 @@ def null_space_advice(
     if any(data.position is None for data in measurements):
         # What more would help is tried with what an instrument sees; sockets and gauges are another matter.
         return tuple(Advice("null space", tuple(direction.shares), str(direction)) for direction in null_space)
-    helpful = _tried(model, with_common_names(model, measurements), null_space)
-    return tuple(_of_direction(direction, names) for direction, names in zip(null_space, helpful, strict=True))
+    sets = with_common_names(model, [data.at_readings() for data in measurements])
+    others = [direction for direction in null_space if not _of_clock(direction, sets)]
+    remedies = iter(_tried(model, sets, others))
+    return tuple(
+        Advice("null space", tuple(direction.shares), f"{direction} {_TO_SHOW_A_CLOCK}")
+        if _of_clock(direction, sets)
+        else _of_direction(direction, next(remedies))
+        for direction in null_space
+    )
+
+
+def _of_clock(direction: NullDirection, sets: Sequence[Measurements]) -> bool:
+    """Return whether a direction moves a number of an instrument, such as the offset of its clock."""
+    return not direction.shares.keys().isdisjoint(one.name for data in sets for one in data.scalars)
 
 
 def told_briefly(
@@ -107,7 +120,7 @@ def told_briefly(
     """
     if len(null_space) < _A_FEW or any(data.kind not in ("position", "pose") for data in measurements):
         return tuple(said)
-    sets = with_common_names(model, measurements)
+    sets = with_common_names(model, [data.at_readings() for data in measurements])
     if len(sets[0].setups) > 1 or len(model.robot.links) > 1:
         # What one set-up, or one link, does not show, others may.
         return tuple(said)
@@ -118,7 +131,7 @@ def told_briefly(
         first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n, None, (), seed=0))
     )
     J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, (anywhere,)))
-    never = [not _shown(J, names, [], direction) for direction in null_space]
+    never = [not _of_clock(direction, sets) and not _shown(J, names, [], direction) for direction in null_space]
     if sum(never) < _A_FEW:
         return tuple(said)
     several = f"{sum(never)} combinations that no {'pose' if first.kind == 'pose' else 'position'} determines"
@@ -197,7 +210,7 @@ def _trial(remedy: str, model: ErrorModel, sets: Sequence[Measurements], frames:
 
 
 def _with_orientation(model: ErrorModel, data: Measurements, frames: Frames) -> Measurements:
-    placed = frames.bases[data.setup] @ data.tips(model.robot) @ frames.tools[data.tool]
+    placed = frames.bases[data.setup] @ data.tips(model.robot) @ data.placed_by(frames.tools)
     sigma = np.repeat(data.sigma[:, :1], 6, axis=1)
     return replace(data, kind="pose", orientation=read_only(placed[:, :3, :3]), sigma=read_only(sigma))
 
@@ -223,9 +236,9 @@ def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: NullDi
 
 
 def _correlated(fit: Fit) -> list[Advice]:
-    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
+    seen = fit.correlated
     sigmas = fit.sigmas[seen]
-    correlation = fit.covariance[np.ix_(seen, seen)] / (sigmas[:, None] * sigmas)
+    correlation = fit.spread.of(seen) / (sigmas[:, None] * sigmas)
     said = []
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1)), strict=True):
         a, b = (fit.parameters[seen[k]].name for k in (i, j))

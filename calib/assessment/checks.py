@@ -12,10 +12,11 @@ from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.two_machines import TwoMachines
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import triangle
-from calib.foundations.units import DEG, MM
+from calib.foundations.units import DEG, MM, MS
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
 from calib.machine.calibrated import CalibratedMachine
@@ -34,7 +35,8 @@ TOO_LARGE = 3.0
 ROUNDING = 1e-9
 
 # The thresholds. Beside each: the largest of the sound sessions of docs/verdicts.md, where it says something.
-LEFT = 0.01
+# Poor arms leave up to half of it; what does not belong together leaves all.
+LEFT = 0.05
 # One place that was touched has no spread; this share of the reach stands for it.
 ONE_PLACE = 0.05
 SURELY = 0.975
@@ -48,7 +50,10 @@ FREEDOM = 10.0
 SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
-GROSS, GROSS_ROBUST, FAR = 0.05, 0.15, 5.0
+SEEN_IN_TIME = 0.3
+# Fewer rows than that share are gross errors, which another check judges.
+TWO_MACHINES, MANY = 3.0, 0.15
+GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
 FROZEN = 0.02
 OWN_BASE = 2.0
 LINE = 5e-3
@@ -126,7 +131,12 @@ def stated_sigma(fit: Fit) -> Check:
 
 def _small(fit: Fit, unit: str) -> float:
     """Return a standard deviation that is small for an arm of its reach, in the unit."""
-    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0) if unit != "px" else 0.0
+    if unit == "px":
+        # As an angle is seen: the sigma of a sharp corner is far below what any arm repeats.
+        return OF_REACH * max(
+            (data.camera.lens.fx for data in fit.measurements if data.camera is not None), default=0.0
+        )
+    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0)
 
 
 # ---- what was shown
@@ -349,15 +359,23 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     return _check("drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved.")
 
 
-def late(found: Effect) -> Check:
-    """Whether what was measured is later, or earlier, than the readings beside it."""
-    if not (abs(found.t) > SURE and found.size > SEEN):
-        return _check("delay", NOTHING, LATE, True, "No delay between measurements and readings is seen.")
+def late(found: Effect, step: float = NOTHING) -> Check:
+    """Whether what was measured is later, or earlier, than the readings beside it: in rows, or in s, ``step`` a row.
+
+    In rows it must show in each of them: nobody knows that their order is that of time. Where times say so, an effect
+    may be as much smaller as rows are many.
+    """
+    in_time = step > 0.0
+    limit = LATE * step if in_time else LATE
+    if not (abs(found.t) > SURE and found.size > (SEEN_IN_TIME if in_time else SEEN)):
+        return _check("delay", NOTHING, limit, True, "No delay between measurements and readings is seen.")
     value = abs(found.value)
-    passed = value <= LATE
+    passed = value <= limit
+    factor, unit = (1.0 / MS, "ms") if in_time else (1.0, "rows")
     how = "later" if found.value > 0.0 else "earlier"
-    said = f"Measurements are {value:.2g} +- {found.sigma:.2g} rows {how} than their readings"
-    return _check("delay", value, LATE, passed, f"{said}." if passed else f"{said}: align the times of both.")
+    said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
+    cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
+    return _check("delay", value, limit, passed, f"{said}." if passed else f"{said}: {cure}.")
 
 
 def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
@@ -378,12 +396,16 @@ def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
 
 
 def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
-    """Whether files, groups or targets ask for another machine than the rest; ``sets``: for a base of their own."""
+    """Whether groups or targets ask for another machine than the rest; ``sets``: files, for a base or tool of theirs.
+
+    The noise of a file is its own: what it asks for otherwise is in that as well.
+    """
     width = max(r.shape[1] for r in fit.residuals)
     told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
     told += [
         (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "other parameters")
         for group in found.disagreeing
+        if group.kind != "file"
     ]
     size, name, asks = max(told, default=(0.0, "", ""))
     if size <= SIZE:
@@ -401,6 +423,20 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
         return _check("set-ups", NOTHING, OWN_BASE, True, "No table fits much better with a base of its own.")
     times = worst.error / worst.moved
     return _check("set-ups", times, OWN_BASE, False, worst.sentence)
+
+
+def one_machine(found: TwoMachines, fit: Fit) -> Check:
+    """Whether all rows are of one machine: told apart in two, they would leave hardly less, or be hardly apart."""
+    limit = OF_REACH * fit.model.robot.reach
+    if found.share < MANY or found.apart < limit:
+        return _check("one machine", NOTHING, TWO_MACHINES, True, "The rows do not seem to come from two machines.")
+    passed = found.times <= TWO_MACHINES
+    said = f"Split between two machines, the rows scatter {found.times:.2g} times less"
+    what = (
+        f": {100.0 * found.share:.0f} % of them differ by {found.apart / MM:.2g} mm from the rest. Did something "
+        "change between rows: a payload, backlash, the robot or the target?"
+    )
+    return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
 
 def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
@@ -524,9 +560,10 @@ def _common_scale(fit: Fit, parts: Sequence[Stretch], scaled: Array, moved: Bool
     """Return by which share all links are longer, and its standard error; nan where nothing shows it."""
     if not moved.any() or not parts:
         return NOTHING, NOTHING
-    R = triangle(np.concatenate([part.J.reshape(-1, len(moved)) for part in parts]))
-    units = scales(fit.parameters)
-    x = R[:, moved] @ (np.column_stack([fit.values[moved], scaled[moved]]) / units[moved, None])
+    own = parts[0].columns
+    R = triangle(np.concatenate([part.J.reshape(-1, len(own)) for part in parts]))
+    values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
+    x = R[:, moved] @ (values[moved] / units[moved, None])
     others = R[:, ~moved]
     left = x - others @ np.linalg.lstsq(others, x, rcond=1e-9)[0]
     square = float(left[:, 1] @ left[:, 1])
@@ -549,6 +586,25 @@ def tool_and_base(fit: Fit) -> Check:
     share, said = max(found, default=(NOTHING, "Base and tool were given"))
     passed = not share > 1.0
     return _check("tool and base", share, 1.0, passed, f"{said}." if passed else f"{said}, farther than is plausible.")
+
+
+def lens(fit: Fit) -> Check:
+    """Whether the lens is an unknown where the arm's placements are, so that they do not pay for its errors.
+
+    Pixels held out do not tell: on photographs of a real arm a lens that was given a little wrong foretold them better
+    and left the arm worse.
+    """
+    if not any(parameter.kind == "placement" for parameter in fit.parameters):
+        return _check("lens", NOTHING, 0.0, True, "No placement is sought.")
+    given = [data.camera.name for data in fit.measurements if data.camera is not None and not data.camera.free]
+    if not given:
+        return _check("lens", NOTHING, 0.0, True, "No lens is taken as given.")
+    said = (
+        f"The lens of {given[0]!r} is taken as given and placements are free: an error of the lens is then taken for "
+        'one of the arm, and no uncertainty counts it. Write lens = "free", and the size of the images; or, where the '
+        'lens was calibrated for this, accept = ["lens"].'
+    )
+    return _check("lens", len(given), 0.0, False, said)
 
 
 def warnings(findings: Sequence[Finding]) -> Check:

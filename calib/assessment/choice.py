@@ -7,9 +7,13 @@ geometry being fitted again. Each fold goes its own way without having seen the 
 Tibshirani, J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how
 many steps all rows then take.
 
+Terms must not harm, so that they are judged twice: by poses held out at random, and, as neighbours in joint space would
+vouch for each other, by whole neighbourhoods. No more steps are taken than neighbourhoods bear out, and none that
+makes the 95 % quantile or the largest error larger. Where the fit with them does not converge, half of them are taken
+back, until one does.
+
 A parameter without a prior of its own is held by its weak one, at the geometric fit. Of very many rows the choice looks
-at some, whole groups at random: the figures that it goes by are those of ten thousand rows to a percent. Fits, before
-and after it, take them all.
+at some, as many of every group as of the others. Fits, before and after it, take them all.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +22,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.assessment.validation import HeldOut, folds, groups, held_out, one_standard_error
+from calib.assessment.validation import (
+    HeldOut,
+    folds,
+    groups,
+    held_out,
+    largest_unharmed,
+    neighbourhoods,
+    smallest_unharmed,
+    some_rows,
+)
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
@@ -42,7 +55,7 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
-# Rows that a choice looks at; their groups are whole, so that the last one may add some.
+# Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
 
 
@@ -65,18 +78,21 @@ class Step:
 
     ``added`` is None for the first, geometry alone. ``held_out``: in standard deviations of the noise that the
     geometric fit shows, rows that lie off weighing less where a loss says so; ``rms``: of every quantity, in SI units.
+    ``away``: as ``held_out``, whole neighbourhoods being held out; None of steps that poses do not allow.
     """
 
     added: Candidate | None
     held_out: HeldOut
     rms: Mapping[str, float]
+    away: HeldOut | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
-    ``geometric``: the fit without terms from which they start. ``rows``: how many of its rows the choice used.
+    ``geometric``: the fit without terms from which they start; ``fit``: with those that are taken. ``rows``: how many
+    of its rows the choice looked at. ``taken_back``: how many steps more the data allow, with which no fit converged.
     """
 
     __repr__ = brief
@@ -84,7 +100,9 @@ class Choice:
     steps: tuple[Step, ...]
     taken: int
     geometric: Fit
+    fit: Fit
     rows: int
+    taken_back: int = 0
 
     @property
     def model(self) -> ErrorModel:
@@ -94,8 +112,7 @@ class Choice:
     @property
     def terms(self) -> tuple[JointTerm, ...]:
         """The chosen terms, in the order of the robot's readings; those of links come last."""
-        entered = [step.added for step in self.steps[: self.taken + 1] if step.added is not None]
-        return ordered(self.geometric.robot, (term for candidate in entered for term in candidate.terms))
+        return _terms(self.geometric, self.steps, self.taken)
 
     def records(self) -> list[dict[str, object]]:
         """Return one plain record for every step, in SI units."""
@@ -105,6 +122,7 @@ class Choice:
                 "held_out": step.held_out.rms,
                 "standard_error": step.held_out.standard_error,
                 "rms": dict(step.rms),
+                "away": None if step.away is None else step.away.rms,
                 "taken": k <= self.taken,
             }
             for k, step in enumerate(self.steps)
@@ -120,7 +138,7 @@ def candidates(
     the URDF states in a way that cannot be used are as good as none. ``options`` as a job has them, such as
     ``harmonic_orders``.
     """
-    told, of = joined([end.conditions for data in measurements for end in data.ends]), parts(robot)
+    told, of = joined([(len(data), end.conditions) for data in measurements for end in data.ends]), parts(robot)
     offered = {group[0]: group for kind in KINDS for group in kind.offered(of, told, options)}
     return tuple(Candidate(offered[first]) for first in ordered(robot, offered))
 
@@ -138,47 +156,55 @@ def choose_terms(
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
 
-    Of more than 10 000 rows, about 10 000 are used, of groups taken at random, the same ones every time.
-    ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH table but those of links.
-    ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises, and MeasurementError when
-    all rows are of one group.
+    Once of poses at random, and once of neighbourhoods in joint space. Of more than 10 000 rows it looks at as many,
+    the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
+    table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
+    and MeasurementError when all rows are of one group.
     """
     with one_thread():
         progress("choosing joint terms: fitting geometry")
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
-        group = groups(geometric.measurements)
-        looked_at = _some(group, count)
-        group = group[looked_at]
-        fold = folds(np.unique(group, return_inverse=True)[1], count)
-        chosen_from = _offered(model, geometric.measurements) if offered is None else tuple(offered)
+        sets = geometric.measurements
+        group = groups(sets)
+        looked_at, place = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
+        group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, place))
+        chosen_from = _offered(model, sets) if offered is None else tuple(offered)
         system = _System(geometric, chosen_from, losses, looked_at)
         progress("choosing joint terms: linearising")
+        fold = folds(group, count)
         grams = system.grams(fold)
-        total = np.sum(grams, axis=0)
-        ways = []
-        for k, gram in enumerate(grams):
-            progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
-            ways.append(system.way(total - gram).values)
-        progress("choosing joint terms: judging by what was held out")
-        squares, rms = system.squares(fold, np.stack(ways))
-        figures = [held_out(row, group) for row in squares]
-        entered = system.way(total).order
+        figures, rms = system.judged(fold, group, grams, None, progress)
+        most, away = smallest_unharmed(figures), list[HeldOut]()
+        if most:
+            progress("choosing joint terms: judging away from what was measured")
+            fold = folds(place, count)
+            away, _ = system.judged(fold, place, system.grams(fold), most)
+            most = largest_unharmed(away)
+        entered = system.way(np.sum(grams, axis=0)).order
     steps = tuple(
-        Step(None if k == 0 else chosen_from[entered[k - 1]], figure, {name: float(v[k]) for name, v in rms.items()})
+        Step(
+            None if k == 0 else chosen_from[entered[k - 1]],
+            figure,
+            {name: float(v[k]) for name, v in rms.items()},
+            away[k] if k < len(away) else None,
+        )
         for k, figure in enumerate(figures)
     )
-    return Choice(steps, one_standard_error(figures), geometric, len(group))
+    taken, fit = most, geometric
+    while taken:
+        progress(f"choosing joint terms: fitting {taken} of them")
+        chosen = with_terms(geometric.model, _terms(geometric, steps, taken))
+        fit = identify(chosen, measurements, model_sigmas=model_sigmas, losses=losses)
+        if fit.converged:
+            break
+        taken //= 2
+    return Choice(steps, taken, geometric, fit if taken else geometric, len(group), most - taken)
 
 
-def _some(group: IntArray, count: int) -> BoolArray:
-    """Return which rows (N,) are looked at, given their groups (N,): all, or those of enough groups, ``count`` or more.
-
-    Groups are numbered by their poses: which are taken does not depend on the order of the rows.
-    """
-    sizes = np.bincount(group)
-    order = np.random.default_rng(0).permutation(len(sizes))
-    before = np.cumsum(sizes[order]) - sizes[order]
-    return np.isin(group, order[(before < _ENOUGH_ROWS) | (np.arange(len(order)) < count)])
+def _terms(geometric: Fit, steps: Sequence[Step], taken: int) -> tuple[JointTerm, ...]:
+    """Return the terms of the first steps, in the order of the robot's readings; those of links come last."""
+    entered = [step.added for step in steps[: taken + 1] if step.added is not None]
+    return ordered(geometric.robot, (term for candidate in entered for term in candidate.terms))
 
 
 def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Candidate, ...]:
@@ -249,8 +275,31 @@ class _System:
                 found[k] += flat.T @ flat
         return found
 
-    def way(self, gram: Array) -> _Way:
-        """Return the way that rows with this Gram matrix (p + 1, p + 1) go: all candidates, the most helpful first."""
+    def judged(
+        self,
+        fold: IntArray,
+        group: IntArray,
+        grams: Array,
+        most: int | None,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> tuple[list[HeldOut], Mapping[str, Array]]:
+        """Return what rows held out say of every step, ``most`` of them or all, and the rms of every quantity.
+
+        ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``grams``: of every fold.
+        """
+        total, ways = np.sum(grams, axis=0), list[Array]()
+        for k, gram in enumerate(grams):
+            progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
+            ways.append(self.way(total - gram, most).values)
+        progress("choosing joint terms: judging by what was held out")
+        squares, rms = self.squares(fold, np.stack(ways))
+        return [held_out(row, group) for row in squares], rms
+
+    def way(self, gram: Array, most: int | None = None) -> _Way:
+        """Return the way that rows with this Gram matrix (p + 1, p + 1) go: candidates, the most helpful first.
+
+        ``most``: how many, all of them when None.
+        """
         p = len(gram) - 1
         tableau = gram[:p] + self._known[:p]
         tableau[range(p), range(p)] += self._priors
@@ -258,9 +307,9 @@ class _System:
         _pivot(tableau, self._geometry)
         left, order = list(range(len(self._columns))), list[int]()
         entered = list(self._geometry)
-        values = np.zeros((len(left) + 1, p))
+        values = np.zeros((1 + (len(left) if most is None else min(most, len(left))), p))
         values[0, entered] = -tableau[entered, p]
-        while left:
+        while left and (most is None or len(order) < most):
             best = left.pop(int(np.argmax(_gains(tableau, [self._columns[c] for c in left]))))
             order.append(best)
             _pivot(tableau, self._columns[best])

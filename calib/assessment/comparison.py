@@ -191,7 +191,7 @@ def compare_models(
     if not group.any():
         group = groups(sets)
     all_rows = len(group)
-    looked_at = some_rows(group, _ENOUGH_ROWS)
+    looked_at = some_rows(sets, group, _ENOUGH_ROWS)
     if not looked_at.all():
         some = ChosenRows.of(sets, np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1]))
         sets, model_sigmas, losses = some.sets, some.sigmas(model_sigmas), some.losses(losses)
@@ -245,10 +245,7 @@ def _finder(
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
         here = model.within(rows.sets)
         if choosing:
-            choice = choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
-            if not choice.taken:
-                return choice.geometric
-            here = choice.model
+            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses).fit
         return identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
 
     return find

@@ -13,6 +13,7 @@ quite what its model says: where the noise is estimated from the scatter, groups
 though little; a stated noise says what matters.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
@@ -21,18 +22,20 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.assessment.influence import ALONE, Influence, Residue
-from calib.foundations import linear
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, IntArray
+from calib.identification.arrow import Arrow, Collected
 from calib.identification.identifiability import NUMERICAL_TOLERANCE, RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.kinds import WITH_TARGET
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import numbered
 
 # On either side of a jump there are two rows; what one row does is its own.
 _LEAST_ROWS = 2
 # Of a target with more rows than these not every place is tried.
 _MOST_SPLITS = 10_000
 _MOST_WORDS = 1000
+# Of more targets that groups have in common it is not asked where each group has them.
+_MOST_SHARED = 100
 
 GroupKind = Literal["target", "group", "file"]
 
@@ -103,9 +106,13 @@ class _Split(NamedTuple):
 
 
 class _Run:
-    """Walks along the ``number`` rows of one target, whose unknowns are ``columns`` (k,) of the parameters."""
+    """Walks along the ``number`` rows of one target, with ``unknowns`` that are ``columns`` (k,) of its rows.
 
-    def __init__(self, columns: Sequence[int], number: int) -> None:
+    ``block``: that of the target, -1 where its unknowns are among the common ones.
+    """
+
+    def __init__(self, unknowns: Sequence[Parameter], columns: Sequence[int], block: int, number: int) -> None:
+        self.unknowns, self.block = unknowns, block
         self.columns = list(columns)
         self.rows: list[tuple[int, int]] = []
         self._step = -(-number // _MOST_SPLITS)
@@ -120,7 +127,7 @@ class _Run:
         self._sums.append(sums[(len(self.rows) + np.arange(1, len(rows) + 1)) % self._step == 0])
         self.rows += [(i, int(n)) for n in rows]
 
-    def splits(self, C: Array, *, related: bool) -> Iterator[_Split]:
+    def splits(self, residue: Residue, *, related: bool) -> Iterator[_Split]:
         """Yield all splits with enough rows on either side; of very many, evenly so many as are tried.
 
         What is known between targets holds for one of the halves; for ``related`` targets either is tried.
@@ -132,12 +139,28 @@ class _Run:
         tried = np.concatenate(self._sums)[enough]
         for later, of_half in ((True, self._sum - tried), (False, tried)) if related else ((False, tried),):
             S, g = of_half[:, :, :-1], of_half[:, :, -1]
-            values, V = np.linalg.eigh(S[:, :, self.columns] - S @ C @ np.swapaxes(S, -1, -2))
+            values, V = np.linalg.eigh(self.left(residue, S))
             can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
             u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
             gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
             for k, gain in enumerate(gains.tolist()):
                 yield _Split(int(before[enough][k]), S[k], g[k], later, gain)
+
+    def through(self, residue: Residue, S: Array) -> Array:
+        """Return what S (..., k, c + a) sees of common parameters (c), the target following them."""
+        c = len(residue.split.common)
+        if self.block < 0:
+            return S[..., :c]
+        return np.asarray(S[..., :c] + S[..., c:] @ residue.covariance.follow[self.block])
+
+    def left(self, residue: Residue, S: Array) -> Array:
+        """Return what is left (n, k, k) of the doubled unknowns' own normal equations, S being (n, k, c + a)."""
+        T = self.through(residue, S)
+        found = S[:, :, self.columns] - T @ residue.covariance.common @ np.swapaxes(T, -1, -2)
+        if self.block >= 0:
+            own = S[:, :, len(residue.split.common) :] @ residue.covariance.root[self.block]
+            found = found - own @ np.swapaxes(own, -1, -2)
+        return np.asarray(found)
 
 
 def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
@@ -147,54 +170,58 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
     that has moved bends the machine, and makes others seem to have moved.
     """
     sets = residue.fit.measurements
-    runs = {
-        name: _Run(columns, sum(int(_of_target(data, name).sum()) for data in sets))
-        for name, columns in _target_columns(residue.fit.parameters).items()
-    }
+    runs = _runs(residue)
+    of_number = [[runs.get(name) for name in data.targets] for data in sets]
     for block in residue.blocks() if runs else ():
         data, weighted = sets[block.measurements], block.weighted
-        for name, run in runs.items():
-            own = np.flatnonzero(_of_target(data, name)[block.rows])
-            if len(own):
+        if data.kind not in WITH_TARGET:
+            continue
+        for t, own in numbered(data.target[block.rows]):
+            run = of_number[block.measurements][t]
+            if run is not None:
                 run.add(block.measurements, block.rows.start + own, weighted[own])
     related = {name for relation in residue.fit.model.relations for name in relation.targets}
-    tried = {name: list(run.splits(residue.C, related=name in related)) for name, run in runs.items()}
+    tried = {name: list(run.splits(residue, related=name in related)) for name, run in runs.items()}
     number = sum(map(len, tried.values()))
     best = {name: max(splits, key=lambda split: split.gain) for name, splits in tried.items() if splits}
     best = {name: split for name, split in best.items() if split.gain > 0.0}
     if not best:
         return ()
-    # The normal equations of all best splits together, the model's own parameters eliminated.
-    S, g = np.concatenate([split.S for split in best.values()]), np.concatenate([split.g for split in best.values()])
-    M = -S @ residue.C @ S.T
-    at: dict[str, slice] = {}
-    for name, split in best.items():
-        start = sum(len(runs[other].columns) for other in at)
-        place = slice(start, start + len(split.g))
-        M[place, place] += split.S[:, runs[name].columns]
-        at[name] = place
+    # The normal equations of all best splits together, the model's own parameters eliminated: what a split sees of
+    # common parameters, targets following, is what it has with others.
+    g = {name: split.g for name, split in best.items()}
+    T = {name: runs[name].through(residue, split.S) for name, split in best.items()}
+    M = {name: runs[name].left(residue, split.S[None])[0] for name, split in best.items()}
     found: list[Jump] = []
     gained, freedom = 0.0, 0
-    while at:
-        shifts = {name: np.linalg.solve(M[place, place], g[place]) for name, place in at.items()}
-        name = max(at, key=lambda name: (float(g[at[name]] @ shifts[name]) / len(shifts[name]), name))
-        place, shift = at.pop(name), shifts[name]
-        raw, d = float(g[place] @ shift), len(shift)
-        gain = raw / float(residue.scatter(gained + raw, freedom + d))
-        p = float(residue.probability(gain, d))
-        found.append(_jump(residue, runs[name], name, best[name], shift, gain, p, min(1.0, number * p)))
-        if found[-1].is_told(level):
-            gained, freedom = gained + raw, freedom + d
-            coupling = M[:, place] @ np.linalg.inv(M[place, place])
-            g = g - coupling @ g[place]
-            M = M - coupling @ M[place, :]
+    # What the jumps that were told have taken from what splits have with each other.
+    common = residue.covariance.common
+    while best:
+        shifts = {name: np.linalg.solve(M[name], g[name]) for name in best}
+        order = sorted(best, key=lambda name: (float(g[name] @ shifts[name]) / len(g[name]), name), reverse=True)
+        for name in order:
+            split, shift = best.pop(name), shifts[name]
+            raw, d = float(g[name] @ shift), len(shift)
+            gain = raw / float(residue.scatter(gained + raw, freedom + d))
+            p = float(residue.probability(gain, d))
+            found.append(_jump(residue, runs[name], name, split, shift, gain, p, min(1.0, number * p)))
+            if found[-1].is_told(level):
+                gained, freedom = gained + raw, freedom + d
+                # With others it has -T C T'; taking it out changes what is left of them, and C.
+                inverse = np.linalg.inv(M[name])
+                across = {other: -T[other] @ common @ T[name].T for other in best}
+                for other, coupling in across.items():
+                    g[other] = g[other] - coupling @ inverse @ g[name]
+                    M[other] = M[other] - coupling @ inverse @ coupling.T
+                common = common + common @ T[name].T @ inverse @ T[name] @ common
+                break
     return tuple(sorted(found, key=lambda jump: (jump.p, jump.target)))
 
 
 def _jump(
     residue: Residue, run: _Run, target: str, split: _Split, shift: Array, gain: float, p: float, chance: float
 ) -> Jump:
-    unknowns = [residue.fit.parameters[k] for k in run.columns]
+    unknowns = run.unknowns
     i, row = run.rows[split.before - 1]
     data = residue.fit.measurements[i]
     # The solution is -shift, for the half that moved.
@@ -214,20 +241,25 @@ def _jump(
     )
 
 
-def _target_columns(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
-    """Return which parameters every unknown target has."""
-    found: dict[str, list[int]] = {}
-    for k, parameter in enumerate(parameters):
+def _runs(residue: Residue) -> Mapping[str, _Run]:
+    """Return a run for every unknown target, by name."""
+    numbers: dict[str, list[int]] = {}
+    for k, parameter in enumerate(residue.fit.parameters):
         prefix, _, rest = parameter.name.partition(".")
         if parameter.kind == "target" and prefix == "target":
-            found.setdefault(rest.rpartition(".")[0], []).append(k)
+            numbers.setdefault(rest.rpartition(".")[0], []).append(k)
+    counts: Counter[str] = Counter()
+    for data in residue.fit.measurements:
+        if data.kind in WITH_TARGET:
+            counts.update({data.targets[t]: len(rows) for t, rows in numbered(data.target)})
+    split = residue.split
+    block_of, c = split.block_of, len(split.common)
+    found = {}
+    for name, own in numbers.items():
+        block = int(block_of[own[0]])
+        columns = np.searchsorted(split.common, own) if block < 0 else c + np.arange(len(own))
+        found[name] = _Run([residue.fit.parameters[k] for k in own], columns.tolist(), block, counts[name])
     return found
-
-
-def _of_target(data: Measurements, name: str) -> BoolArray:
-    if data.kind not in WITH_TARGET:
-        return np.zeros(len(data), dtype=np.bool_)
-    return np.asarray(data.target == data.targets.index(name))
 
 
 # ---- groups
@@ -239,26 +271,50 @@ def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
     A column of more than a thousand words names rows rather than groups, and is passed over.
     """
     members = _members(residue)
-    columns = len(residue.C) + 1
-    triangles = {key: np.zeros((0, columns)) for key in members}
+    split = residue.split
+    (m, a), c = split.blocks.shape, len(split.common)
+    keys, seen = list(members), _blocks_of(residue, members)
+    triangles = [Collected(own, m, a, c) for own in seen]
     # Of every set, the groups that every row is in.
-    keys = list(members)
     groups_of_row = [np.full((len(data), len(get_args(GroupKind))), -1) for data in residue.fit.measurements]
     for number, ((kind, _), of_set) in enumerate(members.items()):
         for i, rows in of_set.items():
             groups_of_row[i][rows, get_args(GroupKind).index(kind)] = number
     for block in residue.blocks() if members else ():
         weighted = block.weighted
+        common = np.concatenate([weighted[:, :, :c], weighted[:, :, -1:]], axis=2)
         for of_kind in groups_of_row[block.measurements][block.rows].T:
-            for number in np.unique(of_kind[of_kind >= 0]).tolist():
-                own = weighted[of_kind == number].reshape(-1, columns)
-                triangles[keys[number]] = linear.triangle(np.concatenate([triangles[keys[number]], own]))
-    things = _things(residue.fit.parameters)
+            for number, rows in numbered(of_kind):
+                if number >= 0:
+                    triangles[number].add(common[rows], weighted[rows][:, :, c:-1], block.block[rows])
+    things = _things(residue)
+    # How many groups of a kind are about a target: of one that only this group saw, nobody can disagree.
+    of_kind_counts: dict[GroupKind, IntArray] = {}
+    for (kind, _), own in zip(keys, seen, strict=True):
+        of_kind_counts.setdefault(kind, np.zeros(m, dtype=np.intp))[own] += 1
+    counts = [of_kind_counts[kind] for kind, _ in keys]
     found = [
-        _group(residue, kind, name, members[kind, name], triangle, things, len(members))
-        for (kind, name), triangle in triangles.items()
+        _group(residue, *key, members[key], triangle, own[many[own] > 1], things, len(members))
+        for key, triangle, own, many in zip(keys, triangles, seen, counts, strict=True)
     ]
     return tuple(sorted(found, key=lambda group: (np.nan_to_num(group.p, nan=1.0), group.kind, group.name)))
+
+
+def _blocks_of(residue: Residue, members: Mapping[tuple[GroupKind, str], Mapping[int, IntArray]]) -> list[IntArray]:
+    """Return the targets that were eliminated which the rows of every group are about, by block."""
+    block_of = {
+        residue.fit.parameters[own[0]].name.removeprefix("target.").rpartition(".")[0]: k
+        for k, own in enumerate(residue.split.blocks)
+    }
+    of_set = [
+        np.array([*(block_of.get(name, -1) for name in data.targets), -1], dtype=np.intp)[data.target]
+        for data in residue.fit.measurements
+    ]
+    found = []
+    for rows_of in members.values():
+        own = np.unique(np.concatenate([of_set[i][rows] for i, rows in rows_of.items()]))
+        found.append(own[own >= 0])
+    return found
 
 
 def _members(residue: Residue) -> Mapping[tuple[GroupKind, str], Mapping[int, IntArray]]:
@@ -295,10 +351,10 @@ def _rows_of(labels: npt.NDArray[Any]) -> Iterator[tuple[Any, IntArray]]:
         yield names[k], rows[k]
 
 
-def _things(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
-    """Return what could be another one in a group: every parameter of the robot, the base and tools as a whole."""
+def _things(residue: Residue) -> Mapping[str, list[int]]:
+    """Return what could be another one in a group, by columns: every parameter of the robot, the base and tools."""
     found: dict[str, list[int]] = {}
-    for k, parameter in enumerate(parameters):
+    for k, parameter in enumerate(residue.fit.parameters[k] for k in residue.split.common):
         if not parameter.nuisance:
             name = parameter.name if parameter.of_robot else parameter.name.rpartition(".")[0]
             found.setdefault(name, []).append(k)
@@ -310,17 +366,18 @@ def _group(
     kind: GroupKind,
     name: str,
     members: Mapping[int, IntArray],
-    triangle: Array,
+    collected: Collected,
+    shared: IntArray,
     things: Mapping[str, list[int]],
     number: int,
 ) -> OutlyingGroup:
-    J, r = triangle[:, :-1], triangle[:, -1]
+    C, J, r, blocks, taken = _seen_by(residue, collected, shared)
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
     seen = s > max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * s.max(initial=0.0))
     # In its own principal directions the group says R x + c, and beyond them only its own scatter.
     R, c = s[seen, None] * Vt[seen], U[:, seen].T @ r
-    CR = residue.C @ R.T
+    CR = C @ R.T
     h, W = np.linalg.eigh(R @ CR)
     both = 1.0 - h > ALONE
     u = (W.T @ c)[both]
@@ -330,10 +387,10 @@ def _group(
     p = float(residue.probability(q / scatter, freedom))
     # Leaving the group out also takes away the scatter about its own machine.
     numbers = sum(len(rows) * residue.sigma[i].shape[1] for i, rows in members.items())
-    alone = len(h) - freedom
+    alone = taken + len(h) - freedom
     all_squares = q + float(r @ r - c @ c)
     after = float(residue.scatter(all_squares, float(numbers) - alone))
-    best, gain = max(_gains(residue.C, J, r, things), key=lambda found: found[1], default=("", 0.0))
+    best, gain = max(_gains(C, J, r, things), key=lambda found: found[1], default=("", 0.0))
     return OutlyingGroup(
         kind,
         name,
@@ -345,14 +402,56 @@ def _group(
         float(np.sqrt(after / float(residue.scatter(0.0, 0.0)))),
         best,
         gain / scatter,
-        residue.influence(CR @ (W[:, both] @ (u / left))),
+        residue.influence(CR @ (W[:, both] @ (u / left)), blocks),
     )
+
+
+class _Seen(NamedTuple):
+    """What a group sees: the covariance (k, k) of columns, ``J`` (q, k) and ``r`` (q,) of its rows.
+
+    The columns are those of common parameters, then of ``blocks``. ``alone``: how many directions of targets were left
+    out, which only this group saw.
+    """
+
+    C: Array
+    J: Array
+    r: Array
+    blocks: IntArray
+    alone: int
+
+
+def _seen_by(residue: Residue, collected: Collected, shared: IntArray) -> _Seen:
+    """Return what a group sees, by common parameters, then of targets ``shared`` with other groups, or its only one."""
+    which, heads = collected.heads
+    split, c = residue.split, len(residue.split.common)
+    kept = which if len(which) == 1 else shared if len(shared) <= _MOST_SHARED else shared[:0]
+    mine = ~np.isin(which, kept)
+    reduced = Arrow(split.of_blocks(which[mine]), heads[mine], collected.rest).reduced(RANK_TOLERANCE)
+    alone = int(np.count_nonzero(reduced.root.any(axis=1)))
+    a, rest = heads.shape[1], reduced.rest
+    width = c + a * len(kept) + 1
+    rows = np.zeros((len(kept), a, width))
+    for k, of_target in enumerate(heads[~mine]):
+        rows[k, :, :c], rows[k, :, -1] = of_target[:, a:-1], of_target[:, -1]
+        rows[k, :, c + a * k : c + a * (k + 1)] = of_target[:, :a]
+    triangle = np.concatenate([rows.reshape(-1, width), np.insert(rest, [c] * (width - c - 1), 0.0, axis=1)])
+    own = split.blocks[kept]
+    triangle = np.delete(triangle, c + np.flatnonzero(own.ravel() < 0), axis=1)
+    C = residue.covariance.of(np.concatenate([split.common, own[own >= 0]]))
+    return _Seen(C, triangle[:, :-1], triangle[:, -1], kept, alone)
 
 
 def _gains(C: Array, J: Array, r: Array, things: Mapping[str, list[int]]) -> Iterator[tuple[str, float]]:
     """Yield for every thing what another one in the group would gain: a score test as for a jump."""
     JJ, g = J.T @ J, J.T @ r
+    left, tiny = JJ - JJ @ C @ JJ, np.finfo(float).tiny
     for name, own in things.items():
-        values, V = np.linalg.eigh(JJ[np.ix_(own, own)] - JJ[own] @ C @ JJ[:, own])
-        can_tell = values > ALONE * max(float(np.trace(JJ[np.ix_(own, own)])), np.finfo(float).tiny)
+        k = own[0]
+        if len(own) == 1:
+            can = left[k, k] > ALONE * max(JJ[k, k], tiny)
+            yield name, float(g[k] ** 2 / left[k, k]) if can else 0.0
+            continue
+        part = np.ix_(own, own)
+        values, V = np.linalg.eigh(left[part])
+        can_tell = values > ALONE * max(float(np.trace(JJ[part])), tiny)
         yield name, float(np.sum((V.T @ g[own])[can_tell] ** 2 / values[can_tell]))

@@ -22,6 +22,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
+from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
 
 # Fewer blocks than these give no standard error.
@@ -33,6 +34,8 @@ _MOST_ROWS, _RUN = 6000, 100
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
 _MOST_SPLITS = 60
+# Rows with times that are no farther apart, in s, are a motion.
+_STREAM = 1.0
 # A scatter of a nanometre is rounding.
 _ROUNDING = 1e-9
 # Rows on either side of a jump.
@@ -41,16 +44,19 @@ _LEAST_ROWS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, p); how they follow what is no parameter.
+    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 
+    ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
-    change from row to row. ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up.
-    ``least``: variance of r that is rounding.
+    change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
+    ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up. ``least``: variance of r
+    that is rounding.
     """
 
     r: Array
     J: Array
+    columns: IntArray
     joints: tuple[str, ...]
     by_joint: Array
     by_base: Array
@@ -58,6 +64,7 @@ class Stretch:
     values: Array
     rates: Array
     row: Array
+    step: float
     data: Measurements
     used: float
     least: float
@@ -114,23 +121,27 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     own = [k for k, name in enumerate(names) if name in readings]
     column = [readings.index(names[k]) for k in own]
     units = np.ones(len(parameters))
+    judged = tuple(fit.parameters[k] for k in residue.judged)
     found = []
     for i, data in enumerate(fit.measurements):
-        rows = _chosen(len(data))
+        rows = _chosen(data, residue)
+        if not len(rows):
+            continue
         part = data.subset(rows)
         sigma, w = residue.sigma[i][rows][:, :, None], np.sqrt(residue.w[i][rows])[:, None, None]
         at = Problem(wide, parameters, fit.machine.frames, (part,))
         W = np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w
-        mine = replace(residue.problem, measurements=(part,))
-        blocks = list(Rates(mine, fit.machine, scales(fit.parameters)).blocks(part))
+        mine = replace(residue.problem, measurements=(part,), parameters=judged)
+        blocks = list(Rates(mine, fit.machine, scales(judged)).blocks(part))
         J = np.concatenate([b.J for b in blocks]) / sigma * w
         r = np.concatenate([b.observed.residual for b in blocks]) / sigma[:, :, 0] * w[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
-        rates = np.gradient(data.readings, axis=0) if len(data) > 1 else np.zeros_like(data.readings)
+        rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
             Stretch(
                 r,
                 J,
+                residue.judged,
                 tuple(names[k] for k in own),
                 W[:, :, kinds == "offset"][:, :, own],
                 W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
@@ -138,6 +149,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 part.readings[:, column],
                 rates[rows][:, column],
                 rows.astype(np.float64),
+                step,
                 data,
                 float(np.sum((J @ residue.C) * J)),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
@@ -146,12 +158,35 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
-def _chosen(n: int) -> np.ndarray:
-    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly."""
+def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
+    """Return how fast the readings (N, k) change, in a second, and the seconds between rows; or from row to row."""
+    if data.stream is not None and data.times is not None:
+        return data.stream.rates(data.shifts(scalars)), float(np.median(np.diff(data.times)))
+    if len(data) < 2:
+        return np.zeros_like(data.readings), float("nan")
+    if data.times is not None:
+        steps = np.diff(data.times)
+        if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
+            return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
+    return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
+
+
+def _chosen(data: Measurements, residue: Residue) -> IntArray:
+    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly.
+
+    Of very many targets all rows of those that are judged.
+    """
+    rows, left_out = np.arange(len(data)), len(residue.fit.parameters) - len(residue.judged)
+    if left_out and data.kind in WITH_TARGET:
+        names = {residue.fit.parameters[k].name.rpartition(".")[0] for k in residue.judged}
+        unknown = {parameter.name.rpartition(".")[0] for parameter in residue.fit.parameters}
+        whole = np.array([f"target.{name}" in names or f"target.{name}" not in unknown for name in data.targets])
+        rows = rows[whole[data.target]]
+    n = len(rows)
     if n <= _MOST_ROWS:
-        return np.arange(n)
+        return rows
     starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
-    return np.unique(starts[:, None] + np.arange(_RUN))
+    return rows[np.unique(starts[:, None] + np.arange(_RUN))]
 
 
 def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:
@@ -202,18 +237,23 @@ def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
     }
 
 
-def delay(parts: Sequence[Stretch], C: Array, interval: float = 1.0) -> Effect:
+def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
     """Return by how much what was measured is later than the readings beside it: residuals that follow the speed.
 
-    Rows are in the order of time, ``interval`` apart: in rows, or in seconds for that of a stream. Nan for kinds with
-    two ends.
+    In seconds, and the seconds between rows, where all rows have times as streams have them. Else in rows, in their
+    order, and nan. No effect for kinds with two ends.
     """
     usable = [part for part in parts if part.data.other is None]
-    late = effect(usable, [np.einsum("ndk,nk->nd", part.by_joint, -part.rates) for part in usable], C)
-    return Effect(late.value * interval, late.sigma * interval, late.size)
+    step = float(np.mean([part.step for part in usable])) if usable else float("nan")
+    # Where some tables have times, and others have none, rows are what they have in common.
+    units = [1.0 if np.isfinite(step) or not np.isfinite(part.step) else part.step for part in usable]
+    moved = [
+        np.einsum("ndk,nk->nd", part.by_joint, -part.rates * unit) for part, unit in zip(usable, units, strict=True)
+    ]
+    return effect(usable, moved, C), step
 
 
-class _Score(NamedTuple):
+class Score(NamedTuple):
     """What directions gain, taken together: chi-squared ``gain`` (...) of so many ``numbers`` (...).
 
     ``sizes`` (..., k): by what directions would have to be multiplied.
@@ -224,13 +264,13 @@ class _Score(NamedTuple):
     sizes: Array
 
 
-def _score(A: Array, S: Array, g: Array, C: Array) -> _Score:
+def score_test(A: Array, S: Array, g: Array, C: Array) -> Score:
     """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k)."""
     values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
     kept = values > _TAKEN * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
     u = np.einsum("...ij,...i->...j", V, g)
     weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
-    return _Score(
+    return Score(
         np.sum(u * weighed, axis=-1), np.count_nonzero(kept, axis=-1), -np.einsum("...ij,...j->...i", V, weighed)
     )
 
@@ -250,26 +290,29 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         D = np.einsum("ndk,ns->ndks", part.by_base, shapes).reshape(part.r.size, -1)
         J = part.J.reshape(part.r.size, -1)
         S = D.T @ J
-        found = _score(D.T @ D, S, D.T @ part.r.ravel(), C)
+        found = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
         chance = _chance(found, part.r + shift, part, C)
-        seen = part.by_base[:, :, :3]
-        # By how much the whitened numbers follow a metre.
-        per_metre = float(np.sqrt(np.mean(np.sum(seen**2, axis=(1, 2)) / 3.0)))
-        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / max(per_metre, 1e-12)
+        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / per_metre([part])
         if size > best[0]:
             best = (size, chance)
     return best
 
 
-def _chance(found: _Score, rest: Array, part: Stretch, C: Array) -> float:
+def per_metre(parts: Sequence[Stretch]) -> float:
+    """Return by how much the whitened numbers of a row (rms of their norms) follow a metre by which the base moves."""
+    squares = sum(float(np.sum(part.by_base[:, :, :3] ** 2)) / 3.0 for part in parts)
+    return max(float(np.sqrt(squares / sum(len(part.r) for part in parts))), 1e-12)
+
+
+def _chance(found: Score, rest: Array, part: Stretch, C: Array) -> float:
     """Return how probable a gain is, against what remains (n, d), of rows that remember each other."""
     freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
     variance = max(float(np.sum(rest**2)) / freedom, part.least)
     return _by_chance(found, variance, freedom, rest)
 
 
-def _by_chance(found: _Score, variance: float, freedom: float, r: Array) -> float:
+def _by_chance(found: Score, variance: float, freedom: float, r: Array) -> float:
     """Return how probable a gain is where residuals (n, d) remember each other, by a variance of such a freedom."""
     inflation = 1.0 + 2.0 * memory([r])
     square = float(found.gain) / variance / inflation
@@ -288,19 +331,21 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
     ends = np.cumsum([0, *(part.r.size for part in parts)])
     r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
-    free = max(len(r) - sum(part.used for part in parts), 0.1 * len(r))
     for k, part in enumerate(parts if len(parts) > 1 else ()):
         rows, n = slice(ends[k], ends[k + 1]), len(part.r)
         for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
             D = Z.reshape(part.r.size, -1)
             S = D.T @ J[rows]
-            score = _score(D.T @ D, S, D.T @ r[rows], C)
+            score = score_test(D.T @ D, S, D.T @ r[rows], C)
             rest = r - J @ (C @ (S.T @ score.sizes))
             rest[rows] += D @ score.sizes
-            variance = max(float(rest @ rest) / free, *(one.least for one in parts))
+            # Judged by what remains in this set: its noise may have been estimated with the change in it.
+            own = rest[rows].reshape(part.r.shape)
+            free = max(own.size - part.used - D.shape[1], 0.1 * own.size)
+            variance = max(float(np.sum(own**2)) / free, part.least)
             others = sum(len(one.r) for one in parts) - n
             size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _by_chance(score, variance, free, part.r)
+            chance = _by_chance(score, variance, free, own)
             found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
@@ -318,9 +363,9 @@ def _steps_of(part: Stretch, C: Array) -> list[Step]:
     for what, Z in things:
         sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
         S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
-        scores = _score(A, S, g, C)
+        scores = score_test(A, S, g, C)
         best = int(np.argmax(scores.gain))
-        score, place = _Score(*(of[best] for of in scores)), int(places[best])
+        score, place = Score(*(of[best] for of in scores)), int(places[best])
         if score.gain <= 0.0:
             continue
         D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes

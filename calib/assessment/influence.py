@@ -8,6 +8,7 @@ place of many rows a triangle of ``[J r]`` says the same.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +16,17 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import exceeded
 from calib.identification import losses, weights
+from calib.identification.arrow import Covariance, Split
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
-from calib.identification.system import Problem, Rates
+from calib.identification.system import Block, Problem, Rates
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 
 # Directions that rows determine alone, to this share, cannot be tested.
 ALONE = 1e-4
+# Effects that follow the rows are judged by the rows of so many targets.
+_MOST_TARGETS = 100
 # A scatter of a nanometre is rounding.
 _ROUNDING = 1e-9
 
@@ -41,38 +45,55 @@ class Influence:
 
 
 class WhitenedRows(NamedTuple):
-    """Rows of one set: whitened residuals (n, d), Jacobian (n, d, p) and weights (n,) given by the set's loss."""
+    """Rows of one set: whitened residuals (n, d), Jacobian (n, d, c + a) and weights (n,) given by the set's loss.
+
+    The columns are those of the common parameters, then those of the row's own ``block`` (n,), -1 for none: a target
+    that was eliminated (:mod:`calib.identification.arrow`). Where there are none, a is 0.
+    """
 
     measurements: int
     rows: slice
     r: Array
     J: Array
+    block: IntArray
     w: Array
 
     @property
     def weighted(self) -> Array:
-        """``[J r]`` (n, d, p + 1) as the fit takes it."""
+        """``[J r]`` (n, d, c + a + 1) as the fit takes it."""
         return np.concatenate([self.J, self.r[:, :, None]], axis=2) * np.sqrt(self.w)[:, None, None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Predicted(NamedTuple):
+    """J^T J of all numbers in m, unwhitened and divided by their number, targets following the common parameters.
+
+    ``common`` (c, c); of what a block (m, a) moves beside that ``own`` (m, a, a), and with the common ``across``
+    (m, a, c).
+    """
+
+    common: Array
+    own: Array
+    across: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Residue:
-    """A fit as a linear system. Columns of Jacobians are for one parameter scale, as is ``C`` (p, p).
+    """A fit as a linear system. Columns of Jacobians are for one parameter scale, as is the ``covariance``.
 
     ``sigma`` (N, d) and ``w`` (N,) of every set: noise and weights of the loss. ``squares`` and ``freedom``: of every
-    set, the whitened sum of squares and the degrees of freedom. ``predicted`` (p, p): J^T J of all numbers in m,
-    unwhitened and divided by their number. ``files``: what tables are called, by where they came from.
+    set, the whitened sum of squares and the degrees of freedom. ``files``: what tables are called, by where they came
+    from.
     """
 
     fit: Fit
     files: Mapping[str, str]
     problem: Problem
-    C: Array
+    covariance: Covariance
     sigma: tuple[Array, ...]
     w: tuple[Array, ...]
     squares: Array
     freedom: Array
-    predicted: Array
+    predicted: Predicted
 
     @classmethod
     def of(cls, fit: Fit, files: Mapping[str, str]) -> "Residue":
@@ -98,25 +119,36 @@ class Residue:
             for i in range(len(fit.measurements))
         ]
         units = scales(fit.parameters)
-        predicted, numbers = np.zeros((len(units), len(units))), 0
-        rates = Rates(problem, fit.machine, units)
-        for data in fit.measurements:
-            in_m = [k for quantity in QUANTITIES[data.kind] if quantity.unit == "m" for k in _range(quantity.columns)]
-            for block in rates.blocks(data):
-                J = block.J[:, in_m].reshape(-1, len(units))
-                predicted += J.T @ J
-                numbers += len(J)
+        covariance = fit.spread_alone.scaled(1.0 / units)
         return cls(
             fit,
             files,
             problem,
-            fit.covariance / units[:, None] / units,
+            covariance,
             plain,
             w,
             np.array(squares),
             np.array(freedom),
-            predicted / numbers if numbers else np.full_like(predicted, np.nan),
+            _predicted(fit, Rates(problem, fit.machine, units, fit.spread.split), covariance),
         )
+
+    @property
+    def split(self) -> Split:
+        """Which parameters are common, and which are of one target each."""
+        return self.covariance.split
+
+    @cached_property
+    def judged(self) -> IntArray:
+        """The parameters by which effects are judged: all, or of very many targets those of some, evenly chosen."""
+        m = len(self.split.blocks)
+        blocks = np.unique(np.linspace(0, m - 1, min(m, _MOST_TARGETS)).astype(np.intp))
+        own = self.split.blocks[blocks]
+        return np.sort(np.concatenate([self.split.common, own[own >= 0]]))
+
+    @cached_property
+    def C(self) -> Array:
+        """The covariance (k, k) of the parameters that are ``judged``."""
+        return self.covariance.of(self.judged)
 
     def name(self, data: Measurements) -> str:
         """Return what the table of a set is called."""
@@ -124,13 +156,20 @@ class Residue:
 
     def blocks(self) -> Iterator[WhitenedRows]:
         """Yield all rows, block by block."""
-        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters))
+        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters), self.split)
         for i, data in enumerate(self.fit.measurements):
             for block in rates.blocks(data):
                 sigma = self.sigma[i][block.rows]
+                J, number = _compact(block)
                 yield WhitenedRows(
-                    i, block.rows, block.observed.residual / sigma, block.J / sigma[:, :, None], self.w[i][block.rows]
+                    i, block.rows, block.observed.residual / sigma, J / sigma[:, :, None], number, self.w[i][block.rows]
                 )
+
+    def covariances(self, rows: WhitenedRows) -> Array:
+        """Return the covariance (c, c) of the columns of rows, or (n, c + a, c + a) of those of every row."""
+        if rows.J.shape[2] == len(self.split.common):
+            return self.covariance.common
+        return self.covariance.beside(rows.block)
 
     def scatter(self, without: Array | float, freedom: Array | float, i: int | None = None) -> Array:
         """Return the variance, as a share of the fit's, that is seen in set i (or in all) when something is left out.
@@ -156,21 +195,83 @@ class Residue:
         tested = (np.asarray(d) > 0) & (left > 0.0)
         return np.where(tested, exceeded(q, np.maximum(d, 1), np.where(tested, left, 1.0)), np.nan)
 
-    def influences(self, steps: Array) -> tuple[IntArray, Array, Array]:
-        """Return the influence of rows without which the parameters are off by ``steps`` (n, p), scaled.
+    def influences(self, steps: Array, block: IntArray) -> tuple[IntArray, Array, Array]:
+        """Return the influence of rows without which the parameters are off by ``steps`` (n, c) or (n, c + a), scaled.
 
-        As in :class:`Influence`, all (n,): the number of the parameter that changes most, its change, the prediction's.
+        These are the common ones, and those of one ``block`` (n,) each; other targets follow. As in :class:`Influence`,
+        all (n,): the number of the parameter that changes most, its change, the prediction's.
         """
-        sigmas = np.sqrt(np.maximum(np.diag(self.C), 0.0))
+        c = len(self.split.common)
+        dc, own = steps[:, :c], steps[:, c:]
+        common, of_blocks = self._sigmas
+        sigmas = np.broadcast_to(common, dc.shape)
+        columns = np.broadcast_to(self.split.common, dc.shape)
+        squares = np.sum(dc @ self.predicted.common * dc, axis=1)
+        if own.size:
+            sigmas = np.concatenate([sigmas, np.where(block[:, None] >= 0, of_blocks[block], 0.0)], axis=1)
+            columns = np.concatenate([columns, self.split.blocks[block]], axis=1)
+            # What the target moves beside following.
+            e = own - (self.covariance.follow[block] @ dc[:, :, None])[:, :, 0]
+            e[block < 0] = 0.0
+            squares += 2.0 * np.einsum("na,nac,nc->n", e, self.predicted.across[block], dc)
+            squares += np.einsum("na,nab,nb->n", e, self.predicted.own[block], e)
         by_sigma = np.divide(steps, sigmas, out=np.zeros_like(steps), where=sigmas > 0.0)
-        k = np.argmax(np.abs(by_sigma), axis=1)
-        predicted = np.sqrt(np.maximum(np.sum(steps @ self.predicted * steps, axis=1), 0.0))
-        return k, np.take_along_axis(by_sigma, k[:, None], axis=1)[:, 0], predicted
+        k = np.argmax(np.abs(by_sigma), axis=1)[:, None]
+        change = np.take_along_axis(by_sigma, k, axis=1)[:, 0]
+        return np.take_along_axis(columns, k, axis=1)[:, 0], change, np.sqrt(np.maximum(squares, 0.0))
 
-    def influence(self, step: Array) -> Influence:
-        """Return the influence of something without which the parameters (p,) are off by ``step``, scaled."""
-        (k,), (change,), (prediction,) = self.influences(step[None])
-        return Influence(self.fit.parameters[k].name, float(change), float(prediction))
+    @cached_property
+    def _sigmas(self) -> tuple[Array, Array]:
+        common, of_blocks = self.split.parts(np.sqrt(np.maximum(self.covariance.variances, 0.0)))
+        return common, of_blocks
+
+    def influence(self, step: Array, blocks: IntArray) -> Influence:
+        """Return the influence of something without which parameters are off by ``step`` (k,), scaled.
+
+        These are the common ones, and those of ``blocks`` (n,); other targets follow.
+        """
+        split, c = self.split, len(self.split.common)
+        real, dc = split.real[blocks], step[:c]
+        own = np.zeros(real.shape)
+        own[real] = step[c:]
+        e = own - self.covariance.follow[blocks] @ dc
+        square = float(dc @ self.predicted.common @ dc)
+        square += 2.0 * float(np.einsum("na,nac,c->", e, self.predicted.across[blocks], dc))
+        square += float(np.einsum("na,nab,nb->", e, self.predicted.own[blocks], e))
+        common, of_blocks = self._sigmas
+        sigmas = np.concatenate([common, of_blocks[blocks][real]])
+        by_sigma = np.divide(step, sigmas, out=np.zeros_like(step), where=sigmas > 0.0)
+        k = int(np.argmax(np.abs(by_sigma)))
+        number = np.concatenate([split.common, split.blocks[blocks][real]])[k]
+        return Influence(self.fit.parameters[number].name, float(by_sigma[k]), float(np.sqrt(np.maximum(square, 0.0))))
+
+
+def _compact(block: Block) -> tuple[Array, IntArray]:
+    """Return the Jacobian (n, d, c + a) of a block of rows with the columns of each row's own target, and whose."""
+    if block.own is None or block.block is None:
+        return block.J, np.full(len(block.J), -1, dtype=np.intp)
+    return np.concatenate([block.J, block.own], axis=2), block.block
+
+
+def _predicted(fit: Fit, rates: Rates, covariance: Covariance) -> Predicted:
+    split, numbers = covariance.split, 0
+    (m, a), c = split.blocks.shape, len(split.common)
+    found = Predicted(np.zeros((c, c)), np.zeros((m, a, a)), np.zeros((m, a, c)))
+    for data in fit.measurements:
+        in_m = [k for quantity in QUANTITIES[data.kind] if quantity.unit == "m" for k in _range(quantity.columns)]
+        for block in rates.blocks(data):
+            J = block.J[:, in_m]
+            if block.own is not None and block.block is not None:
+                own, there = block.own[:, in_m], block.block >= 0
+                J = J.copy()
+                J[there] += own[there] @ covariance.follow[block.block[there]]
+                turned = np.swapaxes(own[there], -1, -2)
+                np.add.at(found.own, block.block[there], turned @ own[there])
+                np.add.at(found.across, block.block[there], turned @ J[there])
+            flat = J.reshape(-1, c)
+            np.add(found.common, flat.T @ flat, out=found.common)
+            numbers += len(flat)
+    return Predicted(*(part / numbers if numbers else np.full_like(part, np.nan) for part in found))
 
 
 def _range(columns: slice) -> range:

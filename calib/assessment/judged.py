@@ -8,7 +8,7 @@ from calib.measurement.measurements import Measurements
 
 Use = Literal["identification", "validation"]
 # Checks that a user may answer for: that it is so, and right.
-Accepted = Literal["lengths", "tool and base", "joints"]
+Accepted = Literal["lengths", "tool and base", "joints", "lens"]
 
 
 class JudgedSet(NamedTuple):

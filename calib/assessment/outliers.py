@@ -109,7 +109,7 @@ class _Judged(NamedTuple):
 def _judged(residue: Residue, block: WhitenedRows) -> _Judged:
     """Judge the rows of a block."""
     i, w = block.measurements, block.w[:, None]
-    CJ = residue.C @ np.swapaxes(block.J, -1, -2)
+    CJ = residue.covariances(block) @ np.swapaxes(block.J, -1, -2)
     h, U = np.linalg.eigh(block.J @ CJ)
     u = (np.swapaxes(U, -1, -2) @ block.r[:, :, None])[:, :, 0]
     left = 1.0 - w * h
@@ -127,7 +127,7 @@ def _judged(residue: Residue, block: WhitenedRows) -> _Judged:
         np.mean(w * h, axis=1),
         distance,
         residue.probability(found, d, i),
-        *residue.influences(steps),
+        *residue.influences(steps, block.block),
     )
 
 

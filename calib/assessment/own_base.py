@@ -79,7 +79,7 @@ def far_apart(model: ErrorModel, tables: Iterable[tuple[str, Measurements, Array
         if data.position is None or len(data) < _ENOUGH or error < _FAR * model.robot.reach:
             continue
         free = replace(model.within([data]), base="pose", setups={}, targets={}, relations=())
-        (alone,) = with_common_names(free, [data.with_own_names()])
+        (alone,) = with_common_names(free, [data.at_readings().with_own_names()])
         problem = Problem(free, (), initial_frames(free, [alone]), (alone,))
         moved = float(np.sqrt(3.0 * np.mean(problem.residuals(np.zeros(0))[0][:, :3] ** 2)))
         if moved < _NEAR * error:

@@ -22,6 +22,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import identifiability
+from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
 from calib.identification.machine import Frames, Machine, machine, values_at
@@ -143,7 +144,7 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     size = np.linalg.norm(scaled, axis=0)
     scaled = np.where(size > identifiability.RANK_TOLERANCE * size.max(initial=0.0), scaled, 0.0)
     seen = identifiability.singular_directions(scaled)
-    _, null_space = identifiability.told(scaled, seen.rank, parameters)
+    _, null_space = identifiability.told(Arrow.plain(scaled), seen.rank, parameters)
     return Sensitivity(
         parameters,
         len(J),

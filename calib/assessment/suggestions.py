@@ -77,7 +77,7 @@ def suggestions(fit: Fit, held_out: Sequence[Measurements]) -> tuple[str, ...]:
 def _with(fit: Fit, kind: Kind, held_out: Sequence[Measurements]) -> tuple[Array, ...] | None:
     """Return the held-out residuals of a fit with terms of a kind; None where it cannot be tried."""
     robot = fit.model.urdf_robot
-    told = joined([end.conditions for data in (*fit.measurements, *held_out) for end in data.ends])
+    told = joined([(len(data), end.conditions) for data in (*fit.measurements, *held_out) for end in data.ends])
     try:
         offered = [term for terms in kind.offered(parts(robot), told, _OPTIONS) for term in terms]
         if not offered:

@@ -16,6 +16,7 @@ from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.two_machines import two_machines
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -54,7 +55,7 @@ def verdict(
         by_row = (
             checks.jump(steps(parts, C), found),
             checks.drift(wandering(parts, C), fit),
-            checks.late(delay(parts, C)),
+            checks.late(*delay(parts, C)),
             checks.gear(gains(parts, C), fit),
         )
         told = (
@@ -69,12 +70,14 @@ def verdict(
             *by_row,
             checks.groups(found, apart(parts, C), fit),
             checks.set_ups(moved),
+            checks.one_machine(two_machines(parts), fit),
             checks.gross_errors(fit, own),
             checks.frozen(own),
             checks.in_line(own),
             checks.joints(fit, own),
             checks.lengths(fit, parts),
             checks.tool_and_base(fit),
+            checks.lens(fit),
             checks.warnings(findings),
         )
     return Verdict(told, checks.shown(fit, own, held_out))

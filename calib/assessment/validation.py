@@ -2,12 +2,14 @@
 
 Rows that belong together - a pose that was visited twice, or one word in the column ``group`` - never stand on both
 sides: a model that learnt one of them by heart would be praised for the other. The folds depend on what the rows say
-and not on their order.
+and not on their order. Poses held out one by one tell how good a model is among those that were measured; whole
+neighbourhoods in joint space (D. R. Roberts and others, *Ecography* 40, 2017: blocks), how good it is away from them.
 
 The rule (Breiman, Friedman, Olshen, Stone, *Classification and regression trees*, 1984, 3.4.3): of models of growing
 size take the smallest whose held-out error is within one standard error of the least.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,24 +33,44 @@ from calib.measurement.measurements import Measurements
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
 # different poses of a calibration are a tenth of a radian apart.
 _ONE_POSE = 1e-3
+# Stretches of a stream, in s, and farther than any pose in units of one.
+_STRETCH, _FAR = 5.0, 1e9
+
+
+# Neighbourhoods with wider gaps between them than this many times the usual distance of a pose to the next lie apart.
+_APART = 3.0
+# Of k-means, after which little moves.
+_ROUNDS = 20
+# By so many standard errors a model must be better where whole neighbourhoods are held out.
+_SURELY = 2.0
+# By what share of the 95 % quantile the largest error may grow.
+_LARGEST = 0.5
+# Of fewer places that lie apart, each would be judged by too little else.
+_FEWEST_PLACES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Root mean square of errors at rows that were held out, and its standard error over groups."""
+    """Root mean square of errors at rows that were held out, and its standard error over groups.
+
+    ``p95``: what 95 % of the errors are below; ``largest`` of them.
+    """
 
     rms: float
     standard_error: float
+    p95: float = math.nan
+    largest: float = math.nan
 
 
 def groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Numbered by the poses
-    in them, so that neither the order of the rows nor that of the sets matters.
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
+    together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
+    of the rows nor that of the sets matters.
     """
-    readings = np.concatenate([_both_ends(data) for data in measurements])
-    cells, cell = np.unique(np.round(readings / _ONE_POSE), axis=0, return_inverse=True)
+    poses = np.concatenate([_poses(data, k) for k, data in enumerate(measurements)])
+    cells, cell = np.unique(poses, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
     first: dict[tuple[str, str], int] = {}
@@ -114,8 +136,20 @@ def _places(measurements: Sequence[Measurements]) -> list[str | None]:
     return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
 
 
+def _poses(data: Measurements, number: int) -> Array:
+    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice, in units of one pose.
+
+    Of a stream its stretches, far from all poses and from those of another ``number``.
+    """
+    both = np.round(_both_ends(data) / _ONE_POSE)
+    if data.stream is not None:
+        both[:, 1:] = _FAR * (1.0 + number)
+        both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
+    return np.asarray(both)
+
+
 def _both_ends(data: Measurements) -> Array:
-    """Return the readings (N, 2 k) at both ends of every row; where it has one, that twice."""
+    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice."""
     return np.hstack([data.ends[0].readings, data.ends[-1].readings])
 
 
@@ -135,12 +169,58 @@ def folds(group: IntArray, count: int = FOLDS) -> IntArray:
     return np.asarray(fold[group], dtype=np.intp)
 
 
-def some_rows(group: IntArray, rows: int) -> BoolArray:
+def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count: int = FOLDS) -> IntArray:
+    """Return in which neighbourhood of joint space every row (N,) is, from 0, given its group (N,): at most ``count``.
+
+    Groups whose poses are near to each other are in one (k-means). Where poses lie in three places or more with nothing
+    between them, such as small cubes, no place is divided: its halves would vouch for each other.
+    """
+    readings = np.concatenate([_both_ends(data) for data in measurements])
+    cells = _ONE_POSE * np.round(readings / _ONE_POSE)
+    sizes = np.bincount(group)
+    centres = np.column_stack([np.bincount(group, weights=column) for column in cells.T]) / sizes[:, None]
+    # Sums of rows in another order differ by rounding, and no draw must depend on that.
+    centres = 1e-9 * np.round(centres / 1e-9)
+    if len(centres) <= count:
+        return group
+    part = _parts(centres, count)
+    usual = np.median(np.asarray(cKDTree(centres).query(centres, k=2)[0])[:, 1])
+    trees = [cKDTree(centres[part == k]) for k in range(part.max() + 1)]
+    touching = [[np.min(a.query(b.data)[0]) <= _APART * usual for a in trees] for b in trees]
+    places, place = connected_components(np.array(touching), directed=False)
+    return np.asarray((place[part] if places >= _FEWEST_PLACES else part)[group], dtype=np.intp)
+
+
+def _parts(points: Array, count: int) -> IntArray:
+    """Return in which of ``count`` parts, or fewer, points (n, k) are: k-means, begun at points far from each other.
+
+    (D. Arthur, S. Vassilvitskii, *k-means++*, 2007.)
+    """
+    rng, centres = np.random.default_rng(0), points[:1]
+    while len(centres) < count:
+        far = np.asarray(cKDTree(centres).query(points)[0]) ** 2
+        if not far.any():
+            break
+        centres = np.concatenate([centres, points[rng.choice(len(points), 1, p=far / far.sum())]])
+    part = np.zeros(len(points), dtype=np.intp)
+    for _ in range(_ROUNDS):
+        part = np.unique(cKDTree(centres).query(points)[1], return_inverse=True)[1]
+        sizes = np.bincount(part)
+        centres = np.column_stack([np.bincount(part, weights=column) for column in points.T]) / sizes[:, None]
+    return np.asarray(part, dtype=np.intp)
+
+
+def some_rows(measurements: Sequence[Measurements], group: IntArray, rows: int) -> BoolArray:
     """Return which rows (N,) of very many are looked at, given their groups (N,): ``rows`` at random, or all.
 
-    Of every group as many as of the others, where it has them: poses tell more than visits of a pose.
+    Of every group as many as of the others, where it has them: poses tell more than visits of a pose. Which they are
+    does not depend on the order of the rows.
     """
-    drawn = np.random.default_rng(0).permutation(len(group))
+    seen = [
+        data.value.sum(axis=1) + (0.0 if data.position is None else data.position.sum(axis=1)) for data in measurements
+    ]
+    readings = np.concatenate([_both_ends(data) for data in measurements])
+    drawn = np.lexsort((np.concatenate(seen), *readings.T))[np.random.default_rng(0).permutation(len(group))]
     by_group = drawn[np.argsort(group[drawn], kind="stable")]
     sizes = np.bincount(group)
     visit = np.empty(len(group), dtype=np.intp)
@@ -161,7 +241,8 @@ def held_out(squares: Array, group: IntArray) -> HeldOut:
     there = np.count_nonzero(n)
     of_mean = float(np.sqrt(np.sum(spread**2) * there / max(there - 1, 1))) / len(squares)
     rms = float(np.sqrt(mean))
-    return HeldOut(rms, 0.5 * of_mean / rms if rms else 0.0)
+    p95, largest = np.sqrt(np.quantile(squares, (0.95, 1.0)))
+    return HeldOut(rms, 0.5 * of_mean / rms if rms else 0.0, float(p95), float(largest))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,6 +350,39 @@ def predict_held_out(
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r
     return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)
+
+
+def unharmed(figures: Sequence[HeldOut]) -> tuple[int, ...]:
+    """Return which of models of growing size are nowhere worse than the first, by which they are judged.
+
+    A model with a larger rms or 95 % quantile is not among them, nor one whose largest error is larger by half of that
+    quantile: a row that lies off has on top what a model changes.
+    """
+    first = figures[0]
+    limit = first.largest + _LARGEST * first.p95
+    return tuple(
+        k
+        for k, figure in enumerate(figures)
+        if figure.p95 <= first.p95 and figure.largest <= limit and figure.rms <= first.rms
+    )
+
+
+def smallest_unharmed(figures: Sequence[HeldOut]) -> int:
+    """Return which of models of growing size, that harm nowhere, the one-standard-error rule takes."""
+    sound = unharmed(figures)
+    return sound[one_standard_error([figures[k] for k in sound])]
+
+
+def largest_unharmed(figures: Sequence[HeldOut]) -> int:
+    """Return the largest of models, that harm nowhere, whose error is within one standard error of the least.
+
+    The first, unless its error is two standard errors above the least: of few neighbourhoods chance says as much.
+    """
+    sound = unharmed(figures)
+    least = min((figures[k] for k in sound), key=lambda figure: figure.rms)
+    if figures[0].rms <= least.rms + _SURELY * least.standard_error:
+        return 0
+    return max(k for k in sound if figures[k].rms <= least.rms + least.standard_error)
 
 
 def one_standard_error(figures: Sequence[HeldOut]) -> int:

@@ -21,6 +21,7 @@ from calib.cli import view as view  # isort: skip
 from calib.cli import compensate as compensate  # isort: skip
 from calib.cli import export as export  # isort: skip
 from calib.cli import demo as demo  # isort: skip
+from calib.cli import board as board  # isort: skip
 from calib.cli import import_ as import_  # isort: skip
 from calib.cli import plan as plan  # isort: skip
 from calib.cli import models as models  # isort: skip

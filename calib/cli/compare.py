@@ -1,7 +1,7 @@
 """``calib compare``: what has moved between two calibrations of one machine."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,26 +9,58 @@ from calib.cli.application import JUDGE, Telling, command
 from calib.cli.options import Json, Quiet
 from calib_start import loading
 
+if TYPE_CHECKING:
+    from calib.assessment.drift import Comparison
+
 _OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False, readable=False)
 _LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False, readable=False)
 
 
 @command("compare", JUDGE, "calib compare old/ new/")
 def compare(
-    old: Annotated[Path, _OLD], new: Annotated[Path, _LATER], as_json: Json = False, quiet: Quiet = False
+    old: Annotated[Path, _OLD],
+    new: Annotated[Path, _LATER],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A page with both side by side (.html).",
+            show_default=False,
+            readable=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Compare two calibrations of one machine.
 
-    Says which parameters have changed by more than chance explains, and how much this moves the tip.
+    Says which parameters have changed by more than chance explains, and how much this moves the tip; as a page, also
+    the errors, checks and inputs of both. Exit codes: 0 good, 1 bad input and nothing written, 2 wrong usage.
     """
     with loading():
         from calib.assessment.drift import compare as compared
+        from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.presentation.acceptance_tables import change_table, comparison_lines
+        from calib.presentation.acceptance_tables import change_sheet, comparison_lines
+        from calib.presentation.tables import sheet_table
+    if out is not None:
+        refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading both models")
         before, after = (load_machine(folder) for folder in (old, new))
         say("comparing")
         found = compared(before, after)
-    telling.tell(found.contents, lambda: [*([change_table(found)] if found.changes else []), *comparison_lines(found)])
+    if out is not None:
+        write_new(out, _page(old, new, found))
+    changes = [change_sheet(found)] if found.changes else []
+    telling.tell(found.contents, lambda: [*map(sheet_table, changes), *comparison_lines(found)])
+
+
+def _page(old: Path, new: Path, found: "Comparison") -> str:
+    from calib.presentation.report.page import render_page
+    from calib.results.side_by_side import side_by_side, told
+
+    return render_page(side_by_side(told(old), told(new), found))

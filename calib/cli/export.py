@@ -23,6 +23,9 @@ def export(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
+    tool: Annotated[
+        str | None, typer.Option("--tool", metavar="NAME", help="Whose arm, where the robot has several.")
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -43,6 +46,7 @@ def export(
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
+        model = model if tool is None else model.of(tool)
         corrected = results / DH_FILE
         table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:

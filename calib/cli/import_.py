@@ -9,6 +9,9 @@ from calib.cli.application import PREPARE, Telling, command
 from calib.cli.options import Json, Quiet
 from calib_start import loading
 
+# The first word for photographs.
+_IMAGES = "images"
+
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
 def import_(
@@ -16,12 +19,14 @@ def import_(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="One file, or joints and points apart: text, .jsonl, .json, .yaml, .xlsx, .npz.",
+            help="One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER.",
             show_default=False,
             readable=False,
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)
+    ] = None,
     by: Annotated[
         str | None,
         typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
@@ -31,33 +36,98 @@ def import_(
         typer.Option(
             "--robot",
             metavar="URDF",
-            help="FILE is the maker's calibration of this UR arm: write the URDF of this arm.",
+            help="FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job.",
             show_default=False,
         ),
     ] = None,
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            "--topic", metavar="NAME", help="Of a recording: the topic, or rigid body, to be read.", show_default=False
+        ),
+    ] = None,
+    board: Annotated[
+        Path | None,
+        typer.Option("--board", metavar="FILE", help="Of images: board.toml.", show_default=False, readable=False),
+    ] = None,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            "--readings",
+            metavar="FILE",
+            help="Of images: a table of the joints, or of the flange's pose, with the column image.",
+            show_default=False,
+            readable=False,
+        ),
+    ] = None,
+    tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None,
+    orientation: Annotated[
+        str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")
+    ] = None,
+    camera_on: Annotated[
+        str, typer.Option("--camera-on", help="Of images: tip, or floor where the arm carries the board.")
+    ] = "tip",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Make one table from files of other programs.
 
-    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean.
+    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean. Of a
+    recording of ROS 1, ROS 2 or MCAP the topics are listed; --topic with -o makes a table of one of them.
+    Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new
+        from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet
         from calib.presentation.console import printable
+    if any(is_recording(file) for file in files):
+        _recording(files, topic, out, Telling(as_json, quiet))
+        return
+    if out is None:
+        raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
+    if str(files[0]) == _IMAGES and len(files) > 1:
+        from calib.cli.images import import_images
+
+        import_images(files[1:], board, readings, out, robot, tip, orientation, camera_on, Telling(as_json, quiet))
+        return
+    if board is not None or readings is not None:
+        raise typer.BadParameter("--board and --readings are of photographs: calib import images FOLDER ...")
     if robot is not None:
         _own_urdf(files, robot, out, Telling(as_json, quiet))
         return
-    sheet, *others = [read_sheet(file) for file in files]
+    sheet, *others = [read_sheet(file, topic) for file in files]
     for other in others:
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
     said = [f"{remark}." for remark in sheet.remarks]
     said.append(f"{len(sheet.rows)} rows of {len(sheet.titles)} columns are in {out}.")
     Telling(as_json, quiet).tell(
+        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
+        lambda: map(printable, said),
+    )
+
+
+def _recording(files: list[Path], topic: str | None, out: Path | None, telling: Telling) -> None:
+    """List the topics of a recording, or write one of them."""
+    from calib.foundations.files import refuse_taken, write_new
+    from calib.measurement.formats.recordings import read_topic, topics
+    from calib.presentation.console import printable
+    from calib.presentation.recording_tables import topic_table
+
+    if len(files) != 1 or (topic is None) != (out is None):
+        raise typer.BadParameter("a recording is one file or folder; --topic and -o go together.")
+    if topic is None or out is None:
+        found = topics(files[0])
+        telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_table(found)])
+        return
+    refuse_taken(out)
+    sheet = read_topic(files[0], topic)
+    write_new(out, sheet.csv())
+    said = [*(f"{remark}." for remark in sheet.remarks), f"{len(sheet.rows)} rows of {topic} are in {out}."]
+    telling.tell(
         lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
         lambda: map(printable, said),
     )

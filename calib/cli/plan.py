@@ -33,7 +33,7 @@ def plan(
     candidates: Annotated[str, _option("--candidates", "N|FILE", "Random candidates, or a table of them.")] = "1000",
     measured: Annotated[Path | None, _option("--measured", "FILE", "Poses measured already, to be completed.")] = None,
     working: Annotated[Path | None, _option("--working", "FILE", "Poses where the tool must be accurate.")] = None,
-    tip: Annotated[str | None, _option("--tip", "LINK", "Tip link of a URDF.")] = None,
+    tip: Annotated[str | None, _option("--tip", "LINK", "Tip link of a URDF, or of a job with several.")] = None,
     observes: Annotated[Observed, typer.Option(help="What is measured.")] = "position",
     criterion: Annotated[Criterion, typer.Option(help="What is optimised: see docs/assessment.md.")] = "I",
     sigma: Annotated[str, _option("--sigma", "LENGTH", "Sigma of one measured coordinate.")] = "0.05 mm",

@@ -1,5 +1,6 @@
 """What ``calib plan`` is told, in words and files, as the planner takes it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +38,13 @@ def arm(
     """Return an arm, what is to be found of it, and the folders that may be read for its meshes."""
     if source.endswith(".toml"):
         arm = load_arm(Path(source))
-        if tip is not None and tip != arm.robot.tip:
-            raise JobError(f"{source}: the job's tip is {arm.robot.tip!r}; leave --tip out.")
-        return arm.robot, arm.model, (*arm.mesh_roots, *roots)
+        if tip is not None and tip not in arm.robot.links:
+            tips = ", ".join(map(repr, arm.robot.links))
+            raise JobError(f"{source}: {tip!r} is not a tip of the job; allowed is {tips}.")
+        if tip is None or tip == arm.robot.tip:
+            return arm.robot, arm.model, (*arm.mesh_roots, *roots)
+        other = replace(arm.model, robot=arm.model.robot.with_tip(tip))
+        return arm.robot.with_tip(tip), other, (*arm.mesh_roots, *roots)
     robot = load_robot(source, tip)
     model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)

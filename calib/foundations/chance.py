@@ -11,6 +11,9 @@ from scipy.special import chdtrc, fdtrc, fdtri, gammaincinv, gammaln
 
 from calib.foundations.arrays import Array, IntArray
 
+# Autocorrelation counts while it is beyond chance by so many standard errors.
+_BEYOND_CHANCE = 3.0
+
 
 def exceeded(square: npt.ArrayLike, numbers: IntArray | int, freedom: npt.ArrayLike = np.inf) -> Array:
     """Return how probable it is that so many normal numbers, one or more, have a larger sum of squares.
@@ -45,3 +48,16 @@ def autocorrelations(parts: Sequence[Array], most: int) -> Iterator[float]:
     if square > 0.0:
         for lag in range(1, most):
             yield sum(float(np.sum(r[lag:] * r[:-lag])) for r in parts if len(r) > lag) / square
+
+
+def correlation_time(r: Array, longest: int) -> float:
+    """Return how many rows (N, d) count as one, 1 where rows err alone: the integrated autocorrelation.
+
+    Up to ``longest`` rows, as far as it is beyond chance.
+    """
+    (N, d), found = r.shape, 1.0
+    for lag, correlation in enumerate(autocorrelations([r], min(longest, N // 4)), 1):
+        if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * d):
+            break
+        found += 2.0 * correlation
+    return found

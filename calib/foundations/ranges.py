@@ -78,10 +78,14 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "sigma_per_metre": _SIGMA_FROM_ZERO,
         "fx, fy": Range(1.0, 1e6, "px"),
         "cx, cy": Range(-1e6, 1e6, "px"),
-        "k1, k2, p1, p2, k3": Range(-1e4, 1e4, "1"),
+        "k1, k2, p1, p2, k3, k4, k5, k6": Range(-1e4, 1e4, "1"),
+        "size": Range(16.0, 1e5, "px"),
+        "square, marker": Range(1e-4, 10.0, "m"),
+        "square_sigma": Range(1e-6, 0.2, "1", zero=True),
         "model_sigma": _SIGMA_FROM_ZERO,
         "model_sigma of pixels": Range(1e-4, 1e4, "px", zero=True),
         "model_sigma_angle": Range(1e-6, 1e3, "mrad", zero=True),
+        "gap": Range(1e-3, 10.0, "s"),
         "relations.distance": Range(0.0, 1e4, "m"),
         "relations.offset": _PLACE,
         "relations.angle": Range(0.0, 360.0, "deg"),
@@ -129,10 +133,10 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "measurements.targets": 1000,
     }
 )
-# As many may be in the tables of a calibration: each is three unknowns or more, found with those of the robot.
+# As many may be in the tables of a calibration: set-ups and tools are found with the robot, targets one by one.
 MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
-MOST_TARGETS = COUNTS["targets"]
+MOST_TARGETS = 20_000
 # Of names and globs, wherever a list of them may stand.
 MOST_NAMES = 1000
 

@@ -64,7 +64,7 @@ UNITS: dict[str, Unit] = {
 }
 
 # ``value / MM`` is a length in millimetres, ``5.0 * DEG`` an angle in rad.
-MM, INCH, MRAD, DEG = (UNITS[symbol].factor for symbol in ("mm", "inch", "mrad", "deg"))
+MM, INCH, MRAD, DEG, MS = (UNITS[symbol].factor for symbol in ("mm", "inch", "mrad", "deg", "ms"))
 MINUTE, MICRO = 60.0, 1e-6
 
 
@@ -76,7 +76,13 @@ class Display(NamedTuple):
 
 
 # By SI unit, and for joint readings by dimension.
-DISPLAY = {"m": Display(1.0 / MM, "mm"), "rad": Display(1.0 / DEG, "deg"), "px": Display(1.0, "px")}
+DISPLAY = {
+    "m": Display(1.0 / MM, "mm"),
+    "rad": Display(1.0 / DEG, "deg"),
+    "px": Display(1.0, "px"),
+    "s": Display(1.0 / MS, "ms"),
+    "s/s": Display(1.0 / MICRO, "us/s"),
+}
 DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"]}
 
 # How others write them. Case is theirs, but for Nm, which is no nanometre.

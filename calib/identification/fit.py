@@ -6,17 +6,22 @@ from typing import Literal
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.showing import shower
+from calib.identification.arrow import Covariance
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
+from calib.identification.memory import Memory
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot
+
+# Of more parameters a matrix tells nobody anything.
+_MOST_CORRELATED = 500
 
 NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 
@@ -25,25 +30,30 @@ NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 class Fit:
     """Identified parameters and what is known about them. Made by :func:`calib.identify`; printed as a table.
 
-    ``values`` (p,) and ``covariance`` (p, p) in SI units of ``parameters``. In the null space, the values are a
-    choice among equal fits (``policy``), the covariance belongs to that choice, and :attr:`sigmas` are nan.
-    ``rank``: the formal rank, the number of parameter combinations that the data determine without priors;
-    ``numerical_rank``: how many of them are known to ten parameter scales or better. ``singular_values``: of the
-    whitened, scaled Jacobian, descending; ``null_space``: the directions beyond the numerical rank. ``held``:
-    parameters that policy "minimal" kept at their nominal values. ``null_basis`` (p, k): an orthonormal basis of the
-    null space, in parameter scales, priors counted as data.
+    ``values`` (p,) and :attr:`covariance` (p, p) in SI units of ``parameters``; ``spread``: that by parts. In the null
+    space, the values are a choice among equal fits (``policy``), the covariance is that of the chosen frame, and
+    :attr:`sigmas` are nan.
+    ``rank``: the formal rank, of all parameter combinations that the data determine, priors left out;
+    ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``singular_values`` (descending) of
+    the whitened, scaled Jacobian: of what every target's own rows say of it, and of the other parameters with targets
+    where they follow best; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that policy
+    "minimal" kept at their nominal values. ``null_basis`` (p, k): a basis of the null space of these other parameters,
+    orthonormal in their scales, with the targets that follow, priors counted as data.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``losses``: of every set. ``learned``: the learned priors, which the parameters also have as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
+    ``memories``: how rows with times err together, which the covariance includes; ``covariance_alone`` (p, p): what it
+    would be if all rows erred independently.
     """
 
     model: ErrorModel
     measurements: tuple[Measurements, ...]
     parameters: tuple[Parameter, ...]
     values: Array
-    covariance: Array
+    spread: Covariance
+    spread_alone: Covariance
     rank: int
     numerical_rank: int
     singular_values: Array
@@ -63,6 +73,7 @@ class Fit:
     converged: bool
     learned: tuple[LearnedPrior, ...] = ()
     narrowed: float = 1.0
+    memories: tuple[Memory, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -75,19 +86,45 @@ class Fit:
         return self.model.urdf_deviations(self.machine.deviations)
 
     @property
+    def covariance(self) -> Array:
+        """The covariance (p, p) in SI units; of many targets that is large, and ``spread`` tells any part of it."""
+        return self.spread.of()
+
+    @property
+    def covariance_alone(self) -> Array:
+        """What the covariance (p, p) would be if rows with times erred alone."""
+        return self.spread_alone.of()
+
+    @property
     def sigmas(self) -> Array:
         """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
-        return np.where(self.unidentifiable, np.nan, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        return np.where(self.unidentifiable, np.nan, np.sqrt(np.maximum(self.spread.variances, 0.0)))
+
+    @property
+    def correlated(self) -> IntArray:
+        """Those of :attr:`told_together` that are identifiable."""
+        own = self.told_together
+        return own[~self.unidentifiable[own] & (self.spread.variances[own] > 0.0)]
+
+    @property
+    def told_together(self) -> IntArray:
+        """The parameters whose covariances are told, by number: all, of very many those that are not a target's."""
+        many = len(self.parameters) > _MOST_CORRELATED
+        own = [k for k, parameter in enumerate(self.parameters) if not many or parameter.kind != "target"]
+        return np.array(own, dtype=np.intp)
 
     @property
     def weak(self) -> BoolArray:
         """Parameters (p,) that are determined, but not better than half their parameter scale."""
-        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        sigmas = np.sqrt(np.maximum(self.spread.variances, 0.0))
         return np.asarray(~self.unidentifiable & (sigmas > 0.5 * scales(self.parameters)))
 
     def tools_of(self, data: Measurements) -> Array:
-        """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known."""
-        return _by_name(self.measurements[0].tools, self.machine.frames.tools, data.tools, np.eye(4))[data.tool]
+        """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known.
+
+        They are at the rows' points where a table says these.
+        """
+        return data.placed_by(_by_name(self.measurements[0].tools, self.machine.frames.tools, data.tools, np.eye(4)))
 
     def bases_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the base in the set-ups of rows: the first one where one is not known."""

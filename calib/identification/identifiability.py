@@ -10,19 +10,20 @@ well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.units import MM, MRAD
+from calib.identification.arrow import Arrow, Reduced
 from calib.identification.parameters import Parameter
 
 RANK_TOLERANCE = 1e-9
 NUMERICAL_TOLERANCE = 0.1
 # A parameter is not identifiable when a unit direction of the null space moves it by more than this. Shares of
 # identifiable parameters stay below 0.02 (second-order effects of deviations up to 10 mm), those of others above 0.1.
-_MOVED = 0.02
+MOVED = 0.02
 # A column is small below so many times the last singular value that counts, times the share that is asked of it.
 _SMALL = 10.0
 # Smaller shares of a direction of the null space are not told.
@@ -32,10 +33,19 @@ _MOST_NAMED = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Directions in scaled space, best known first: columns of ``vectors`` (p, p), with ``singular_values`` (p,)."""
+    """Directions in scaled space, best known first: columns of ``vectors`` (c, c), with values ``of_common`` (c,).
+
+    ``of_blocks`` (k,): singular values of what was eliminated.
+    """
 
     vectors: Array
-    singular_values: Array
+    of_common: Array
+    of_blocks: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def singular_values(self) -> Array:
+        """All singular values (p,), the largest first."""
+        return np.sort(np.concatenate([self.of_common, self.of_blocks]))[::-1]
 
     @property
     def rank(self) -> int:
@@ -51,9 +61,16 @@ class Directions:
         """Return a basis (p, p - rank) of the null space: the directions beyond the best ``rank`` ones."""
         return self.vectors[:, rank:]
 
+    def common_rank(self, threshold: float) -> int:
+        """Return how many directions of common parameters are determined better than by a threshold."""
+        return int(np.count_nonzero(self.of_common > self._least(threshold)))
+
     def _above(self, threshold: float) -> int:
-        values = self.singular_values
-        return int(np.count_nonzero(values > max(threshold, RANK_TOLERANCE * values[0]))) if values.size else 0
+        return self.common_rank(threshold) + int(np.count_nonzero(self.of_blocks > self._least(threshold)))
+
+    def _least(self, threshold: float) -> float:
+        largest = max(float(self.of_common.max(initial=0.0)), float(self.of_blocks.max(initial=0.0)))
+        return max(threshold, RANK_TOLERANCE * largest)
 
 
 def singular_directions(triangle: Array) -> Directions:
@@ -61,6 +78,17 @@ def singular_directions(triangle: Array) -> Directions:
     p = triangle.shape[1]
     _, values, Vt = np.linalg.svd(triangle, full_matrices=len(triangle) < p)
     return Directions(Vt.T, np.concatenate([values, np.zeros(p - len(values))]))
+
+
+def directions_of(rows: Reduced) -> Directions:
+    """Return the directions of rows from which targets are eliminated: those of common parameters, and of each target.
+
+    A direction of common parameters counts with the targets where they follow best: how well it is known does not
+    depend on how many targets move with it.
+    """
+    found = singular_directions(rows.rest[:, :-1])
+    alone = rows.singular_values[np.isfinite(rows.singular_values)]
+    return Directions(found.vectors, found.of_common, alone)
 
 
 def inner_constraints(null_basis: Array, parameters: Sequence[Parameter]) -> Array:
@@ -83,7 +111,7 @@ def inner_constraints(null_basis: Array, parameters: Sequence[Parameter]) -> Arr
 
 def unidentifiable(null_basis: Array) -> BoolArray:
     """Return which parameters (p,) some direction of the null space moves: no single value of theirs is known."""
-    return np.asarray(np.linalg.norm(null_basis, axis=1) > _MOVED)
+    return np.asarray(np.linalg.norm(null_basis, axis=1) > MOVED)
 
 
 def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
@@ -142,33 +170,63 @@ class NullDirection:
         return f"{own} cannot be told from {', '.join(others[:_MOST_NAMED]) + more if others else 'no change at all'}."
 
 
-def told(rows: Array, rank: int, parameters: Sequence[Parameter]) -> tuple[tuple[int, ...], tuple[NullDirection, ...]]:
-    """Return a minimal set of ``rank`` parameters, and the directions of the null space that the others are in.
+def told(
+    rows: Arrow, common_rank: int, parameters: Sequence[Parameter]
+) -> tuple[tuple[int, ...], tuple[NullDirection, ...]]:
+    """Return a minimal set of parameters, and the directions of the null space that the others are in.
 
-    ``rows`` (q, p): scaled Jacobian or its triangle, at a point where shares are simple, such as the nominal robot.
+    ``rows``: scaled, at a point where shares are simple, such as the nominal robot; of the common parameters they
+    determine ``common_rank`` combinations. What a target's own rows do not show of it is a direction of its own.
     """
-    kept = minimal_set(rows, rank, preference(parameters))
-    return kept, null_directions(singular_directions(rows).null_basis(rank), parameters, kept)
+    split, reduced = rows.split, rows.reduced(RANK_TOLERANCE)
+    J = reduced.rest[:, :-1]
+    kept = minimal_set(J, common_rank, preference([parameters[k] for k in split.common]))
+    basis = singular_directions(J).null_basis(common_rank)
+    dropped = np.setdiff1d(np.arange(len(split.common)), np.array(kept, dtype=np.intp))
+    directions = np.asarray(np.linalg.solve(basis[dropped].T, basis.T).T, dtype=np.float64)
+    whole = split.whole(directions, reduced.follow @ directions)
+    said = [_direction(whole[:, i], int(split.common[own]), parameters) for i, own in enumerate(dropped)]
+    of_blocks, more = _told_of_blocks(rows, reduced, parameters)
+    return tuple(sorted([*split.common[list(kept)].tolist(), *of_blocks])), (*said, *more)
+
+
+def _told_of_blocks(
+    rows: Arrow, reduced: Reduced, parameters: Sequence[Parameter]
+) -> tuple[list[int], list[NullDirection]]:
+    """Return the parameters of blocks in a minimal set, and directions of what their own rows leave open."""
+    real = np.isfinite(reduced.singular_values)
+    least = max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * float(reduced.singular_values[real].max(initial=0.0)))
+    weak = real & (reduced.singular_values <= least)
+    kept = rows.split.blocks[~weak.any(axis=1)]
+    said: list[NullDirection] = []
+    numbers = kept[kept >= 0].tolist()
+    for i in np.flatnonzero(weak.any(axis=1)):
+        own = rows.split.blocks[i][rows.split.real[i]]
+        J = rows.heads[i][:, : len(own)]
+        rank = int(np.count_nonzero(~weak[i][: len(own)]))
+        seen = minimal_set(J, rank, range(len(own)))
+        numbers += own[list(seen)].tolist()
+        basis = singular_directions(J).null_basis(rank)
+        said += null_directions(basis, [parameters[n] for n in own], seen)
+    return numbers, said
 
 
 def null_directions(
     null_basis: Array, parameters: Sequence[Parameter], kept: Sequence[int]
 ) -> tuple[NullDirection, ...]:
     """Return the null space (p, k), scaled, as directions that a person can read; ``kept`` is a minimal set."""
-    dropped = [k for k in range(len(null_basis)) if k not in kept]
+    dropped = np.setdiff1d(np.arange(len(null_basis)), np.array(kept, dtype=np.intp))
     basis = np.linalg.solve(null_basis[dropped].T, null_basis.T)
-    said = []
-    for own, direction in zip(dropped, basis, strict=True):
-        told = np.abs(direction) > _TOLD_SHARE * np.max(np.abs(direction))
-        order = sorted(map(int, np.flatnonzero(told)), key=lambda k: (k != own, -abs(direction[k]), k))
-        # The imitation carries the opposite sign: moving the one is undone by moving the others.
-        shares = {
-            parameters[k].name: float(direction[k] * parameters[k].scale) * (1 if k == own else -1) for k in order
-        }
-        said.append(
-            NullDirection(parameters[own].name, shares, {parameters[k].name: parameters[k].unit for k in order})
-        )
-    return tuple(said)
+    return tuple(_direction(direction, int(own), parameters) for own, direction in zip(dropped, basis, strict=True))
+
+
+def _direction(direction: Array, own: int, parameters: Sequence[Parameter]) -> NullDirection:
+    """Return a direction (p,), scaled, as one that a person can read: what parameter ``own`` does, others imitate."""
+    told = np.abs(direction) > _TOLD_SHARE * np.max(np.abs(direction))
+    order = sorted(map(int, np.flatnonzero(told)), key=lambda k: (k != own, -abs(direction[k]), k))
+    # The imitation carries the opposite sign: moving the one is undone by moving the others.
+    shares = {parameters[k].name: float(direction[k] * parameters[k].scale) * (1 if k == own else -1) for k in order}
+    return NullDirection(parameters[own].name, shares, {parameters[k].name: parameters[k].unit for k in order})
 
 
 def _figure(value: float, unit: str) -> str:

@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
-from calib.identification import identifiability
+from calib.identification import identifiability, weights
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.frames import is_fit
@@ -20,6 +20,7 @@ from calib.identification.initialisation.problem import initial_problem, with_co
 from calib.identification.learned import solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
+from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solution_at, solve
@@ -95,8 +96,7 @@ def _identify(
     problem, found, learned = solve_learning(problem, x0, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    numerical_rank = min(found.directions.numerical_rank, identifiability.singular_directions(found.start).rank)
-    kept, directions = identifiability.told(found.start, numerical_rank, parameters)
+    kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
     if null_space == "refuse" and directions:
         many = "1 combination" if len(directions) == 1 else f"{len(directions)} combinations"
         raise IdentificationError(f"the data do not determine {many} of parameters; the first: {directions[0]}")
@@ -108,17 +108,20 @@ def _identify(
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), variances)
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
+    sigmas = weights.sigmas_of(problem, found.variances, after)
+    spread, memories = with_memory(problem, found.x, sigmas, after, found.spread)
     return Fit(
         model=model,
-        measurements=sets,
+        measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
         parameters=problem.parameters,
         values=read_only(found.x),
-        covariance=read_only(found.covariance),
+        spread=spread,
+        spread_alone=found.spread,
         rank=rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
         null_space=directions,
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
@@ -133,6 +136,7 @@ def _identify(
         converged=found.converged,
         learned=learned,
         narrowed=found.narrowed,
+        memories=memories,
     )
 
 
@@ -179,6 +183,12 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
     ), begin.machine.deviations
 
 
+def _common_rank(found: Solution) -> int:
+    """Return how many combinations of common parameters are determined, at the solution and at its start."""
+    start = identifiability.directions_of(found.start.reduced(identifiability.RANK_TOLERANCE))
+    return min(found.directions.common_rank(identifiability.NUMERICAL_TOLERANCE), start.common_rank(0.0))
+
+
 def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:
     return tuple(
         noise_of(
@@ -205,6 +215,18 @@ def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machin
     return residuals(fit.model.robot, sets, with_new_frames(fit.model, sets, machine)) if sets else ()
 
 
+def at_clocks(fit: Fit, measurements: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return measurements with the readings of streams as the fit has found their clocks. Raises as residuals_of."""
+    if all(data.stream is None for data in measurements):
+        return tuple(measurements)
+    sets = with_common_names(fit.model, (fit.measurements[0], *measurements))[1:]
+    scalars = with_new_frames(fit.model, sets, fit.machine).frames.scalars
+    return tuple(
+        replace(data, readings=common.at_clock(scalars).readings)
+        for data, common in zip(measurements, sets, strict=True)
+    )
+
+
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
 
@@ -221,11 +243,13 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     return replace(
         fit,
         values=read_only(values),
-        covariance=read_only(found.covariance),
+        spread=found.spread,
+        spread_alone=found.spread,
+        memories=(),
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         singular_values=read_only(found.directions.singular_values),
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis)),
+        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
         null_basis=read_only(found.null_basis),
         noise=_noise(problem, found, after),
         machine=machine,

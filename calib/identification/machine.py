@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
-from calib.identification.parameters import Parameter, directions
+from calib.identification.parameters import Entries, Parameter
 from calib.robot import deviation
 from calib.robot.robot import Deviations, Robot
 
@@ -87,9 +87,10 @@ def machine(
     """
     layout = Layout.of(robot, reference)
     state = _reference_state(layout, reference, held)
-    S = directions(parameters, len(state))
+    entry, own, share = Entries.of(parameters)
     # Free entries are what the parameters say; the rest stay at the reference.
-    state = np.where(np.any(S, axis=1), S @ x, state)
+    state[entry] = 0.0
+    np.add.at(state, entry, share * x[own])
     values = state[layout.base : layout.targets].reshape(-1, 6)
     references = np.concatenate([reference.bases, reference.tools])
     b = len(reference.bases)
@@ -114,7 +115,10 @@ def values_at(
 ) -> Array:
     """Return the parameter values (p,) of a robot, nominal or as ``held``, with all frames at ``reference``."""
     state = _reference_state(Layout.of(robot, reference), reference, held)
-    return np.asarray(state @ directions(parameters, len(state)))
+    entry, own, share = Entries.of(parameters)
+    found = np.zeros(len(parameters))
+    np.add.at(found, own, share * state[entry])
+    return found
 
 
 def _reference_state(layout: Layout, reference: Frames, held: Deviations | None) -> Array:

@@ -76,10 +76,10 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     """Return what the measurements determine; raises MeasurementError when they are not of this robot."""
     problem = initial_problem(model, measurements)
     parameters, sets = problem.parameters, problem.measurements
-    rows = _at_start(problem).rows[:, :-1]
-    directions = identifiability.singular_directions(rows)
+    rows = _at_start(problem).rows.whole
+    directions = identifiability.directions_of(rows.reduced(identifiability.RANK_TOLERANCE))
     rank = directions.rank
-    _, null_space = identifiability.told(rows, rank, parameters)
+    _, null_space = identifiability.told(rows, directions.common_rank(0.0), parameters)
     seen = directions.singular_values[:rank]
     return Observability(
         parameters,

@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
@@ -66,7 +66,8 @@ class Priors:
         refuse_fields(self)
         for field, name in _RANGES.items():
             width = getattr(self, field)
-            if width is not None and width != "learned":
+            # Other words, and what is not above zero, the error model refuses, which knows of what the prior is.
+            if isinstance(width, float | int) and width > 0.0:
                 refuse_beyond(width, name, f"Priors: {field}")
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
@@ -86,7 +87,7 @@ class Parameter:
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
     the prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
     none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
-    determine the parameter.
+    determine the parameter. ``centre``: about which value the prior is, where that is neither nominal nor the start.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Parameter:
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak: float = math.inf
+    centre: float | None = None
 
     @property
     def of_robot(self) -> bool:
@@ -133,10 +135,26 @@ def scales(parameters: Sequence[Parameter]) -> Array:
     return np.array([parameter.scale for parameter in parameters])
 
 
+class Entries(NamedTuple):
+    """What parameters move: ``entry`` (n,) of the state by ``share`` (n,) of the ``parameter`` (n,), by number."""
+
+    entry: IntArray
+    parameter: IntArray
+    share: Array
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> "Entries":
+        """Return those of parameters."""
+        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.direction]
+        entry, parameter, share = zip(*found, strict=True) if found else ((), (), ())
+        return cls(
+            np.array(entry, dtype=np.intp), np.array(parameter, dtype=np.intp), np.array(share, dtype=np.float64)
+        )
+
+
 def directions(parameters: Sequence[Parameter], size: int) -> Array:
     """Return the matrix (size, p) that maps parameter values to entries of a state of that size."""
     S = np.zeros((size, len(parameters)))
-    for k, parameter in enumerate(parameters):
-        for entry, share in parameter.direction:
-            S[entry, k] = share
+    entry, parameter, share = Entries.of(parameters)
+    S[entry, parameter] = share
     return S

@@ -106,10 +106,13 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
     not of this robot.
     """
     with linear.one_thread():
-        sets = [data for data in measurements if len(data) and data.position is not None]
+        placed = [data for data in measurements if len(data) and data.position is not None and data.points is None]
+        sets = [data.at_readings() for data in placed]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         return tuple(
-            finding for setup in setups for finding in _signatures(model.at(setup), [data.at(setup) for data in sets])
+            finding
+            for setup in setups
+            for finding in _signatures(model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets])
         )
 
 

@@ -19,7 +19,7 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation
 from calib.identification.targets import Shape, Target, shape_of, shapes
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, numbered
 
 # Two ways to move every tool are the same when they differ by less than this share.
 _SAME = 1e-7
@@ -78,11 +78,10 @@ def motions(
     floor = [place for name, place in points.items() if name not in links]
     about = (floor[0] if floor else near) if found is None else found
 
+    sat_in = {links.get(name) for data in measurements if data.kind == "socket" for name in data.seen_targets}
+
     def free(link: str | None) -> Array:
-        sockets = [data for data in measurements if data.kind == "socket"]
-        if (placed and link is None) or not any(
-            links.get(name) == link for data in sockets for name in data.seen_targets
-        ):
+        if (placed and link is None) or link not in sat_in:
             return np.zeros((3, 0))
         origin = about if link is None else np.zeros(3)
         fixed = [place - origin for name, place in points.items() if links.get(name) == link]
@@ -118,11 +117,14 @@ def _centre(
     for data in measurements:
         unknown = _unknown_length(data)
         of_a_mark = data.kind == "pixels" and not data.of_boards
+        if data.points is not None and np.ptp(data.points, axis=0).any():
+            # What a scanner sees has a known size.
+            return None
         if data.kind not in ("socket", "plane") and unknown is None and not of_a_mark:
             return None
-        for t in sorted(set(data.target.tolist())):
+        for t, rows in numbered(data.target):
             name = data.targets[t] if t >= 0 else ""
-            values = data.value[data.target == t][:, : 0 if of_a_mark else None]
+            values = data.value[rows][:, : 0 if of_a_mark else None]
             own: tuple[str, str | int | None] = ("plane", name) if data.kind == "plane" else ("length", unknown)
             if values.size and np.any(values != taken_up.setdefault(own, float(values[0, 0]))):
                 return None
@@ -147,7 +149,13 @@ def _unknown_length(data: Measurements) -> int | None:
 
 
 def without(J: Array, set_up_motions: Array) -> Array:
-    """Return scaled rows J (q, p) that do not see the directions ``set_up_motions`` (p, k).
+    """Return scaled rows J (q, p) that do not see the directions ``set_up_motions`` (p, k)."""
+    Q = taken_out(J, set_up_motions)
+    return np.asarray(J - (J @ Q) @ Q.T)
+
+
+def taken_out(J: Array, set_up_motions: Array) -> Array:
+    """Return orthonormal directions (p, j) to take out of scaled rows J (q, p): as J sees ``set_up_motions`` (p, k).
 
     They may depend on each other: where one socket alone is touched, turns and growing are shifts but for residuals.
     Far from a solution, where J sees one clearly, only what J sees of it is taken out: what else is in the null space
@@ -160,8 +168,21 @@ def without(J: Array, set_up_motions: Array) -> Array:
     seen = found.vectors[:, : found.rank]
     # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
     A, shares, B = np.linalg.svd(seen.T @ U, full_matrices=False)
-    Q = np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
-    return np.asarray(J - (J @ Q) @ Q.T)
+    return np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
+
+
+class TargetsFollowed(NamedTuple):
+    """How targets follow common parameters: local twists ``by_twist`` (k, 6, c) of those of these ``numbers`` (k,)."""
+
+    numbers: IntArray
+    by_twist: Array
+
+    def twists(self, numbers: Sequence[int]) -> Array:
+        """Return those (n, 6, c) of some targets, by number; zero for one that follows none."""
+        found = np.zeros((len(numbers), *self.by_twist.shape[1:]))
+        there = np.isin(numbers, self.numbers)
+        found[there] = self.by_twist[np.searchsorted(self.numbers, np.asarray(numbers, dtype=np.intp)[there])]
+        return found
 
 
 class SetUpMotions:
@@ -209,13 +230,13 @@ class SetUpMotions:
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
 
     def directions(
-        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_scalars: Array
+        self, measurements: Sequence[Measurements], at: Machine, of_targets: TargetsFollowed, by_scalars: Array
     ) -> Array:
         """Return unit directions (p, k), scaled, of the motions that parameters imitate, turns first, then growing.
 
-        ``by_targets`` (m, 6, p): local twists of the targets, ``by_scalars`` (s, p): scalars, as the scaled
-        parameters change. Zero where what a motion takes is held, and where nothing of it is seen: a robot that turns
-        or grows about the only point that it touches moves no row.
+        ``of_targets`` that are common, ``by_scalars`` (s, p): scalars, as the scaled parameters change; targets
+        that were eliminated follow the data. Zero where what a motion takes is held, and where nothing of it is seen: a
+        robot that turns or grows about the only point that it touches moves no row.
         """
         p = len(self._scales)
         J, C = self._triangle[:, :p], self._triangle[:, p:]
@@ -230,19 +251,19 @@ class SetUpMotions:
                 np.linalg.norm(sizes[~self._of_targets & self._lengths, turns:], axis=0) > _CLEARLY * self._reach,
             ]
         )
-        Z += self._of_all_targets(measurements, at, by_targets, by_scalars)
+        Z += self._of_common_targets(measurements, at, of_targets, by_scalars)
         return np.asarray(np.where(imitated & clear, Z / np.maximum(np.linalg.norm(Z, axis=0), _AGREE), 0.0))
 
-    def _of_all_targets(
-        self, measurements: Sequence[Measurements], at: Machine, by_targets: Array, by_scalars: Array
+    def _of_common_targets(
+        self, measurements: Sequence[Measurements], at: Machine, of_targets: TargetsFollowed, by_scalars: Array
     ) -> Array:
         """Return how the scaled parameters (p, k) of targets and scalars follow the motions."""
         turns = self._motions.directions
         Z = np.zeros((len(self._scales), self._count))
-        done: set[int] = set()
+        left = dict(zip(of_targets.numbers.tolist(), of_targets.by_twist, strict=True))
         for data in measurements:
-            for t in sorted(set(data.target.tolist()) - done - {-1}):
-                done.add(t)
+            for t in sorted(left.keys() & set(data.target.tolist())):
+                by_twist = left.pop(t)
                 R, c = at.frames.targets[t, :3, :3], at.frames.targets[t, :3, 3]
                 twist = np.zeros((6, self._count))
                 link = data.link_of(t)
@@ -252,7 +273,7 @@ class SetUpMotions:
                 if data.kind == "plane":
                     # With the probe's radius it is where the tool is that grows.
                     twist[2, turns:] += data.value[data.target == t][0, 0]
-                Z += np.linalg.lstsq(by_targets[t, rows], twist[rows], rcond=None)[0]
+                Z += np.linalg.lstsq(by_twist[rows], twist[rows], rcond=None)[0]
             unknown = _unknown_length(data)
             if unknown is not None and self._motions.grows:
                 # What is left of the measured length when the unknown part is taken away grows.

@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
+from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
 from calib.identification.identifiability import Directions
 from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
@@ -56,24 +57,30 @@ _CLEARLY_HELD, _MOST_STEPS_OF_FREED = 0.05, 12
 class Solution(NamedTuple):
     """A least-squares solution.
 
-    ``x`` (p,): values in SI units; ``covariance`` (p, p). ``directions``: what the data determine at x, priors left
-    out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough. ``start`` (q, p): the
-    data's triangle at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every
-    component. ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is
-    usual, for the robot at least.
+    ``x`` (p,): values in SI units; ``spread``: their covariance. ``directions``: what the data determine at x, priors
+    left out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
+    own rows are too few for them, ``alone`` (p,) says it. ``start``: the data's rows at the start point, whitened with
+    the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
+    scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least.
     """
 
     x: Array
-    covariance: Array
+    spread: Covariance
     directions: Directions
     null_basis: Array
-    start: Array
+    alone: BoolArray
+    start: Arrow
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
     evaluations: int
     step: float
     converged: bool
     narrowed: float = 1.0
+
+    @property
+    def covariance(self) -> Array:
+        """The covariance (p, p) of all values."""
+        return self.spread.of()
 
 
 def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
@@ -122,7 +129,9 @@ class _Prior(NamedTuple):
         robot = [parameter.of_robot for parameter in problem.parameters]
         stated = [parameter.prior is not None for parameter in problem.parameters]
         hold = np.array([parameter.hold for parameter in problem.parameters])
-        return cls(hold, np.where(robot, 0.0, z0), np.array(stated, dtype=bool), np.array(robot, dtype=bool))
+        told = [np.nan if p.centre is None else p.centre / p.scale for p in problem.parameters]
+        centre = np.where(np.isnan(told), np.where(robot, 0.0, z0), told)
+        return cls(hold, centre, np.array(stated, dtype=bool), np.array(robot, dtype=bool))
 
     @property
     def has_weak(self) -> bool:
@@ -137,19 +146,17 @@ class _Prior(NamedTuple):
         """Return the priors with the weights of weak ones of the robot times a factor; frames keep theirs."""
         return self._replace(hold=np.where(self.stated | ~self.of_robot, 1.0, factor) * self.hold)
 
-    def rows(self, z: Array) -> Array:
-        """Return ``[J r]`` (k, p + 1) of all priors at z (p,)."""
-        rows = np.column_stack([np.diag(self.hold), self.hold * (z - self.centre)])
-        return rows[self.hold > 0.0]
+    def beside(self, data: Arrow, z: Array) -> Arrow:
+        """Return the rows of the data with those of all priors at z (p,)."""
+        return data.held(self.hold, self.hold * (z - self.centre))
 
     def cost(self, z: Array) -> float:
         """Return the sum of squares of the priors at z (p,)."""
         return float(np.sum((self.hold * (z - self.centre)) ** 2))
 
-    @property
-    def stated_rows(self) -> Array:
-        """Derivatives (k, p) of the stated ones."""
-        return np.asarray(np.diag(self.hold)[self.stated])
+    def stated_beside(self, data: Arrow) -> Arrow:
+        """Return the rows of the data with derivatives of the stated ones."""
+        return data.held(np.where(self.stated, self.hold, 0.0), np.zeros(len(self.hold)))
 
 
 class _Evaluator:
@@ -160,6 +167,12 @@ class _Evaluator:
         self._problem, self._s = problem, s
         self._at: tuple[Array, Sequence[Array]] | None = None
         self._last: Evaluation | None = None
+
+    @property
+    def split(self) -> Split:
+        """That of the evaluations."""
+        assert self._last is not None, "what was evaluated has a split"
+        return self._last.split
 
     def __call__(self, z: Array, sigmas: Sequence[Array]) -> Evaluation:
         known = self._at is not None and self._at[1] is sigmas and np.array_equal(self._at[0], z)
@@ -176,7 +189,7 @@ class _Noise(NamedTuple):
     ``variances``: of the model part of every component, with the ``sigmas`` (N, d) of every set. ``factors``: by which
     these are new; ``settled``: apart from such factors, the rows of the evaluation were weighted by them already.
     ``scatter``: rms of the whitened residuals where that is clearly less than 1. ``prior``: as it weighs beside such
-    data. ``spread`` (p, q): the inverse of all rows, data and priors.
+    data. ``inverse``: that of all rows, data and priors, of an evaluation; None to begin with.
     """
 
     variances: tuple[float, ...]
@@ -186,23 +199,29 @@ class _Noise(NamedTuple):
     redundancies: tuple[float, ...]
     scatter: float
     prior: _Prior
-    spread: Array
+    inverse: Inverse | None = None
 
 
 class _Point(NamedTuple):
-    """A point of the search: z (p,), what was evaluated there by which noise, the noise there, the full step (p,)."""
+    """A point of the search: z (p,), what was evaluated there by which noise, the noise there, the full step (p,).
+
+    ``data`` and ``rows``: what the data say, and the data and priors, weighted by the noise there.
+    """
 
     z: Array
     evaluation: Evaluation
     weighted_by: _Noise
     noise: _Noise
+    data: Arrow
+    rows: Arrow
     full: Array
 
     @classmethod
     def of(cls, z: Array, evaluation: Evaluation, weighted_by: _Noise, noise: _Noise) -> "_Point":
         """Return the point with its full step."""
-        point = cls(z, evaluation, weighted_by, noise, z)
-        return point._replace(full=noise.spread @ -point._rows[:, -1])
+        data = evaluation.reweighted(noise.factors).rows.whole
+        rows = noise.prior.beside(data, z)
+        return cls(z, evaluation, weighted_by, noise, data, rows, Inverse.of(rows, _SINGULAR).step)
 
     @property
     def length(self) -> float:
@@ -218,32 +237,24 @@ class _Point(NamedTuple):
     @property
     def gain(self) -> float:
         """By how much the full step should lower the cost."""
-        return float(np.sum((self._rows[:, :-1] @ self.full) ** 2))
+        return self.rows.after(self.full, 0.0)
 
     def step(self, damping: float) -> Array:
         """Return the step (p,) of Levenberg and Marquardt, in units of what priors hold."""
         if damping == 0.0:
             return self.full
-        rows = self._rows
-        units = np.where(self.noise.prior.hold > 0.0, self.noise.prior.hold, np.linalg.norm(rows[:, :-1], axis=0))
-        J = np.concatenate([rows[:, :-1], np.diag(np.sqrt(damping) * units)])
-        return np.asarray(np.linalg.lstsq(J, -np.pad(rows[:, -1], (0, len(self.z))), rcond=_SINGULAR)[0])
+        units = np.where(self.noise.prior.hold > 0.0, self.noise.prior.hold, self.rows.lengths)
+        return Inverse.of(self.rows.held(np.sqrt(damping) * units, np.zeros(len(self.z))), _SINGULAR).step
 
     @property
     def correction(self) -> Array:
         """The step (p,) that the data ask for, what they hardly see staying where it is."""
-        data, prior = self.evaluation.reweighted(self.noise.factors).rows, self.noise.prior.rows(self.z)
-        J = np.concatenate([data[:, :-1], _HELD * prior[:, :-1]])
-        return np.asarray(np.linalg.lstsq(J, -np.pad(data[:, -1], (0, len(prior))), rcond=_SINGULAR)[0])
+        return Inverse.of(self.data.held(_HELD * self.noise.prior.hold, np.zeros(len(self.z))), _SINGULAR).step
 
     def cost(self, noise: _Noise) -> float:
         """Return the sum of squares of data and priors, by some noise."""
         squares = [np.sum((r / s) ** 2) for r, s in zip(self.evaluation.residuals, noise.sigmas, strict=True)]
         return float(sum(squares) + np.sum(self.evaluation.relations[:, -1] ** 2)) + noise.prior.cost(self.z)
-
-    @property
-    def _rows(self) -> Array:
-        return np.concatenate([self.evaluation.reweighted(self.noise.factors).rows, self.noise.prior.rows(self.z)])
 
 
 class _Search(NamedTuple):
@@ -259,7 +270,7 @@ class _Search(NamedTuple):
         v = _keep(self.fixed, weights.search_variances(self.problem))
         sigmas = weights.sigmas_of(self.problem, v, search=True)
         none = np.ones(len(v))
-        return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior, np.zeros((len(self.prior.hold), 0)))
+        return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior)
 
     def noise(self, z: Array, evaluation: Evaluation, weighted_by: _Noise, *, sought: bool = True) -> _Noise:
         """Return the noise that agrees with an evaluation at z (p,), or with what a small step from there leaves.
@@ -297,22 +308,26 @@ class _Search(NamedTuple):
         residuals that wait for the step would need dozens of steps.
         """
         weighted = evaluation.reweighted(noise.factors)
-        rows = np.concatenate([weighted.rows, noise.prior.rows(z)])
-        step = -noise.spread @ rows[:, -1]
-        cost = float(np.sum(rows[:, -1] ** 2))
+        rows = noise.prior.beside(weighted.rows.whole, z)
+        step = Inverse.of(rows, _SINGULAR).step
+        cost = rows.sum_of_squares
         found = [np.array(residual) for residual in evaluation.residuals]
-        for c, triangle in zip(self.problem.components, weighted.triangles, strict=True):
-            before, after = np.linalg.norm(triangle[:, -1]), np.linalg.norm(triangle @ np.append(step, 1.0))
+        none = np.zeros(len(step))
+        for c, own in zip(self.problem.components, weighted.alone, strict=True):
+            before, after = np.sqrt(own.after(none)), np.sqrt(own.after(step))
             found[c.measurements][:, c.columns] *= after / before if before > 0.0 else 1.0
-        return tuple(found), float(np.sum((rows[:, :-1] @ step) ** 2)) / cost if cost > 0.0 else 0.0
+        return tuple(found), rows.after(step, 0.0) / cost if cost > 0.0 else 0.0
 
     def _inverted(self, evaluation: Evaluation, noise: _Noise) -> _Noise:
         """Return the noise with what the rows of an evaluation, weighted by it, make of it."""
-        weighted, prior = evaluation.reweighted(noise.factors), self.prior.weighed(noise.scatter)
-        rows = np.concatenate([weighted.rows[:, :-1], prior.rows(prior.centre)[:, :-1]])
-        spread = np.linalg.pinv(rows, rcond=_SINGULAR)
-        redundancies = weights.redundancies_of(self.problem, weighted.triangles, spread)
-        return noise._replace(prior=prior, spread=spread, redundancies=redundancies)
+        prior = self.prior.weighed(noise.scatter)
+        components, whole = evaluation.reweighted(noise.factors).rows
+        inverse = Inverse.of(prior.beside(whole, prior.centre), _SINGULAR)
+        redundancies = tuple(
+            self.problem.measurements[c.measurements].sigma[:, c.columns].size - inverse.used(own)
+            for c, own in zip(self.problem.components, components, strict=True)
+        )
+        return noise._replace(prior=prior, redundancies=redundancies)
 
     def with_free_frames(self, prior: _Prior, end: _Point) -> tuple["_Search", _Point]:
         """Return the search and where it ends, frames held as usual where narrower priors cost a clearly worse fit.
@@ -410,14 +425,15 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
     """Return the solution z (p,) with what an evaluation near it tells; ``first``: the evaluation at the start."""
     s = scales(search.problem.parameters)
     noise = search.noise(z, evaluation, weighted_by, sought=False)
-    told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows[:, :-1], search.prior)
+    told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows.whole, search.prior)
     factors, _ = weights.factors_of(search.problem, search.beginning().sigmas, noise.sigmas)
     return Solution(
         z * s,
-        told.covariance * s[:, None] * s,
+        told.covariance.scaled(s),
         told.directions,
         told.null_basis,
-        first.reweighted(factors).rows[:, :-1],
+        told.alone,
+        first.reweighted(factors).rows.whole,
         noise.variances,
         noise.redundancies,
         search.evaluator.count,
@@ -426,28 +442,45 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
     )
 
 
-def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) -> Array:
-    def rows(z: Array) -> Array:
-        return np.concatenate([search.evaluator(z, sigmas).rows, search.prior.rows(z)])
+class _Followed:
+    """The search as one for the common parameters (c,), targets following them: as the last Jacobian says."""
 
-    # Where a trial step opens a loop, nothing is nearer.
-    nowhere = np.full(len(rows(z0)), _NOWHERE)
+    def __init__(self, search: _Search, sigmas: tuple[Array, ...], z0: Array) -> None:
+        self._search, self._sigmas, self._z = search, sigmas, z0
+        self._reduced = self._at(z0)
 
-    def residual(z: Array) -> Array:
+    def _at(self, z: Array) -> Reduced:
+        return self._search.prior.beside(self._search.evaluator(z, self._sigmas).rows.whole, z).reduced(_SINGULAR)
+
+    def whole(self, common: Array) -> Array:
+        """Return all parameters (p,) for common ones."""
+        split = self._search.evaluator.split
+        before, own = split.parts(self._z)
+        return split.whole(common, own + self._reduced.follow @ (common - before) + self._reduced.constant)
+
+    def residual(self, common: Array) -> Array:
+        """Return the residuals of all rows, targets eliminated."""
         try:
-            return rows(z)[:, -1]
+            return self._at(self.whole(common)).rest[:, -1]
         except PoseError:
-            return nowhere
+            # Where a trial step opens a loop, nothing is nearer.
+            return np.full(len(self._reduced.rest), _NOWHERE)
 
-    def jacobian(z: Array) -> Array:
-        return rows(z)[:, :-1]
+    def jacobian(self, common: Array) -> Array:
+        """Return their derivatives (q, c); targets follow them from here on."""
+        z = self.whole(common)
+        self._z, self._reduced = z, self._at(z)
+        return self._reduced.rest[:, :-1]
 
+
+def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) -> Array:
+    followed = _Followed(search, sigmas, z0)
     # lm and not trf: its first step is not held back, which saves half of the evaluations on nearly linear problems.
     # The columns are scaled already; SciPy's own scaling, its default since 1.16, would hold the first step back.
     result = least_squares(
-        residual,
-        z0,
-        jac=jacobian,
+        followed.residual,
+        search.evaluator.split.parts(z0)[0],
+        jac=followed.jacobian,
         method="lm",
         x_scale=1.0,
         ftol=_ROUGH,
@@ -455,37 +488,52 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
         gtol=_ROUGH,
         max_nfev=_MOST_WITH_WEAK_PRIORS if search.prior.has_weak else _MOST_ROUGH_STEPS,
     )
-    return np.asarray(result.x)
+    return followed.whole(result.x)
 
 
 class _Told(NamedTuple):
-    """What the data tell at the solution, scaled: directions, the null space (p, k), and covariance (p, p)."""
+    """What the data tell at the solution, scaled: as a :class:`Solution` has it."""
 
     directions: Directions
     null_basis: Array
-    covariance: Array
+    alone: BoolArray
+    covariance: Covariance
 
     @classmethod
-    def of(cls, problem: LeastSquares, data: Array, prior: _Prior) -> "_Told":
-        """Tell it of the Jacobian of the data at the solution, or its triangle (q, p)."""
-        rows = np.concatenate([data, prior.stated_rows])
-        directions = identifiability.singular_directions(rows)
-        null_basis = directions.null_basis(directions.numerical_rank)
+    def of(cls, problem: LeastSquares, data: Arrow, prior: _Prior) -> "_Told":
+        """Tell it of the rows of the data at the solution."""
+        split = data.split
+        rows = prior.stated_beside(data).reduced(identifiability.RANK_TOLERANCE)
+        directions = identifiability.directions_of(rows)
+        common = directions.null_basis(directions.common_rank(identifiability.NUMERICAL_TOLERANCE))
         # Inner constraints close the null space: full rank by construction.
-        constraints = identifiability.inner_constraints(null_basis, problem.parameters)
+        own = [problem.parameters[k] for k in split.common]
+        constraints = identifiability.inner_constraints(common, own)
         seen = directions.singular_values[: directions.numerical_rank]
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-        spread = np.linalg.pinv(np.concatenate([rows, weight * constraints]), rcond=_SINGULAR)[:, : len(rows)]
-        return cls(identifiability.singular_directions(data), null_basis, spread @ spread.T)
+        spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
+        spread = spread[:, : len(rows.rest)]
+        # Of directions of a block that its own rows do not show: which entries they move.
+        weak = rows.singular_values <= identifiability.NUMERICAL_TOLERANCE
+        vectors = rows.vectors * weak[:, None]
+        alone = split.whole(
+            np.zeros(len(split.common), dtype=np.bool_), np.linalg.norm(vectors, axis=2) > identifiability.MOVED
+        )
+        null_basis = split.whole(common, rows.follow @ common)
+        of_data = identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE))
+        covariance = Covariance(split, spread @ spread.T, rows.follow, rows.root)
+        return cls(of_data, null_basis, alone.astype(np.bool_), covariance)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:
     count = sum(measured.sigma.size for measured in problem.measurements) + len(first.relations)
-    priors = prior.stated_rows
-    rank = identifiability.singular_directions(np.concatenate([first.rows[:, :-1], priors])).rank
-    if count + len(priors) <= rank:
+    priors = int(np.count_nonzero(prior.stated))
+    rank = identifiability.directions_of(
+        prior.stated_beside(first.rows.whole).reduced(identifiability.RANK_TOLERANCE)
+    ).rank
+    if count + priors <= rank:
         raise IdentificationError(
-            f"{count} measured numbers and {len(priors)} priors determine {rank} unknowns and leave none to judge the "
+            f"{count} measured numbers and {priors} priors determine {rank} unknowns and leave none to judge the "
             "fit; measure more poses, free fewer parameters, or give priors."
         )
 

@@ -99,19 +99,6 @@ def model_variances(
     )
 
 
-def redundancies_of(problem: LeastSquares, triangles: Sequence[Array], spread: Array) -> tuple[float, ...]:
-    """Return the degrees of freedom of every component: its rows less those the parameters have used up.
-
-    ``triangles``: whitened ``[J r]`` (q, p + 1) of each component; ``spread`` (p, all rows): from residuals to values.
-    """
-    found, start = [], 0
-    for component, triangle in zip(problem.components, triangles, strict=True):
-        used = float(np.sum(spread[:, start : start + len(triangle)] * triangle[:, :-1].T))
-        start += len(triangle)
-        found.append(problem.measurements[component.measurements].sigma[:, component.columns].size - used)
-    return tuple(found)
-
-
 def scatter(problem: LeastSquares, r: Sequence[Array], sigmas: Sequence[Array], redundancies: Sequence[float]) -> float:
     """Return the rms of whitened residuals, for their degrees of freedom, where it is clearly less than 1; else 1."""
     squares, freedom = 0.0, sum(redundancies)

@@ -97,16 +97,16 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
 
 
-def likeliest_widths(rows: NormalEquations, start: Array) -> Widths:
-    """Return the widths of the largest likelihood times widths; ``start`` (g,): those to begin with."""
+def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) -> Widths:
+    """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with."""
     g = len(start)
     low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
     high = np.where(rows.fixed, 1.0, _MOST_NOISE)
 
     def cost(theta: Array) -> tuple[float, Array]:
         found = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:]))
-        slopes = np.concatenate([found.by_widths - 2.0, found.by_factors])
-        return found.value - 2.0 * float(np.sum(theta[:g])), slopes
+        slopes = np.concatenate([found.by_widths - 2.0 * power, found.by_factors])
+        return found.value - 2.0 * power * float(np.sum(theta[:g])), slopes
 
     bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
     result = minimize(
@@ -122,7 +122,8 @@ def likeliest_widths(rows: NormalEquations, start: Array) -> Widths:
     # Where there is hardly any noise, rounding in the likelihood ends the search early; its slopes know better.
     for _ in range(_MOST_TURNS):
         squares = found.gamma - 0.5 * found.by_widths
-        turned = np.where(found.gamma > 1.0, widths * np.sqrt(squares / np.maximum(found.gamma - 1.0, 1e-9)), widths)
+        left = found.gamma - power
+        turned = np.where(left > 0.0, widths * np.sqrt(squares / np.maximum(left, 1e-9)), widths)
         turned = np.clip(turned, NARROWEST, WIDEST)
         change, widths = float(np.max(np.abs(np.log(turned / widths)))), turned
         found = likelihood(rows, widths, factors)

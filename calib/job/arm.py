@@ -53,6 +53,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
         robot = load_robot(urdf, section.tip)
         model = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {})
         files[section.urdf] = urdf
+    assert section.sigma is not None, "the schema asks for it"
     sigma = section.sigma.si
     arm = TouchingArm(model, read_only(np.zeros(3)), sigma)
     if section.tool is not None:

@@ -37,9 +37,7 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
             raise JobError(f"{at}: has {len(row)} cells, and two are needed: parameter, error.")
         name, error = (cell.strip() for cell in row)
         if name not in units:
-            raise JobError(
-                f"{at}: {shown(name)} is not a free parameter of the model{nearest(name, units)}."
-            )
+            raise JobError(f"{at}: {shown(name)} is not a free parameter of the model{nearest(name, units)}.")
         if name in found:
             raise JobError(f"{at}: {name!r} appears twice.")
         dimension = _DIMENSIONS.get(units[name])

@@ -7,6 +7,7 @@ from calib.foundations.errors import JobError
 from calib.identification.relations import RelationKind
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection, RelationSection
 from calib.job.sentences import dotted
+from calib.measurement.lens import BENT, CENTRE, FOCAL, NAMES, RATIONAL
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.terms import KINDS
 
@@ -58,6 +59,10 @@ def _of_bases(job: Job) -> Iterator[str]:
         )
     if ONLY_SETUP in job.setups:
         yield f"setups.{ONLY_SETUP}: is the set-up without a name, whose pose is in [base]."
+    for name, setup in job.setups.items():
+        for key in ("quaternion", "prior"):
+            if setup.position is None and getattr(setup, key) is not None:
+                yield f"{dotted(('setups', name))}.{key}: belongs to a position, and there is none."
     for at, section in (("base", job.base), *((dotted(("setups", name)), one) for name, one in job.setups.items())):
         if section is not None and section.prior is not None and fixed:
             yield f'{at}.prior: means nothing with error_model.base = "fixed"; leave it out.'
@@ -116,6 +121,8 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
         kind = job.instruments[section.instrument].kind
         if (kind == "camera") != (section.observes == "pixels"):
             yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
+    if section.observes != "pixels" and section.board is not None:
+        yield f"{at}.board: only cameras see boards; leave it out."
     if section.observes == "pixels" and section.sigma is not None:
         yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
     if section.model_sigma is not None and (section.model_sigma.dimension == "pixel") != (section.observes == "pixels"):
@@ -126,7 +133,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "laser_tracker": ("sigma_per_metre", "station"),
     "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
-    "camera": ("camera_on", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+    "camera": ("camera_on", *NAMES, "lens", "size", "lens_file"),
 }
 
 
@@ -135,14 +142,14 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
     for key in [key for kind, keys in _KEYS_OF.items() if kind != section.kind for key in keys]:
         if key in section.model_fields_set:
             yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
-    if (section.sigma.dimension == "pixel") != (section.kind == "camera"):
+    if section.sigma is None:
+        if section.kind != "camera":
+            yield f"{at}.sigma: is missing."
+    elif (section.sigma.dimension == "pixel") != (section.kind == "camera"):
         unit = "pixels, like '0.2 px'" if section.kind == "camera" else "a length, like '7.5 um'"
         yield f"{at}.sigma: {section.sigma!r} is not of a {_words(section.kind)}; allowed are {unit}."
     if section.kind == "camera":
-        needed = _KEYS_OF["camera"][:5]
-        for key in needed:
-            if getattr(section, key) is None:
-                yield f"{at}.{key}: is missing; a camera has {', '.join(needed)} and sigma."
+        yield from _of_lens(at, section)
     if section.kind != "arm":
         return
     if (section.model is None) == (section.urdf is None):
@@ -154,6 +161,30 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
     given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
     if len(given) > 1 or (section.model is not None and not given):
         yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."
+
+
+def _of_lens(at: str, section: InstrumentSection) -> Iterator[str]:
+    """Yield what a camera lacks: where it is, and a lens, or the size of images from which that is found."""
+    if section.camera_on is None:
+        yield f"{at}.camera_on: is missing."
+    numbers = (*FOCAL, *CENTRE)
+    if section.lens_file is not None:
+        for key in (*NAMES, "size"):
+            if key in section.model_fields_set:
+                yield f"{at}.{key}: is given by lens_file as well; keep one of them."
+        return
+    missing = [key for key in numbers if getattr(section, key) is None]
+    free = numbers if section.lens == "free" else () if section.lens == "given" else section.lens
+    if missing and (len(missing) < 4 or not set(numbers) <= set(free)):
+        yield (
+            f'{at}.{missing[0]}: is missing; a camera has {", ".join(numbers)}, or lens = "free" and the size of its '
+            "images."
+        )
+    elif missing and section.size is None:
+        yield f"{at}.size: is missing, and no more is known of the lens; write that of its images, like [1920, 1080]."
+    bent = [key for key in (*BENT, *RATIONAL) if key in section.model_fields_set]
+    if missing and bent:
+        yield f"{at}.{bent[0]}: means nothing without fx, fy, cx, cy."
 
 
 def _words(kind: str) -> str:

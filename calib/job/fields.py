@@ -12,6 +12,7 @@ from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
 from calib.foundations.units import Dimension, parse_quantity
 from calib.foundations.words import shortened
+from calib.measurement.lens import NAMES
 from calib.measurement.orientations import ORIENTATIONS
 from calib.robot.terms.kind import Option
 
@@ -153,6 +154,24 @@ def camera_place(value: object) -> object:
     return value
 
 
+def pair_of_counts(value: object) -> object:
+    """Accept two whole numbers above zero."""
+    if not isinstance(value, tuple) or len(value) != 2 or not all(type(n) is int and n > 0 for n in value):
+        raise ValueError(f"{as_toml(value)} is not a list of two whole numbers, like [7, 5].")
+    return value
+
+
+def free_of_lens(value: object) -> object:
+    """Accept the words given and free, or names of numbers of a lens."""
+    if value in ("given", "free"):
+        return value
+    if not isinstance(value, tuple) or not value or not all(name in NAMES for name in value):
+        raise ValueError(f'{as_toml(value)} is not "given", "free" or a list of {", ".join(NAMES)}.')
+    if len(set(value)) < len(value):
+        raise ValueError(f"{as_toml(value)} names a number twice.")
+    return value
+
+
 def iterations(value: object) -> object:
     """Accept a number of iterations."""
     if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
@@ -246,13 +265,16 @@ HarmonicsPrior = Annotated[Prior, PlainValidator(_or_learned(quantity("prior.har
 CompliancePrior = Annotated[
     Prior, PlainValidator(_or_learned(either("prior.elastic", "prior.elastic of readings that slide")))
 ]
+PrintedLength = Annotated[Quantity, PlainValidator(quantity("square, marker"))]
+PrintedShare = Annotated[float, AfterValidator(number("square_sigma"))]
+Counts = Annotated[tuple[int, int], BeforeValidator(pair_of_counts)]
 Sigma = Annotated[Quantity, PlainValidator(quantity("sigma"))]
 SigmaAngle = Annotated[Quantity, PlainValidator(quantity("sigma_angle"))]
 InstrumentSigma = Annotated[Quantity, PlainValidator(either("instruments.sigma", "instruments.sigma of a camera"))]
 ModelSigma = Annotated[Quantity, PlainValidator(either("model_sigma", "model_sigma of pixels"))]
 FocalLength = Annotated[Quantity, PlainValidator(quantity("fx, fy"))]
 PrincipalPoint = Annotated[Quantity, PlainValidator(quantity("cx, cy"))]
-Distortion = Annotated[float, AfterValidator(number("k1, k2, p1, p2, k3"))]
+Distortion = Annotated[float, AfterValidator(number("k1, k2, p1, p2, k3, k4, k5, k6"))]
 CouplingOffset = Annotated[Quantity, PlainValidator(either("coupling.offset", "coupling.offset of what slides"))]
 RelationSigma = Annotated[Quantity, PlainValidator(either("relations.sigma", "relations.sigma of an angle"))]
 Multiple = Annotated[float, AfterValidator(number("coupling.drivers"))]

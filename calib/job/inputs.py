@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
 from calib.identification.observability import undetermined
+from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.sanity import signatures
@@ -26,7 +27,7 @@ from calib.identification.targets import Target, shapes
 from calib.job.arm import ReadArm, read_arm
 from calib.job.fields import Quantity
 from calib.job.propose import reading_that_fits
-from calib.job.read import read_job
+from calib.job.read import read_board, read_job
 from calib.job.schema import (
     FLOOR,
     CouplingSection,
@@ -37,18 +38,26 @@ from calib.job.schema import (
     PayloadSection,
     PriorSection,
     RelationSection,
+    RobotSection,
+    SetupSection,
     TargetSection,
 )
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding, copied_tables, table_findings
+from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
+from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL, Lens
 from calib.measurement.measurements import ONLY_SETUP, Measurements
-from calib.measurement.read import read_measurements
+from calib.measurement.optics import seen_by
+from calib.measurement.prints import Print
+from calib.measurement.read import read_measurements, stream_of
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
-from calib.robot.gravity import Payload
+from calib.robot.gravity import Load, Payload
+from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot
 from calib.robot.sources import EXAMPLE, examples_folder, find_mesh, mesh_uris, package_folders, resolve
@@ -63,7 +72,7 @@ class Inputs:
     """Everything a job names, read and checked.
 
     ``model``: with what is known of targets and set-ups that are identified from; ``known``: with what is known of all.
-    ``hashes``: SHA-256 of every input file by its name in the job.
+    ``hashes``: SHA-256 of every input file by its name in the job. ``optics``: how many numbers lenses and boards have.
     """
 
     job: Job
@@ -79,6 +88,7 @@ class Inputs:
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
+    optics: tuple[OpticsChoice, ...] = ()
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -120,10 +130,18 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     job, urdf, robot, model, folder = _with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
-    stamps |= {folder / section.file: stamp(folder / section.file) for section in sections}
+    named = list(dict.fromkeys(name for section in sections for name in (section.file, section.readings) if name))
+    prints = _prints(job, folder)
+    lenses = _lenses(job, folder)
+    named += [name for name in (*prints, *lenses) if name not in named]
+    stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
-    sets = [_shared_out(_measurements(section, job, robot, folder, arms, doubts), section) for section in sections]
+    sets = [
+        _shared_out(_measurements(section, job, robot, folder, arms, prints, lenses, doubts), section)
+        for section in sections
+    ]
+    sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
@@ -134,6 +152,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     known, model = model, model.within(chosen)
     doubts += _found_from_held_out(known, chosen, held_out)
     _refuse_no_noise(job, sets, path)
+    doubts += _weighed_at_zero(model, sets)
     doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
@@ -147,7 +166,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
-        **{section.file: sha256(read_bytes(folder / section.file, JobError)) for section in sections},
+        **{name: sha256(read_bytes(folder / name, JobError)) for name in named},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
@@ -171,10 +190,67 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         files=(
             path,
             urdf,
-            *(folder / section.file for section in sections),
+            *(folder / name for name in named),
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
+        optics=optics,
     )
+
+
+def _prints(job: Job, folder: Path) -> dict[str, Print]:
+    """Return what is printed on the boards of a job, by the names of their files."""
+    names = dict.fromkeys(section.board for section in job.measurements if section.board is not None)
+    return {name: read_board(folder / name) for name in names}
+
+
+def _lenses(job: Job, folder: Path) -> dict[str, tuple[Lens, tuple[int, int] | None]]:
+    """Return the lenses that files of a job state, by the names of these."""
+    used = {section.instrument for section in job.measurements}
+    names = (eye.lens_file for name, eye in job.instruments.items() if name in used)
+    return {name: read_lens(folder / name) for name in dict.fromkeys(names) if name is not None}
+
+
+def _with_optics(
+    job: Job, sets: Sequence[Measurements], prints: Mapping[str, Print], progress: Progress
+) -> tuple[list[Measurements], tuple[OpticsChoice, ...]]:
+    """Return sets with lenses and boards of as many numbers as photographs ask for, and what was compared for it.
+
+    Of every camera with a free lens, and of boards that may have several shapes; told by what is to be identified from.
+    """
+    found, choices, done = list(sets), [], set()
+    for data, section in zip(sets, job.measurements, strict=True):
+        if data.camera is None or data.board is None or section.use != "identify" or section.instrument is None:
+            continue
+        key = (data.camera.name, data.board.name)
+        shapes = ("flat",) if section.board is None else prints[section.board].shapes
+        rational = job.instruments[section.instrument].lens == "free"
+        if key in done or not (rational or len(shapes) > 1 or data.camera.unknown):
+            continue
+        done.add(key)
+        progress(f"looking at the lens of {section.instrument}")
+        same = [_is_of(key, other) for other in found]
+        own = zip(found, job.measurements, same, strict=True)
+        chosen = choose_optics(
+            [other for other, one, alike in own if alike and one.use == "identify"], shapes, rational=rational
+        )
+        if chosen is not None:
+            camera, board, choice = chosen
+            choices.append(choice)
+            found = [
+                seen_by(other, camera, board) if alike else other for other, alike in zip(found, same, strict=True)
+            ]
+            # Another board of the same camera has the same lens.
+            found = [_of_camera(other, camera) for other in found]
+    return found, tuple(choices)
+
+
+def _is_of(key: tuple[str, str], data: Measurements) -> bool:
+    return data.camera is not None and data.board is not None and (data.camera.name, data.board.name) == key
+
+
+def _of_camera(data: Measurements, camera: Camera) -> Measurements:
+    same = data.camera is not None and data.camera.name == camera.name and data.camera != camera
+    return seen_by(data, camera, data.board) if same else data
 
 
 def _refuse_levels(job: Job, path: Path) -> None:
@@ -208,7 +284,10 @@ def _refuse_levels(job: Job, path: Path) -> None:
 def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
     tips = [table.tip for table in job.measurements if table.tip is not None]
-    links = [*tips, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    links = [*tips, *section.links, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    payloads = [section.payload, *(setup.payload for setup in job.setups.values())]
+    payloads += [table.payload for table in job.measurements]
+    links += [payload.link for payload in payloads if payload is not None and payload.link is not None]
     used = {table.instrument for table in job.measurements}
     links += [link for name, eye in job.instruments.items() if name in used and (link := _carrier(eye)) is not None]
     return load_robot(
@@ -219,8 +298,14 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
         couplings=[_coupling(coupling, i, document, path) for i, coupling in enumerate(section.coupling)],
         loops=[ClosedLoop(loop.name, loop.frames, loop.closes, loop.passive) for loop in section.loop],
         gravity=[component.si for component in section.gravity],
-        payload=None if section.payload is None else _payload(section.payload),
-    )
+        payload=_payload(section.payload),
+    ).with_loads({name: _load(setup, section) for name, setup in job.setups.items() if setup.gravity or setup.payload})
+
+
+def _load(setup: SetupSection, robot: RobotSection) -> Load:
+    """Return what bears on the robot in a set-up: what that does not say is as everywhere."""
+    x, y, z = (component.si for component in setup.gravity or robot.gravity)
+    return Load((x, y, z), _payload(setup.payload or robot.payload))
 
 
 def _carrier(section: InstrumentSection) -> str | None:
@@ -235,9 +320,11 @@ def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> C
     return Coupling(section.joint, section.drivers, offset)
 
 
-def _payload(section: PayloadSection) -> Payload:
+def _payload(section: PayloadSection | None) -> Payload | None:
+    if section is None:
+        return None
     x, y, z = (length.si for length in section.position)
-    return Payload(section.mass.si, (x, y, z))
+    return Payload(section.mass.si, (x, y, z), section.link or "")
 
 
 def _refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
@@ -268,7 +355,8 @@ def _refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) ->
         if job.tools and tool not in job.tools:
             raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
     for setup in setups:
-        if job.error_model.base == "fixed" and setup not in (ONLY_SETUP, *job.setups):
+        known = [ONLY_SETUP, *(name for name, section in job.setups.items() if section.base is not None)]
+        if job.error_model.base == "fixed" and setup not in known:
             raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
     if job.base is not None and ONLY_SETUP not in setups:
         raise JobError(
@@ -295,6 +383,21 @@ def _found_from_held_out(
                 "found-from-held-out",
                 f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
                 "held-out rows; where they are few, their errors look too small.",
+            )
+
+
+def _weighed_at_zero(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Finding]:
+    """Yield tables that tell joints on which something hangs whose weight matters, and which the arm does not know."""
+    if model.robot.weights is None or not model.robot.weights.bodies:
+        return
+    at_zero = weighed_at_zero(model.urdf_robot)
+    for data in sets:
+        if names := [name for name in data.unused if name in at_zero]:
+            yield Finding(
+                "warning",
+                "weighed-at-zero",
+                f"{data.where}: what hangs on joint {', '.join(map(repr, names))} is weighed as if it were at zero, "
+                "and the table tells where it is; name a link behind it in robot.links.",
             )
 
 
@@ -442,13 +545,14 @@ def _placement(frame: FrameSection) -> Array:
 def _setups(job: Job) -> dict[str, SetUp]:
     """Return what is known of where the base stood; of the set-up without a name only with a prior."""
     known = {ONLY_SETUP: job.base} if job.base is not None and job.base.prior is not None else {}
+    known |= {name: base for name, section in job.setups.items() if (base := section.base) is not None}
     return {
         name: SetUp(
             _placement(section),
             None if section.prior is None else _si(section.prior.length),
             None if section.prior is None else _si(section.prior.angle),
         )
-        for name, section in (known | job.setups).items()
+        for name, section in known.items()
     }
 
 
@@ -483,27 +587,38 @@ def _measurements(
     robot: Robot,
     folder: Path,
     arms: Mapping[str, ReadArm],
+    prints: Mapping[str, Print],
+    lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
 ) -> Measurements:
+    clock = _clock(section, job)
     if section.instrument is not None and section.instrument in arms:
+        if clock is not None:
+            raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
         data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
         doubts += found
-        return data.named(tool=section.tool, setup=section.setup)
+        return _under_its_load(data.named(tool=section.tool, setup=section.setup), section, robot)
     seen_from = robot.with_tip(section.tip or robot.tip)
     try:
-        data = read_measurements(
-            folder / section.file,
-            seen_from,
-            section.observes,
-            sigma=(_si(section.sigma), _si(section.sigma_angle)),
-            instrument=None if section.instrument is None else _instrument(job.instruments[section.instrument]),
-            offset=section.length_offset,
-            in_order=section.in_order,
-            columns=_columns(section),
-        )
+        how: dict[str, Any] = {
+            "sigma": (_si(section.sigma), _si(section.sigma_angle)),
+            "instrument": None
+            if section.instrument is None
+            else _instrument(section.instrument, job.instruments[section.instrument], lenses),
+            "offset": section.length_offset,
+            "in_order": section.in_order,
+            "columns": _columns(section),
+        }
+        if section.readings is None or clock is None:
+            data = read_measurements(folder / section.file, seen_from, section.observes, **how)
+        else:
+            joints = folder / section.readings
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
+    if section.board is not None and data.camera is not None:
+        data = seen_by(data, data.camera, prints[section.board].board(Path(section.board).stem))
     for name in section.targets:
         if name not in data.targets:
             known = ", ".join(map(repr, data.targets)) or "none"
@@ -518,22 +633,51 @@ def _measurements(
         for name in names:
             if on.setdefault(name, link) != link:
                 raise JobError(f"{data.where}: the camera {name!r} is on {link!r}, and [targets] says {on[name]!r}.")
-    return replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+    data = replace(data, targets=names).named(tool=section.tool, setup=section.setup, on=on)
+    return _under_its_load(data, section, robot)
+
+
+def _under_its_load(data: Measurements, section: MeasurementsSection, robot: Robot) -> Measurements:
+    payload = _payload(section.payload)
+    return (data if payload is None else data.carrying(robot, payload)).loaded(robot)
+
+
+def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+    """Return what a job says of the clock of a stream, None of other tables."""
+    if section.readings is None:
+        for key in ("clock", "latency", "gap"):
+            if getattr(section, key) is not None:
+                raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
+        return None
+    streams = list(dict.fromkeys(other.file for other in job.measurements if other.readings is not None))
+    stems = [Path(file).stem for file in streams]
+    own = Path(section.file).stem
+    name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
+    gap = GAP if section.gap is None else section.gap.si
+    return Clock(section.clock or "free", section.latency is not None, gap, name)
 
 
 def _columns(section: MeasurementsSection) -> Columns:
     return Columns(section.columns, section.ignore, section.orientation)
 
 
-def _instrument(section: InstrumentSection) -> LaserTracker | Camera:
+def _instrument(
+    name: str, section: InstrumentSection, lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]]
+) -> LaserTracker | Camera:
+    sigma = 0.0 if section.sigma is None else section.sigma.si
     if section.kind == "camera":
-        assert section.camera_on is not None, "the schema asks where a camera is"
-        fx, fy, cx, cy = (pixels.si for pixels in (section.fx, section.fy, section.cx, section.cy) if pixels)
-        bent = (section.k1, section.k2, section.p1, section.p2, section.k3)
+        fx, fy, cx, cy = (None if q is None else q.si for q in (section.fx, section.fy, section.cx, section.cy))
         place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
-        return Camera(place, fx, fy, cx, cy, *bent, section.sigma.si)
+        free = {"given": (), "free": (*FOCAL, *CENTRE, *BENT)}.get(section.lens, section.lens)
+        bent = {key: getattr(section, key) for key in (*BENT, *RATIONAL)}
+        numbers: dict[str, Any] = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **bent}
+        size = section.size
+        if section.lens_file is not None:
+            lens, size = lenses[section.lens_file]
+            numbers = lens._asdict()
+        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name)
     x, y, z = (length.si for length in section.station)
-    return LaserTracker(section.sigma.si, section.sigma_per_metre.si, (x, y, z))
+    return LaserTracker(sigma, section.sigma_per_metre.si, (x, y, z))
 
 
 def _sigmas(section: MeasurementsSection) -> tuple[float | None, ...]:

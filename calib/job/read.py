@@ -1,4 +1,4 @@
-"""From a file to a job, or one clear sentence."""
+"""From a file to a job, or to a board, or one clear sentence."""
 
 import tomllib
 from pathlib import Path
@@ -10,8 +10,9 @@ from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import shown
 from calib.job.contradictions import contradictions
-from calib.job.schema import Job
+from calib.job.schema import BoardSection, Job
 from calib.job.sentences import validation_sentence
+from calib.measurement.prints import Print
 
 _LARGEST_JOB = 1_000_000
 # The parser's time grows with the square of a dotted key's length, and a key stands on one line.
@@ -21,12 +22,40 @@ _LONGEST_TEXT = 1000
 
 def read_job(path: Path) -> Job:
     """Read a job file. Raises JobError with the file, the key, the value and what is allowed."""
+    return parse_job(read_toml(path), str(path))
+
+
+def read_board(path: Path) -> Print:
+    """Read what is printed on a board. Raises JobError as :func:`read_job` does."""
+    try:
+        section = BoardSection.model_validate(_plain(read_toml(path)))
+    except (RecursionError, _TooLargeError) as e:
+        raise JobError(f"{path}: is no board.toml.") from e
+    except ValidationError as e:
+        raise JobError(f"{path}: {validation_sentence(e, BoardSection)}") from e
+    marker = 0.0 if section.marker is None else section.marker.si
+    try:
+        return Print(
+            section.kind,
+            section.squares,
+            section.square.si,
+            marker,
+            section.dictionary,
+            section.square_sigma,
+            section.shape,
+        )
+    except JobError as e:
+        raise JobError(f"{path}: {str(e).removeprefix('board: ')}") from e
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the contents of a TOML file. Raises JobError with one sentence."""
     source = read_bytes(path, JobError, _LARGEST_JOB)
     for number, line in enumerate(source.split(b"\n"), start=1):
         if len(line) > _LONGEST_LINE:
             raise JobError(f"{path}:{number}: is longer than the {_LONGEST_LINE} bytes that are allowed.")
     try:
-        contents = tomllib.loads(source.decode("utf-8-sig"))
+        return tomllib.loads(source.decode("utf-8-sig"))
     except UnicodeDecodeError as e:
         raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
     except RecursionError as e:
@@ -34,7 +63,6 @@ def read_job(path: Path) -> Job:
     except ValueError as e:  # beside TOMLDecodeError also that of a number with thousands of digits
         reason = str(e) if isinstance(e, tomllib.TOMLDecodeError) else "a number has too many digits"
         raise JobError(f"{path}: is not TOML: {reason}.") from e
-    return parse_job(contents, str(path))
 
 
 def parse_job(contents: dict[str, Any], where: str) -> Job:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from glob import escape
 
+from calib.assessment.blame import blame
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.suggestions import suggestions
@@ -57,7 +58,9 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
     if choice is None and not inputs.job.levels and trace is None:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
-    return replace(found, levels=reports, choice=choice).accepting(inputs.job.accept)
+    if not inputs.job.levels and trace is None:
+        found = replace(found, blame=blame(fit, found.sets))
+    return replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:

@@ -13,6 +13,7 @@ from calib.job.fields import (
     AboutWords,
     AnglePrior,
     CompliancePrior,
+    Counts,
     CouplingOffset,
     Direction,
     Distortion,
@@ -27,6 +28,8 @@ from calib.job.fields import (
     Names,
     Position,
     PrincipalPoint,
+    PrintedLength,
+    PrintedShare,
     Quantity,
     Quaternion,
     RelationSigma,
@@ -36,6 +39,7 @@ from calib.job.fields import (
     SigmaAngle,
     at_most,
     camera_place,
+    free_of_lens,
     iterations,
     list_of,
     orientation_name,
@@ -44,7 +48,9 @@ from calib.job.fields import (
     term_option,
     this_schema,
 )
+from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
+from calib.measurement.prints import PrintKind, PrintShape
 from calib.robot.terms import KINDS
 
 # Asked before anything of the entries is.
@@ -52,6 +58,7 @@ AT_MOST = {key: BeforeValidator(at_most(count)) for key, count in COUNTS.items()
 _NOTHING, _DOWN = (quantity("gravity")(text) for text in ("0 m/s2", "-9.80665 m/s2"))
 _GRAVITY = (_NOTHING, _NOTHING, _DOWN)
 _ORIGIN = (quantity("position, station, point")("0 m"),) * 3
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 # The word for what does not move; it wins over a link of that name.
@@ -83,10 +90,11 @@ class LoopSection(_Section):
 
 
 class PayloadSection(_Section):
-    """``payload`` of ``[robot]``: what the tip link carries."""
+    """``payload``: what a link carries, the tip where none is named, of a table its own."""
 
     mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
     position: Position = _ORIGIN
+    link: Name | None = None
 
 
 class AboutSection(_Section):
@@ -101,12 +109,14 @@ class AboutSection(_Section):
 class RobotSection(_Section):
     """``[robot]``: the URDF, the links between which the arm is calibrated, and folders that hold its meshes.
 
-    ``gravity`` in the base link, and ``payload``, matter where drives give way.
+    ``gravity`` in the base link, and ``payload``, matter where drives give way; ``links``: others whose joints are read
+    for what hangs on them.
     """
 
     urdf: Name
     tip: str | None = None
     base: str | None = None
+    links: Names = ()
     mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
     gravity: Gravity = _GRAVITY
     payload: PayloadSection | None = None
@@ -168,7 +178,7 @@ class FrameSection(_Section):
     """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
     position: Position
-    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    quaternion: Quaternion = _UPRIGHT
 
 
 class BasePriorSection(_Section):
@@ -179,9 +189,26 @@ class BasePriorSection(_Section):
 
 
 class BaseSection(FrameSection):
-    """``[base]``, and ``[setups.NAME]``: where the base stood, exactly, or about where a ``prior`` is given."""
+    """``[base]``: where the base stood, exactly, or about where a ``prior`` is given."""
 
     prior: BasePriorSection | None = None
+
+
+class SetupSection(_Section):
+    """``[setups.NAME]``: where the base stood, as ``[base]`` has it, or not known; and what bore on the robot there."""
+
+    position: Position | None = None
+    quaternion: Quaternion | None = None
+    prior: BasePriorSection | None = None
+    gravity: Gravity | None = None
+    payload: PayloadSection | None = None
+
+    @property
+    def base(self) -> BaseSection | None:
+        """Where the base stood, None where that is to be found."""
+        if self.position is None:
+            return None
+        return BaseSection(position=self.position, quaternion=self.quaternion or _UPRIGHT, prior=self.prior)
 
 
 class TargetSection(_Section):
@@ -224,11 +251,13 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers.
+    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a
+    ``lens`` that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
+    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
-    sigma: InstrumentSigma
+    sigma: InstrumentSigma | None = None
     sigma_per_metre: Annotated[Quantity, PlainValidator(quantity("sigma_per_metre"))] = quantity("sigma_per_metre")(
         "0 um"
     )
@@ -249,6 +278,24 @@ class InstrumentSection(_Section):
     p1: Distortion = 0.0
     p2: Distortion = 0.0
     k3: Distortion = 0.0
+    k4: Distortion = 0.0
+    k5: Distortion = 0.0
+    k6: Distortion = 0.0
+    lens: Annotated[Any, BeforeValidator(free_of_lens)] = "given"
+    size: Counts | None = None
+    lens_file: Name | None = None
+
+
+class BoardSection(_Section):
+    """A ``board.toml``: what was printed, how well its scale is known, and which shape the print may have."""
+
+    kind: PrintKind
+    squares: Counts
+    square: PrintedLength
+    marker: PrintedLength | None = None
+    dictionary: str = ""
+    square_sigma: PrintedShare = SQUARE_SIGMA
+    shape: PrintShape = "auto"
 
 
 class SolverSection(_Section):
@@ -287,16 +334,27 @@ class LevelSection(_Section):
 
 
 class MeasurementsSection(_Section):
-    """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged."""
+    """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged.
+
+    Of a stream, ``readings`` is the file of its joints, and ``clock`` says whether both are one clock; ``latency``, of
+    a given clock, whether readings come late; longer gaps than ``gap`` are not bridged.
+    ``board``: the board.toml of what a camera saw.
+    """
 
     file: Name
+    readings: Name | None = None
+    clock: Literal["free", "given"] | None = None
+    latency: Literal["free"] | None = None
+    gap: Annotated[Quantity, PlainValidator(quantity("gap"))] | None = None
     observes: Kind = "position"
     sigma: Sigma | None = None
     sigma_angle: SigmaAngle | None = None
     instrument: str | None = None
+    board: Name | None = None
     tip: Name | None = None
     tool: Name | None = None
     setup: Name | None = None
+    payload: PayloadSection | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
     model_sigma: ModelSigma | None = None
@@ -320,7 +378,7 @@ class Job(_Section):
     accept: tuple[Accepted, ...] = ()
     solver: SolverSection = SolverSection()
     base: BaseSection | None = None
-    setups: Annotated[dict[str, BaseSection], AT_MOST["setups"]] = Field(default_factory=dict)
+    setups: Annotated[dict[str, SetupSection], AT_MOST["setups"]] = Field(default_factory=dict)
     tools: Annotated[dict[str, FrameSection], AT_MOST["tools"]] = Field(default_factory=dict)
     instruments: Annotated[dict[str, InstrumentSection], AT_MOST["instruments"]] = Field(default_factory=dict)
     targets: Annotated[dict[str, TargetSection], AT_MOST["targets"]] = Field(default_factory=dict)

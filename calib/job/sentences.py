@@ -11,6 +11,7 @@ from calib.foundations.words import near, shortened
 from calib.job.fields import as_toml
 from calib.job.schema import (
     AboutSection,
+    BoardSection,
     ErrorModelSection,
     FrameSection,
     InstrumentSection,
@@ -20,6 +21,7 @@ from calib.job.schema import (
     PriorSection,
     RelationSection,
     RobotSection,
+    SetupSection,
     TargetSection,
 )
 
@@ -33,14 +35,16 @@ _HEADERS: dict[type[BaseModel], str] = {
     PriorSection: "prior of [error_model]",
     PayloadSection: "payload of [robot]",
     FrameSection: "[base] or [tools.NAME]",
+    SetupSection: "[setups.NAME]",
     InstrumentSection: "[instruments.NAME]",
     TargetSection: "[targets.NAME]",
     RelationSection: "[[relations]]",
     MeasurementsSection: "[[measurements]]",
+    BoardSection: "a board.toml",
 }
 
 
-def validation_sentence(error: ValidationError) -> str:
+def validation_sentence(error: ValidationError, root: type[BaseModel] = Job) -> str:
     """Return the first thing to mend: another schema explains all else, and unknown keys most missing ones."""
 
     def order(e: ErrorDetails) -> int:
@@ -50,7 +54,7 @@ def validation_sentence(error: ValidationError) -> str:
     key, kind, value = dotted(first["loc"]), first["type"], first["input"]
     if kind == "extra_forbidden":
         *section, name = first["loc"]
-        return f"{key}: is not a known key; {_hint(str(name), _section(section))}"
+        return f"{key}: is not a known key; {_hint(str(name), _section(section, root))}"
     if kind == "missing":
         return f"{key}: is missing."
     if kind == "value_error":
@@ -92,9 +96,9 @@ def _hint(name: str, section: type[BaseModel]) -> str:
     return f"allowed are {', '.join(known)}."
 
 
-def _section(location: list[int | str]) -> type[BaseModel]:
+def _section(location: list[int | str], root: type[BaseModel]) -> type[BaseModel]:
     """Return the section at a location; indices and the user's own names stand between a field and its section."""
-    section: type[BaseModel] = Job
+    section = root
     for part in location:
         field = section.model_fields.get(str(part))
         if field is not None:

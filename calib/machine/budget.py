@@ -10,20 +10,25 @@ left says how many rows count as one.
 """
 
 import itertools
+from collections import Counter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.chance import autocorrelations
+from calib.foundations.chance import correlation_time
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
+from calib.identification.arrow import Arrow, Collected, Reduced, Split
 from calib.identification.fit import Fit
-from calib.identification.machine import Machine, values_at
+from calib.identification.identifiability import RANK_TOLERANCE
+from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
-from calib.identification.system import Problem
+from calib.identification.system import Evaluation, Problem, evaluate
+from calib.identification.targets import split_of
 from calib.identification.widths import NARROWEST, WIDEST, NormalEquations, likelihood
 from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
@@ -38,8 +43,6 @@ _FAR = 2.0
 _ALIKE, _MOST_NOISE, _MOST_STEPS = 1.4, 1e3, 300
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
-# Autocorrelation counts while it is beyond chance by so many standard errors.
-_BEYOND_CHANCE = 3.0
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
 # Singular values below this share of the largest are rounding.
@@ -74,20 +77,21 @@ def errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
 
 
 def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
-    parameters = (*fit.parameters, *fit.held)
+    every = (*fit.parameters, *fit.held)
     frames, held = fit.machine.frames, fit.machine.deviations
     relations = fit.model.relations
-    problem = Problem(fit.model, parameters, frames, fit.measurements, held, relations, fit.losses)
-    x = values_at(fit.model.robot, parameters, frames, held)
+    problem = Problem(fit.model, every, frames, fit.measurements, held, relations, fit.losses)
+    split = _split(fit, problem)
+    x = values_at(fit.model.robot, every, frames, held)
     at, sigmas, waves = problem.machine(x), _sigmas(fit, problem), usual_waves(fit.model.robot, identified)
-    systematic = Systematic(problem, at, sigmas, waves, scales(parameters))
-    p, m = len(parameters), systematic.columns
-    triangles = [np.zeros((0, p + m + 1)) for _ in problem.components]
-    for c, rows in systematic.rows():
-        triangles[c] = triangle(np.concatenate([triangles[c], rows]))
+    systematic = Systematic(problem, at, sigmas, waves, scales(every), split)
+    parameters = tuple(every[k] for k in split.common)
+    p, m, free = len(parameters), systematic.columns, int(np.count_nonzero(split.common < len(fit.parameters)))
+    reduced = _reduced(problem, systematic, split, p + m)
+    triangles = [own.rest for own in reduced]
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    solved = _solved(problem, x, sigmas, data, len(fit.parameters))
+    solved = _solved(parameters, evaluate(problem, sigmas, x, split), data, free)
     from_data, left = solved.from_data, solved.left
 
     pairs = waves.width.size
@@ -103,7 +107,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     sizes, noise, found = taught.sizes(rows_as_one)
     # What the solution leaves when errors of those sizes are taken off as well.
     taken = np.concatenate([-from_data @ (data[:, p:] @ np.append(found, 1.0)), found, [1.0]])
-    counted = _rows_as_one(problem, systematic, taken)
+    counted = _rows_as_one(problem, systematic, split, reduced, taken)
     if np.any(counted > 1.0):
         rows_as_one = counted
         sizes, noise, _ = taught.sizes(rows_as_one)
@@ -113,7 +117,8 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     sigma = np.repeat(noise * np.sqrt(rows_as_one), of_rows)
     through = from_data * sigma
     hold = np.array([parameter.hold for parameter in parameters])
-    widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, x / scales(parameters))
+    z = x[split.common] / scales(parameters)
+    widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, z)
     unseen = np.hstack([solved.from_relations, solved.from_priors * (hold * widths)])
     bias = from_data @ data[:, p : p + m] * sizes[taught.group]
     return ErrorsByCause(
@@ -126,6 +131,29 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
         waves._replace(width=read_only(waves.width * sizes[:pairs].reshape(waves.width.shape))),
         noise,
     )
+
+
+def _split(fit: Fit, problem: Problem) -> Split:
+    """Return the split in which a target is told apart whose rows all have one noise: those of one set."""
+    sets = problem.measurements
+    seen = Counter(name for data in sets for name in data.seen_targets)
+    held = {parameter.name.removeprefix("target.").rpartition(".")[0] for parameter in fit.held}
+    related = {name for relation in problem.relations for name in relation.targets}
+    joined = {t for t, name in enumerate(sets[0].targets) if seen[name] > 1 or name in held or name in related}
+    return split_of(problem.parameters, Layout.of(problem.model.robot, problem.reference), joined)
+
+
+def _reduced(problem: Problem, systematic: Systematic, split: Split, columns: int) -> list[Reduced]:
+    """Return the rows ``[J B r]`` of every component, targets eliminated by their own rows alone."""
+    (m, a), found = split.blocks.shape, []
+    seen = [systematic.rates.seen(problem.measurements[c.measurements]) for c in problem.components]
+    collected = [Collected(own, m, a, columns) for own in seen]
+    for c, rows, own, block in systematic.rows():
+        collected[c].add(rows, own, block)
+    for one in collected:
+        which, heads = one.heads
+        found.append(Arrow(split.of_blocks(which), heads, one.rest).reduced(RANK_TOLERANCE))
+    return found
 
 
 class _Solved(NamedTuple):
@@ -141,13 +169,13 @@ class _Solved(NamedTuple):
     from_priors: Array
 
 
-def _solved(problem: Problem, x: Array, sigmas: tuple[Array, ...], data: Array, free: int) -> _Solved:
+def _solved(parameters: Sequence[Parameter], evaluation: Evaluation, data: Array, free: int) -> _Solved:
     """Return the solution from ``data`` (q, p + m + 1), whitened triangles ``[J B r]`` of all components.
 
     Parameters beyond the first ``free`` ones are held; their errors are those of their priors, and the others follow.
     """
-    p, evaluation = len(problem.parameters), problem.evaluate(sigmas, x)
-    hold = np.array([parameter.hold for parameter in problem.parameters])
+    p = len(parameters)
+    hold = np.array([parameter.hold for parameter in parameters])
     J = np.concatenate([data[:, :p], evaluation.relations[:, :p]])
     if evaluation.set_up_motions.size:
         J = without(J, evaluation.set_up_motions)
@@ -240,23 +268,27 @@ def _sizes(rows: NormalEquations, drifts: bool) -> tuple[Array, Array]:
     return np.exp(result.x[:g]), np.exp(result.x[g:])
 
 
-def _rows_as_one(problem: Problem, systematic: Systematic, coefficients: Array) -> Array:
+def _rows_as_one(
+    problem: Problem, systematic: Systematic, split: Split, reduced: Sequence[Reduced], coefficients: Array
+) -> Array:
     """Return how many rows of every component (c,) count as one, by the autocorrelation of what is left."""
     left: list[list[Array]] = [[] for _ in problem.components]
-    for c, rows in systematic.rows():
-        left[c].append(rows @ coefficients)
+    m, a = split.blocks.shape
+    placed = []
+    for component, own in zip(problem.components, reduced, strict=True):
+        at = np.zeros((m + 1, a))
+        which = systematic.rates.seen(problem.measurements[component.measurements])
+        at[which] = own.follow @ coefficients[:-1] + own.constant * coefficients[-1]
+        placed.append(at)
+    for c, rows, by_own, block in systematic.rows():
+        after = rows @ coefficients
+        if by_own is not None:
+            after = after + (by_own @ placed[c][block][:, :, None])[:, :, 0]
+        left[c].append(after.ravel())
     numbers = [len(problem.measurements[c.measurements]) for c in problem.components]
-    return np.array([_correlation_time(np.concatenate(r).reshape(n, -1)) for r, n in zip(left, numbers, strict=True)])
-
-
-def _correlation_time(r: Array) -> float:
-    """Return the integrated autocorrelation of rows (N, d): 1 where rows err alone."""
-    (N, d), found = r.shape, 1.0
-    for lag, correlation in enumerate(autocorrelations([r], min(_LONGEST_LAG, N // 4)), 1):
-        if correlation < _BEYOND_CHANCE / np.sqrt((N - lag) * d):
-            break
-        found += 2.0 * correlation
-    return found
+    return np.array(
+        [correlation_time(np.concatenate(r).reshape(n, -1), _LONGEST_LAG) for r, n in zip(left, numbers, strict=True)]
+    )
 
 
 def _short(columns: Array) -> Array:

@@ -20,6 +20,7 @@ from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.joint_terms import in_setup
 from calib.robot.robot import Deviations, Robot
 
 # Directions of the covariance below this share of the largest are rounding.
@@ -77,7 +78,7 @@ class CalibratedMachine:
 
     @checked
     def at(self, setup: str | None) -> "CalibratedMachine":
-        """Return the same machine as it stood in a named set-up; as it is for None.
+        """Return the same machine as it stood in a named set-up, with gravity and payload there; as it is for None.
 
         Raises MeasurementError for an unknown one.
         """
@@ -99,7 +100,15 @@ class CalibratedMachine:
             known_too = replace(self.uncertainty, factor=factor, null_basis=null_basis)
         others = {name: base for name, base in bases.items() if name != setup}
         in_urdf = None if self.in_urdf is None else self.in_urdf.at(setup)
-        return replace(self, setup=setup, base=bases[setup], others=others, uncertainty=known_too, in_urdf=in_urdf)
+        return replace(
+            self,
+            robot=in_setup(self.robot, setup),
+            setup=setup,
+            base=bases[setup],
+            others=others,
+            uncertainty=known_too,
+            in_urdf=in_urdf,
+        )
 
     @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
@@ -138,7 +147,8 @@ class CalibratedMachine:
         """
         if data.position is None:
             raise MeasurementError(f"{data.where}: a machine by itself predicts positions and poses, not {data.kind}.")
-        (r,) = residuals(self.robot, [self.with_own_names(data)], self.state)
+        data = self.with_own_names(data)
+        (r,) = residuals(self.robot, [data], self.state)
         return self.less_shifts(r, data)
 
     def less_shifts(self, residuals: Array, data: Measurements) -> Array:
@@ -156,7 +166,11 @@ class CalibratedMachine:
         return found
 
     def with_own_names(self, data: Measurements) -> Measurements:
-        """Return the data with tools and set-ups numbered as the machine's. Raises MeasurementError for others."""
+        """Return the data with tools and set-ups numbered as the machine's, under the loads of these set-ups.
+
+        Raises MeasurementError for others.
+        """
+        data = data.loaded(self.robot)
 
         def numbers(what: str, own: Sequence[str], names: Sequence[str]) -> IntArray:
             for name in names:
@@ -243,7 +257,7 @@ def assembled(fit: Fit, *, as_named: bool = True) -> CalibratedMachine:
     frames, names = fit.machine.frames, fit.measurements[0]
     setup, *others = names.setups
     found = CalibratedMachine(
-        fit.robot,
+        in_setup(fit.robot, setup),
         fit.deviations,
         read_only(frames.bases[0]),
         {name: read_only(T) for name, T in zip(names.tools, frames.tools, strict=True)},
@@ -265,7 +279,10 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
-    null_basis = _to_state(fit, fit.parameters, fit.machine) @ (fit.null_basis * scales(fit.parameters)[:, None])
+    # Targets are no part of the state.
+    own = fit.spread.split.common
+    common = [fit.parameters[k] for k in own]
+    null_basis = _to_state(fit, common, fit.machine) @ (fit.null_basis[own] * scales(common)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
@@ -279,7 +296,9 @@ def _uncertainty(fit: Fit) -> Uncertainty:
 
 def measured_factor(fit: Fit) -> Array:
     """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
-    return np.asarray(_to_state(fit, fit.parameters, fit.machine) @ _factor(fit.covariance, scales(fit.parameters)))
+    own = fit.spread.split.common
+    common = [fit.parameters[k] for k in own]
+    return np.asarray(_to_state(fit, common, fit.machine) @ _factor(fit.spread.of(own), scales(common)))
 
 
 def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:

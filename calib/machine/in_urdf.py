@@ -29,9 +29,18 @@ def robot_in_urdf(robot: Robot) -> Robot | None:
     return plain if same else None
 
 
-def machine_in_urdf(fit: Fit) -> CalibratedMachine:
-    """Return the machine of what :func:`fit_in_urdf` has found; nothing is said of its uncertainty."""
-    return assembled(fit)
+def machine_in_urdf(fit: Fit, whole: CalibratedMachine) -> CalibratedMachine:
+    """Return the machine of what :func:`fit_in_urdf` has found; nothing is said of its uncertainty.
+
+    Of set-ups and tools it has those of the ``whole`` machine: the tables of earlier levels may have others.
+    """
+    found = assembled(fit).at(whole.setup)
+    return replace(
+        found,
+        tools={name: found.tools[name] for name in whole.tools},
+        others={name: found.others[name] for name in whole.others},
+        tool_tips={name: tip for name, tip in found.tool_tips.items() if name in whole.tools},
+    )
 
 
 def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit | None:

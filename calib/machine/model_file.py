@@ -34,8 +34,8 @@ from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
 from calib.measurement.measurements import ONLY_SETUP
-from calib.robot.gravity import STANDARD_GRAVITY, Payload
-from calib.robot.joint_terms import foreign, with_joint_terms
+from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload
+from calib.robot.joint_terms import foreign, in_setup, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.terms import NAMED, JointTerm, kind_of
@@ -156,7 +156,8 @@ class GeometryEntry(_Strict):
 class ModelFile(_Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad.
 
-    ``base``: in the set-up named ``setup``; ``setups``: the base in the others. ``links``: the tip and other links that
+    ``base``: in the set-up named ``setup``; ``setups``: the base in the others; ``loads``: gravity and payload in those
+    where they are not ``gravity`` and ``payload``. ``links``: the tip and other links that
     the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
     """
 
@@ -178,6 +179,7 @@ class ModelFile(_Strict):
     terms: tuple[TermEntry, ...] = ()
     gravity: tuple[Number, Number, Number] = STANDARD_GRAVITY
     payload: Payload | None = None
+    loads: dict[str, Load] = Field(default_factory=dict)
     in_urdf: GeometryEntry | None = None
 
     @model_validator(mode="after")
@@ -221,6 +223,7 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         ),
         gravity=robot.gravity,
         payload=robot.payload,
+        loads=dict(robot.loads),
         in_urdf=None
         if geometry is None
         else GeometryEntry(
@@ -293,11 +296,11 @@ def _loaded(folder: Path) -> CalibratedMachine:
             loops=model.loops,
             gravity=model.gravity,
             payload=model.payload,
-        )
+        ).with_loads(model.loads)
         terms = tuple(entry.term for entry in model.terms)
         if len(set(terms)) < len(terms) or foreign(robot, terms):
             raise OutputError(f"{path}: its joint terms are not those of {NOMINAL_FILE}, or one appears twice.")
-        equipped = with_joint_terms(robot, terms)
+        equipped = in_setup(with_joint_terms(robot, terms), model.setup)
     except RobotError as e:
         raise OutputError(f"{path}: its robot cannot be used: {e}") from e
     _refuse_other_joints(robot, model.joints, path)

@@ -17,6 +17,8 @@ from calib.identification.widths import NormalEquations, likeliest_widths, likel
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
 _FEWEST = 3.0
+# The power of a width by which the likelihood is multiplied, as of the sizes of what is left out.
+_POWER = 0.25
 # Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
 _MOST_INFORMATION = 1e10
 
@@ -35,7 +37,7 @@ def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array)
         widths = held[group >= 0][of_row]
         few = likelihood(rows, widths, np.ones(1)).gamma < _FEWEST
         if not few.any():
-            taught = likeliest_widths(rows, widths).widths
+            taught = likeliest_widths(rows, widths, _POWER).widths
             return np.where(group >= 0, taught[group], held)
         # What shows too little is no longer among those that are taught.
         left = np.where(few, -1, np.cumsum(~few) - 1)

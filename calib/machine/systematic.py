@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.identification.arrow import Split
 from calib.identification.machine import Machine
-from calib.identification.system import Block, Problem, blocks
+from calib.identification.system import Block, Problem, Rates
 from calib.machine.uncertainty import Waves
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions
@@ -48,17 +49,25 @@ def usual_waves(robot: Robot, identified: Array) -> Waves:
 
 
 class SystematicRows(NamedTuple):
-    """Whitened rows (n, p + m + 1) of one component: ``[J B r]``, r as measured less predicted."""
+    """Whitened rows (n, d, c + m + 1) of one component: ``[J B r]``, r as measured less predicted.
+
+    ``own`` (n, d, a) and ``block`` (n,): by the parameters of the row's own target, where targets are told apart.
+    """
 
     component: int
     rows: Array
+    own: Array | None
+    block: IntArray | None
 
 
 class Systematic:
-    """The columns B of a problem for waves of the usual width, then drifts of one sigma."""
+    """The columns B of a problem for waves of the usual width, then drifts of one sigma; ``split``: that of J."""
 
-    def __init__(self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array) -> None:
-        self._problem, self._at, self._sigmas, self._waves, self._units = problem, at, sigmas, waves, units
+    def __init__(
+        self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array, split: Split
+    ) -> None:
+        self._problem, self._at, self._sigmas, self._waves = problem, at, sigmas, waves
+        self.rates = Rates(problem, at, units, split)
         self._tips: dict[str, TipModel] = {}
         self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
 
@@ -73,14 +82,17 @@ class Systematic:
         components = list(enumerate(problem.components))
         for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
             own = [(c, component.columns) for c, component in components if component.measurements == i]
-            for block in blocks(problem, data, self._at, self._units):
+            for block in self.rates.blocks(data):
                 B = np.concatenate([self._waved(data, block), self._drifted(i, block.rows)], axis=2)
                 B[:, :, : self._waves.many] /= sigma[block.rows, :, None]
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 whole /= sigma[block.rows, :, None]
                 whole = np.concatenate([whole[:, :, :-1], B, whole[:, :, -1:]], axis=2)
+                by_own = None if block.own is None else block.own / sigma[block.rows, :, None]
                 for c, columns in own:
-                    yield SystematicRows(c, whole[:, columns].reshape(-1, whole.shape[2]))
+                    yield SystematicRows(
+                        c, whole[:, columns], by_own if by_own is None else by_own[:, columns], block.block
+                    )
 
     def _waved(self, data: Measurements, block: Block) -> Array:
         frames, rows = self._at.frames, block.rows

@@ -16,6 +16,7 @@ _NORM_TOLERANCE = 1e-3
 POSITION = ("x", "y", "z")
 PIXELS = ("u", "v")
 BOARD = ("board_x", "board_y", "board_z")
+POINT = ("point_x", "point_y", "point_z")
 _EULER = ("rx", "ry", "rz")
 SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
@@ -25,7 +26,7 @@ KNOWN = frozenset(
         *QUATERNION_COLUMNS,
         *TEXT_COLUMNS,
         *(name for names in (*SIGMAS, *SIGMA_ANGLES) for name in names),
-        *("time", "temperature", "length", "indicated", "diameter", "ball", *PIXELS, *BOARD),
+        *("time", "temperature", "length", "indicated", "diameter", "ball", *PIXELS, *BOARD, *POINT),
     )
 )
 

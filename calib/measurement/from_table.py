@@ -10,13 +10,16 @@ from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
+from calib.measurement.boards import Board
 from calib.measurement.columns import (
     BOARD,
     PIXELS,
+    POINT,
     POSITION,
     SIGMA_ANGLES,
     SIGMAS,
     filled,
+    numbers,
     orientations,
     refuse_unknown,
     require,
@@ -27,6 +30,7 @@ from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
 from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
+from calib.measurement.optics import seen_by
 from calib.measurement.projection import undistort
 from calib.measurement.scalars import of_length
 from calib.measurement.table import Table
@@ -159,7 +163,11 @@ def measurements_from_table(
         tip=joints.tip,
         absent=absent,
         unused=tuple(name for name in joints.idle if name in table.columns),
+        points=_points(table, kind),
+        times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
+    if camera is not None:
+        return seen_by(found, camera, Board())
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
 
@@ -227,7 +235,8 @@ def _pixels(table: Table, camera: Camera) -> Array:
     """Return u and v in px and the mark's place on its board in m, zero where no column says it (N, 5)."""
     require(table, PIXELS, "of the pixel that was seen")
     pixels = stacked(table, dict.fromkeys(PIXELS, "pixel"))
-    seen = undistort(camera, pixels)[1]
+    # Of a lens that is to be found nothing is known that a pixel could contradict.
+    seen = np.ones(len(pixels), dtype=np.bool_) if camera.free else undistort(camera.lens, pixels)[1]
     if not seen.all():
         row = int(np.argmin(seen))
         u, v = pixels[row]
@@ -235,10 +244,26 @@ def _pixels(table: Table, camera: Camera) -> Array:
             f"{table.where}:{table.lines[row]}: no line of sight belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
             "camera's distortion folds the image before it; is it outside the image, or are k1, k2, p1, p2, k3 wrong?"
         )
-    board: dict[str, Dimension] = {name: "length" for name in BOARD if name in table.columns}
+    return read_only(np.column_stack([pixels, _places(table, BOARD)]))
+
+
+def _places(table: Table, names: tuple[str, str, str]) -> Array:
+    """Return coordinates (N, 3) in m, zero where no column says one."""
+    told: dict[str, Dimension] = {name: "length" for name in names if name in table.columns}
     places = np.zeros((len(table), 3))
-    places[:, [BOARD.index(name) for name in board]] = stacked(table, board)
-    return read_only(np.column_stack([pixels, places]))
+    places[:, [names.index(name) for name in told]] = stacked(table, told)
+    return places
+
+
+def _points(table: Table, kind: Kind) -> Array | None:
+    """Return where in the tool's frame the rows' points are (N, 3), None where no column says it."""
+    told = [name for name in POINT if name in table.columns]
+    if told and kind in ("pose", "pixels"):
+        raise MeasurementError(
+            f"{table.where}: column {told[0]!r} says where in the tool's frame a point was seen, and {kind} are about "
+            "more than a point; leave it out."
+        )
+    return read_only(_places(table, POINT)) if told else None
 
 
 def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
@@ -264,7 +289,10 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
     other = End(
-        read_only_view(rows.readings[second]), read_only_view(rows.tool[second]), rows.conditions.subset(second)
+        read_only_view(rows.readings[second]),
+        read_only_view(rows.tool[second]),
+        rows.conditions.subset(second),
+        None if rows.points is None else read_only_view(rows.points[second]),
     )
     return replace(rows.subset(first), other=other)
 

@@ -10,8 +10,10 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
 
 CameraPlace = Literal["floor", "tip"]
+ONLY_CAMERA = "camera"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +49,16 @@ class LaserTracker:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A calibrated camera in OpenCV's convention (:mod:`calib.measurement.projection`); where it is, is found.
+    """A camera in OpenCV's convention (:mod:`calib.measurement.projection`); where it is, is found.
 
     ``camera_on``: the "floor", seeing a board or a mark on the tool, or the "tip", seeing one that stays.
-    ``fx``, ``fy``, ``cx``, ``cy`` in px: the camera matrix; ``k1``, ``k2``, ``p1``, ``p2``, ``k3``: the distortion, in
-    OpenCV's order. ``sigma``: one standard deviation of each pixel coordinate, in px; 0 where it is not known.
+    ``fx``, ``fy``, ``cx``, ``cy`` in px: the camera matrix; ``k1``, ``k2``, ``p1``, ``p2``, ``k3``, ``k4``, ``k5``,
+    ``k6``: the distortion, in OpenCV's order. ``sigma``: one standard deviation of each pixel coordinate, in px; 0
+    where it is not known. ``free``: which of these numbers are to be found, from what is given or, where nothing is,
+    from the ``size`` of the images in px and what they show. ``name``: tables of one name are of one camera. ``found``:
+    whether its numbers are what photographs have shown at first, and nobody gave them.
+
+        calib.measuring.Camera("tip", free=("fx", "fy", "cx", "cy", "k1", "k2"), size=(1920, 1080))
 
     Raises JobError when a number cannot be used.
     """
@@ -59,22 +66,58 @@ class Camera:
     __repr__ = brief
 
     camera_on: CameraPlace
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
     sigma: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    free: tuple[str, ...] = ()
+    size: tuple[int, int] | None = None
+    name: str = ONLY_CAMERA
+    found: bool = False
 
     def __post_init__(self) -> None:
         refuse_fields(self)
         if self.camera_on not in get_args(CameraPlace):
             raise JobError(f"camera: camera_on is {self.camera_on!r}; allowed are {', '.join(get_args(CameraPlace))}.")
-        for names in ("fx, fy", "cx, cy", "k1, k2, p1, p2, k3"):
-            for name in names.split(", "):
-                refuse_beyond(getattr(self, name), names, f"camera: {name}")
+        for name in NAMES:
+            if (value := getattr(self, name)) is not None:
+                refuse_beyond(value, next(group for group in _GROUPS if name in group.split(", ")), f"camera: {name}")
         refuse_beyond(self.sigma, "instruments.sigma of a camera", "camera: sigma")
+        if alien := next((name for name in self.free if name not in NAMES), None):
+            raise JobError(f"camera: {alien!r} is not a number of a lens; they are {', '.join(NAMES)}.")
+        for length in self.size or ():
+            refuse_beyond(length, "size", "camera: size")
+        missing = [name for name in (*FOCAL, *CENTRE) if getattr(self, name) is None]
+        if missing and not self.unknown:
+            raise JobError(f"camera: {missing[0]} is missing; fx, fy, cx, cy are given together.")
+        if held := [name for name in missing if name not in self.free]:
+            raise JobError(f"camera: {held[0]} is neither given nor free.")
+        if missing and self.size is None:
+            raise JobError("camera: its lens is neither given nor is the size of its images, from which it is found.")
+
+    @property
+    def unknown(self) -> bool:
+        """Whether nothing is known of the lens."""
+        return self.fx is None and self.fy is None and self.cx is None and self.cy is None
+
+    @property
+    def lens(self) -> Lens:
+        """The lens as given; where nothing is, a wide one that looks at the middle of the images."""
+        if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
+            width, height = self.size or (1, 1)
+            return Lens(float(width), float(width), 0.5 * (width - 1), 0.5 * (height - 1))
+        bent = (self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6)
+        return Lens(self.fx, self.fy, self.cx, self.cy, *bent)
+
+
+# The ranges of the numbers of a lens are told under these names.
+_GROUPS = ("fx, fy", "cx, cy", "k1, k2, p1, p2, k3, k4, k5, k6")

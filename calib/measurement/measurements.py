@@ -1,18 +1,22 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
+from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.scalars import Scalar
+from calib.measurement.streams.stream import SHIFTS, Stream
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.gravity import Payload
 from calib.robot.robot import Deviations, Robot
 
 # What the only tool of the robot's tip is called, and the only place where the robot stood.
@@ -21,11 +25,15 @@ ONLY_TOOL, ONLY_SETUP = "tool", "base"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class End:
-    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there."""
+    """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there.
+
+    ``points`` (N, 3): where in the tool's frame each row's point is; None where all are its origin.
+    """
 
     readings: Array
     tool: IntArray
     conditions: Conditions = NO_CONDITIONS
+    points: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,11 +56,16 @@ class Measurements:
     rows depend on, by what it is to them: the ``offset`` of lengths, the ``radius`` of a ball.
     ``group``: N words, None where the table has no such column.
     ``conditions``: what else the rows carry.
+    ``points`` (N, 3): where in the tool's frame each row's point is, in m, as a scanner or a depth camera on the robot
+    saw it; None where all are the tool's own.
     ``lines`` (N): where a row stands in ``where``, as in :class:`calib.measurement.table.Table`.
-    ``camera``: by which ``pixels`` were seen.
+    ``camera``: by which ``pixels`` were seen, ``board``: of what, where that is a board of which something is unknown;
+    ``mark`` (N): which of its marks, where its shape is not flat.
     ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
     that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
     since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
+    ``times`` (N,): when rows were measured, in s, None where no column says. ``stream``: of rows whose readings another
+    stream has, by its own clock; ``readings`` are then those by the clock as it is known so far.
     """
 
     __repr__ = brief
@@ -78,18 +91,45 @@ class Measurements:
     lines: IntArray
     conditions: Conditions = NO_CONDITIONS
     camera: Camera | None = None
+    board: Board | None = None
+    mark: IntArray | None = None
     tip: str = ""
     target_links: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    points: Array | None = None
+    times: Array | None = None
+    stream: Stream | None = None
 
     def __len__(self) -> int:
         return len(self.lines)
 
+    def shifts(self, scalars: Array) -> dict[str, float]:
+        """Return what the scalars (s,) make of the clock of a stream."""
+        return {role: float(scalars[self.uses[role]]) for role in SHIFTS if role in self.uses}
+
+    def readings_at(self, scalars: Array, rows: slice = slice(None)) -> Array:
+        """Return the readings (n, k) of rows where scalars (s,) have these values: those of a stream follow them."""
+        if self.stream is None:
+            return self.readings[rows]
+        return self.stream.readings(self.shifts(scalars), rows)
+
+    def at_clock(self, scalars: Array) -> "Measurements":
+        """Return the rows with the readings that they have where scalars (s,) have these values."""
+        if self.stream is None:
+            return self
+        return replace(self, readings=read_only_view(self.readings_at(scalars)))
+
+    def at_readings(self) -> "Measurements":
+        """Return the rows as a table that has their readings beside them, with no clock to be found."""
+        if self.stream is None:
+            return self
+        return replace(self, stream=None, uses={role: k for role, k in self.uses.items() if role not in SHIFTS})
+
     @property
     def ends(self) -> tuple[End, ...]:
         """Where the robot was: the one end of every row, and the other one in kinds that have two."""
-        own = End(self.readings, self.tool, self.conditions)
+        own = End(self.readings, self.tool, self.conditions, self.points)
         return (own,) if self.other is None else (own, self.other)
 
     @checked
@@ -99,7 +139,55 @@ class Measurements:
         Raises as :meth:`calib.Robot.tips` does.
         """
         with naming_rows(self.where, self.lines):
-            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, self.conditions)
+            own = self.loaded(robot).conditions
+            return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, own)
+
+    def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
+        """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
+
+            heavy = calib.read_measurements("heavy.csv", robot).carrying(robot, calib.Payload(2.5))
+
+        Raises MeasurementError where the robot was not loaded with that link.
+        """
+        link = payload.link or self.tip or (robot.links or (robot.tip,))[0]
+        if link not in (robot.links or (robot.tip,)):
+            raise MeasurementError(
+                f"{self.where}: the payload is on {link!r}, which is not one of the links that the robot was loaded "
+                f"with: {', '.join(map(repr, robot.links))}."
+            )
+        moments = robot.moments(replace(payload, link=link))
+        moments[[other != link for other in robot.links or (robot.tip,)]] = np.nan
+        every = np.tile(moments, (len(self), 1, 1))
+        return self._told(lambda told: replace(told, payload=_where_unsaid(told.payload, every)))
+
+    def loaded(self, robot: Robot) -> "Measurements":
+        """Return the rows under gravity and payload of their set-ups, where nothing else is told of them."""
+        if not robot.loads:
+            return self
+        loads = [robot.load_in(name) for name in self.setups]
+        gravity = np.array([load.gravity for load in loads])[self.setup]
+        payload = np.array([robot.moments(load.payload) for load in loads])[self.setup]
+
+        def under(told: Conditions) -> Conditions:
+            return replace(
+                told, gravity=_where_unsaid(told.gravity, gravity), payload=_where_unsaid(told.payload, payload)
+            )
+
+        return self._told(under)
+
+    def _told(self, more: Callable[[Conditions], Conditions]) -> "Measurements":
+        """Return the rows with more told of both ends."""
+        other = self.other
+        return replace(
+            self,
+            conditions=more(self.conditions),
+            other=None if other is None else replace(other, conditions=more(other.conditions)),
+        )
+
+    def placed_by(self, tools: Array) -> Array:
+        """Return the placements (N, 4, 4) of the rows' points in the link that carries them, by its tools (k, 4, 4)."""
+        placed = tools[self.tool]
+        return placed if self.points is None else np.asarray(placed @ rigid.translation(self.points))
 
     def link_of(self, target: int) -> str | None:
         """Return the link that carries a target, by its number; None where it stands on the floor."""
@@ -198,12 +286,31 @@ class Measurements:
             other=None
             if other is None
             else End(
-                read_only_view(other.readings[index]), read_only_view(other.tool[index]), other.conditions.subset(index)
+                read_only_view(other.readings[index]),
+                read_only_view(other.tool[index]),
+                other.conditions.subset(index),
+                None if other.points is None else read_only_view(other.points[index]),
             ),
             group=None if self.group is None else tuple(self.group[i] for i in index),
             lines=read_only_view(self.lines[index]),
+            mark=None if self.mark is None else read_only_view(self.mark[index]),
             conditions=self.conditions.subset(index),
+            points=None if self.points is None else read_only_view(self.points[index]),
+            times=None if self.times is None else read_only_view(self.times[index]),
+            stream=None if self.stream is None else self.stream.subset(index),
         )
+
+
+def numbered(numbers: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield every number of rows (N,), the least first, with the rows that have it."""
+    order = np.argsort(numbers, kind="stable")
+    there, starts = np.unique(numbers[order], return_index=True)
+    yield from zip(there.tolist(), np.split(order, starts[1:]), strict=len(order) > 0)
+
+
+def _where_unsaid(told: Array | None, otherwise: Array) -> Array:
+    """Return what is told of rows, and something else where that is NaN."""
+    return read_only_view(otherwise if told is None else np.where(np.isnan(told), otherwise, told))
 
 
 def _used(names: Sequence[str], *numbers: IntArray) -> tuple[tuple[str, ...], IntArray]:

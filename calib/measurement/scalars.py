@@ -9,7 +9,7 @@ from typing import Literal
 
 from calib.foundations.arguments import refuse_fields
 
-ScalarUnit = Literal["m", "rad", "px", "s", "1"]
+ScalarUnit = Literal["m", "rad", "px", "s", "s/s", "1"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,8 @@ from calib.foundations.arrays import BoolArray
 from calib.foundations.csv_text import csv_text
 from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
 from calib.machine.uncertainty import UncertaintyMap
-from calib.presentation.report.document import Row
+from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import signed
-from calib.presentation.tables import filled
 from calib.robot.robot import Reading
 
 
@@ -69,9 +68,8 @@ def _tested(test: ChiSquare) -> str:
     )
 
 
-def change_table(found: Comparison) -> Table:
+def change_sheet(found: Comparison) -> Sheet:
     """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
-    out = _table("Changes", "tip: rms motion of the tip by this change alone")
     numbers = ("old", "new", "change", "sigma", "tip [mm]")
     rows = []
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
@@ -79,38 +77,40 @@ def change_table(found: Comparison) -> Table:
         values = (change.old, change.new, change.new - change.old, change.sigma)
         shown = (signed(value * factor, 4) for value in values[:3])
         told = f"{change.sigma * factor:.4f}", f"{change.at_tip / MM:.3f}", unit, "yes" if change.moved else "no"
-        rows.append(Row((change.name, *shown, *told)))
-    return filled(out, ("parameter", *numbers, "unit", "moved"), numbers, rows)
+        rows.append(Row((change.name, *shown, *told), strong=change.moved))
+    columns = ("parameter", *numbers, "unit", "moved")
+    caption = "tip: rms motion of the tip by this change alone"
+    return Sheet("Changes", columns, frozenset(numbers), tuple(rows), caption, sortable=True)
+
+
+def comparison_sentences(found: Comparison) -> tuple[str, ...]:
+    """Return what a comparison says, and at the end its verdict."""
+    if found.statistic is None or found.probability is None:
+        together = "The two calibrations have different free parameters: only their tips can be compared as a whole."
+    else:
+        per = found.statistic / max(found.degrees_of_freedom, 1)
+        together = (
+            f"All {found.degrees_of_freedom} combinations that both have determined: chi-square per degree of "
+            f"freedom {per:.3g}, probability {found.probability:.2g}."
+        )
+    at_tip = (
+        f"At the tip the two differ by {found.tip_rms / MM:.4f} mm rms, {found.tip_max / MM:.4f} mm at most, "
+        f"base and tool refitted; their uncertainties explain {found.stated / MM:.4f} mm."
+    )
+    moved = [change.name for change in found.changes if change.moved]
+    if moved:
+        verdict = f"Moved by more than chance: {', '.join(moved)}."
+    elif found.moved:
+        verdict = "The machine has changed, though no single parameter shows it."
+    else:
+        verdict = "Nothing has moved by more than the uncertainty of both explains."
+    return together, at_tip, verdict
 
 
 def comparison_lines(found: Comparison) -> list[Text]:
     """Return the verdict of a comparison in sentences."""
-    if found.statistic is None or found.probability is None:
-        lines = [
-            Text("The two calibrations have different free parameters: only their tips can be compared as a whole.")
-        ]
-    else:
-        per = found.statistic / max(found.degrees_of_freedom, 1)
-        lines = [
-            Text(
-                f"All {found.degrees_of_freedom} combinations that both have determined: chi-square per degree of "
-                f"freedom {per:.3g}, probability {found.probability:.2g}."
-            )
-        ]
-    lines.append(
-        Text(
-            f"At the tip the two differ by {found.tip_rms / MM:.4f} mm rms, {found.tip_max / MM:.4f} mm at most, "
-            f"base and tool refitted; their uncertainties explain {found.stated / MM:.4f} mm."
-        )
-    )
-    moved = [change.name for change in found.changes if change.moved]
-    if moved:
-        lines.append(Text(f"Moved by more than chance: {', '.join(moved)}.", style="bold"))
-    elif found.moved:
-        lines.append(Text("The machine has changed, though no single parameter shows it.", style="bold"))
-    else:
-        lines.append(Text("Nothing has moved by more than the uncertainty of both explains.", style="bold"))
-    return lines
+    *said, verdict = comparison_sentences(found)
+    return [*map(Text, said), Text(verdict, style="bold")]
 
 
 def iso_table(figures: Sequence[IsoFigure]) -> Table:

@@ -20,7 +20,7 @@ _ROW = 0.2  # inches for one parameter and its name
 
 @checked
 def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "errors") -> "Figure":
-    """Return a matplotlib figure of a fit: ``figure.savefig("name.svg")``.
+    """Return a matplotlib figure of a fit: ``figure.savefig("name.svg")``; a notebook shows it in place.
 
     ``errors``: which share of its rows has which error, before and after. ``parameters``: values of the robot's
     parameters with two sigmas, where identifiable. ``correlations``: of the uncertainties of identifiable parameters.
@@ -29,10 +29,10 @@ def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "erro
 
 
 def _errors(fit: Fit) -> "Figure":
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from calib.presentation.inline_figure import InlineFigure  # noqa: PLC0415
 
     before, after = (_norms(fit, residuals) for residuals in (fit.nominal_residuals, fit.residuals))
-    figure = Figure(figsize=(4.6 * len(after), 3.2), layout="constrained")
+    figure = InlineFigure(figsize=(4.6 * len(after), 3.2), layout="constrained")
     for k, quantity in enumerate(after):
         factor, unit = SHOWN[UNIT_OF[quantity]]
         axes = figure.add_subplot(1, len(after), k + 1)
@@ -47,12 +47,12 @@ def _errors(fit: Fit) -> "Figure":
 
 
 def _parameters(fit: Fit) -> "Figure":
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from calib.presentation.inline_figure import InlineFigure  # noqa: PLC0415
 
     chosen = [k for k, parameter in enumerate(fit.parameters) if parameter.of_robot]
     units = [unit for unit in SHOWN if any(fit.parameters[k].unit == unit for k in chosen)]
     most = max((sum(fit.parameters[k].unit == unit for k in chosen) for unit in units), default=1)
-    figure = Figure(figsize=(4.2 * max(len(units), 1), 1.2 + _ROW * most), layout="constrained")
+    figure = InlineFigure(figsize=(4.2 * max(len(units), 1), 1.2 + _ROW * most), layout="constrained")
     for column, unit in enumerate(units):
         factor, shown = SHOWN[unit]
         rows = [k for k in chosen if fit.parameters[k].unit == unit][::-1]
@@ -70,11 +70,11 @@ def _parameters(fit: Fit) -> "Figure":
 
 
 def _correlations(fit: Fit) -> "Figure":
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from calib.presentation.inline_figure import InlineFigure  # noqa: PLC0415
 
     seen, r = correlation(fit)
     side = 1.5 + _ROW * len(seen)
-    figure = Figure(figsize=(side + 0.6, side), layout="constrained")
+    figure = InlineFigure(figsize=(side + 0.6, side), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(r, vmin=-1.0, vmax=1.0, cmap="PuOr")
     names = [fit.parameters[k].name for k in seen]

@@ -34,14 +34,15 @@ def figure_bytes(figure: "Figure", path: Path) -> bytes:
 
 def sensitivity_figure(sensitivity: Sensitivity) -> "Figure":
     """Return a bar for every parameter, the strongest on top: rms of the tip's motion, and a tick at its largest."""
-    from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.lines import Line2D  # noqa: PLC0415
     from matplotlib.patches import Patch  # noqa: PLC0415
+
+    from calib.presentation.inline_figure import InlineFigure  # noqa: PLC0415
 
     order = sensitivity.order[::-1]
     parameters = [sensitivity.parameters[k] for k in order]
     rows = range(len(order))
-    figure = Figure(figsize=(7.2, _ROOM + _ROW * len(order)), layout="constrained")
+    figure = InlineFigure(figsize=(7.2, _ROOM + _ROW * len(order)), layout="constrained")
     axes = figure.add_subplot()
     # m per m is mm per mm, and m per rad is mm per mrad.
     axes.barh(rows, sensitivity.rms[order], height=0.7, color=[_COLOURS.get(p.unit, _OTHER) for p in parameters])

@@ -50,6 +50,7 @@ MEASURED: Rgb = (0.13, 0.13, 0.13)
 NOMINAL: Rgb = (0.0, 0.447, 0.698)
 TOOL: Rgb = (0.8, 0.475, 0.655)
 MARK: Rgb = (0.0, 0.52, 0.39)
+REGION: Rgb = (0.0, 0.62, 0.45)
 AXES: tuple[Rgb, Rgb, Rgb] = ((0.80, 0.15, 0.15), (0.13, 0.58, 0.23), (0.15, 0.30, 0.80))
 # matplotlib's "plasma" without its yellow end, which white paper swallows: in order for every kind of colour vision.
 _SCALE = ("0d0887", "46039f", "7201a8", "9c179e", "bd3786", "d8576b", "ed7953", "fb9f3a")
@@ -62,7 +63,7 @@ _GRID: Rgb = (0.80, 0.81, 0.83)
 
 # A page of some megabytes that a phone still turns smoothly, and that a machine without a graphics card draws at once.
 _MOST_FACES = 40_000
-_MOST_POINTS = 1000
+_MOST_POINTS = 10_000
 # Links that are drawn as round sticks; more of them get four sides.
 _MOST_ROUND = 100
 # Below a nanometre an error is rounding, and magnifying it would show noise as a finding.
@@ -71,18 +72,25 @@ _PAGE = "scene.html.jinja"
 _SCRIPT = "scene.js"
 
 
+MarkKind = Literal["point", "ball", "socket", "plane", "axis"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
-    """Something beside the arm: a ball at a point, a plate in x and y, or a line along z of ``T`` (4, 4) in the world.
+    """Something beside the arm, at ``T`` (4, 4) in the world.
 
-    Marks of one ``layer`` are shown and hidden together. ``size`` in m: the ball's radius, or half the side or length.
+    A point is drawn as a ball, a ball is seen through, a socket is a cup that is open along z, a plane a plate in x and
+    y, an axis a line along z. Marks of one ``layer`` are shown and hidden together. ``size`` in m: the radius, or half
+    the side or length.
+    ``link``: of the robot, that carries it and in whose frame T is; None where it stands in the world.
     """
 
     layer: str
     name: str
-    kind: Literal["point", "plane", "axis"]
+    kind: MarkKind
     T: Array
     size: float
+    link: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,11 +99,14 @@ class Scene:
 
     ``urdf``: the robot; ``mesh_roots``: the folders below which its meshes may be read. ``calibrated``: the arm at
     every row, and ``nominal`` the nominal one, its difference from it taken ``apart`` times, or None where there is
-    none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link.
+    none to compare; where there are no rows, both at one pose or more. ``tools`` (3,): points in the tip link, and
+    ``tools_on`` other links, each with the link. ``notes``: what else is to be said of what is drawn.
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
     ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
-    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told.
+    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told. ``groups``:
+    by what rows may be coloured, such as their table, and the name (N) that each has. ``regions``: of some rows the
+    half axes (3, 3), as columns, of the ellipsoid around the prediction where the calibrated tool is with 95 %.
     """
 
     title: str
@@ -115,6 +126,10 @@ class Scene:
     judged: bool = True
     joints: tuple[tuple[str, str], ...] = ()
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    tools_on: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    regions: Mapping[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +192,7 @@ def render_scene(scene: Scene) -> str:
     near = float(np.linalg.norm(T_base_world[:3, 3] - box.mean(axis=0))) < 0.7 * extent
     box = np.concatenate([box, T_base_world[None, :3, 3]]) if near else box
     # So it is with what stands about: what is near is in the picture.
-    marked = np.array([(T_base_world @ mark.T)[:3, 3] for mark in scene.marks]).reshape(-1, 3)
+    marked = np.array([(_placed(mark, T_base_world, first))[:3, 3] for mark in scene.marks]).reshape(-1, 3)
     box = np.concatenate([box, marked[np.linalg.norm(marked - box.mean(axis=0), axis=1) < 1.5 * extent]])
     low, high = box.min(axis=0), box.max(axis=0)
 
@@ -186,6 +201,7 @@ def render_scene(scene: Scene) -> str:
     drawings = [
         *_robot(links, extent),
         *_frames(T_base_world, first[scene.tip], scene.tools, extent),
+        *_tools_on(scene.tools_on, extent),
         *_marks(scene.marks, T_base_world),
     ]
     page = {
@@ -211,6 +227,8 @@ def render_scene(scene: Scene) -> str:
         "readings": scene.readings[rows].round(4).tolist() if scene.joints else [],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
+        "groups": _groups(scene, rows),
+        "regions": _regions(scene, rows, T_base_world[:3, :3]),
         "scales": scene.scales,
         "factors": _factors(scene.scales),
         "radius": 0.004 * extent,
@@ -335,11 +353,19 @@ def _frames(T_base_world: Array, T_base_tip: Array, tools: Mapping[str, Array], 
     yield _Drawing(("frames", "instrument"), triad, T_base_world)
     yield _Drawing(("frames", "tip"), triad, T_base_tip)
     for name, point in tools.items():
-        tool = [
-            sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12),
-            balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3),
-        ]
-        yield _Drawing(("frames", "tip", "tools", _node(name)), joined_by_colour(tool), translation(point))
+        yield _Drawing(("frames", "tip", "tools", _node(name)), _tool(point, extent), translation(point))
+
+
+def _tools_on(tools: Mapping[str, tuple[str, Array]], extent: float) -> Iterator[_Drawing]:
+    # What a link carries is below it in the tree, and goes where it goes.
+    for name, (link, point) in tools.items():
+        yield _Drawing(("robot", _node(link), "tools", _node(name)), _tool(point, extent), translation(point))
+
+
+def _tool(point: Array, extent: float) -> Sequence[Triangles]:
+    """Return a stick from the link's origin to a point (3,), and a ball there, in a frame at the point."""
+    stick = sticks(np.zeros((1, 3)), -point[None], 0.003 * extent, TOOL, sides=12)
+    return joined_by_colour([stick, balls(np.zeros((1, 3)), 0.008 * extent, TOOL, subdivisions=3)])
 
 
 def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array], edges: Array) -> dict[str, Any]:
@@ -357,16 +383,52 @@ def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array
     }
 
 
+def _groups(scene: Scene, rows: IntArray) -> dict[str, dict[str, Any]]:
+    """Return the names of every kind of group, and which of them the rows drawn have; none of a kind of one name."""
+    found = {}
+    for kind, names in scene.groups.items():
+        every = list(dict.fromkeys(names))
+        if len(every) > 1:
+            numbers = {name: k for k, name in enumerate(every)}
+            found[kind] = {"names": every, "kinds": [numbers[names[n]] for n in rows]}
+    return found
+
+
+def _regions(scene: Scene, rows: IntArray, R_base_world: Array) -> list[tuple[int, list[float]]]:
+    """Return the half axes, one after the other, of the regions of rows that are drawn, by their places among them."""
+    place = {int(n): k for k, n in enumerate(rows)}
+    return [
+        (place[n], (R_base_world @ axes).T.ravel().round(9).tolist()) for n, axes in scene.regions.items() if n in place
+    ]
+
+
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
     for mark in marks:
-        opacity = 0.35 if mark.kind == "plane" else 1.0
-        path = ("marks", _node(mark.layer), _node(mark.name))
-        yield _Drawing(path, [_shape(mark)], T_base_world @ mark.T, opacity=opacity)
+        opacity = 0.35 if mark.kind in ("plane", "ball") else 1.0
+        T = mark.T if mark.link is not None else T_base_world @ mark.T
+        yield _Drawing(_path(mark), [_shape(mark)], T, opacity=opacity)
+
+
+def _path(mark: Mark) -> tuple[str, ...]:
+    own = (_node(mark.layer), _node(mark.name))
+    return ("marks", *own) if mark.link is None else ("robot", _node(mark.link), *own)
+
+
+def _placed(mark: Mark, T_base_world: Array, links: Mapping[str, Array]) -> Array:
+    """Return where a mark is (4, 4) in the root link's frame; ``links``: the placements there."""
+    return np.asarray((T_base_world if mark.link is None else links[mark.link]) @ mark.T)
 
 
 def _shape(mark: Mark) -> Triangles:
     if mark.kind == "point":
         return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=2)
+    if mark.kind == "ball":
+        return balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+    if mark.kind == "socket":
+        whole = balls(np.zeros((1, 3)), mark.size, MARK, subdivisions=3)
+        lower = whole.faces[whole.vertices[whole.faces][:, :, 2].mean(axis=1) < 0.0]
+        # Both sides: it is looked into.
+        return Triangles(whole.vertices, np.concatenate([lower, lower[:, ::-1]]), MARK)
     if mark.kind == "axis":
         end = np.array([[0.0, 0.0, mark.size]])
         return sticks(-end, end, 0.02 * mark.size, MARK, sides=12)
@@ -397,7 +459,8 @@ def _labels(scene: Scene) -> list[tuple[str, str]]:
     base = [("frames/base", "base = instrument")] if same else [("frames/base", "base")]
     instrument = [] if same else [("frames/instrument", "instrument")]
     tools = [(f"frames/tip/tools/{_node(name)}", name) for name in scene.tools]
-    marks = [(f"marks/{_node(mark.layer)}/{_node(mark.name)}", mark.name) for mark in scene.marks]
+    tools += [(f"robot/{_node(link)}/tools/{_node(name)}", name) for name, (link, _) in scene.tools_on.items()]
+    marks = [("/".join(_path(mark)), mark.name) for mark in scene.marks]
     return [*base, *instrument, ("frames/tip", scene.tip), *tools, *marks]
 
 
@@ -429,7 +492,7 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
 def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges: Array, cell: float) -> dict[str, Any]:
     """Return the texts of the legend: the errors in mm, how much they are magnified, and what the colours are."""
     n, missing = len(scene.measured), sum(link.missing for link in links)
-    notes = []
+    notes = list(scene.notes)
     if n > _MOST_POINTS:
         notes.append(f"{_MOST_POINTS} of the {n} points are drawn, the worst among them; the figures are of all.")
     if missing:
@@ -453,10 +516,16 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         "drawn": _factors(scene.scales).index(scene.scales[0]),
         "apart": None if scene.nominal is None else f"{scene.apart:g}",
         "colours": [_css(rgb) for rgb in SCALE],
+        "groups": list(_groups(scene, np.arange(n))),
+        "regions": bool(scene.regions),
+        "views": ["all", "front", "side", "top", "along the tool"]
+        + ([] if np.allclose(scene.calibrated.root, np.eye(4), atol=1e-6) else ["from the instrument"]),
         "limits": [_two_digits(edges[k]) for k in (0, len(SCALE) // 2, len(SCALE))],
         "axes": [(axis, _css(rgb)) for axis, rgb in zip("xyz", AXES, strict=True)],
-        "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK)},
-        "marks": [(_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks)],
+        "dots": {"nominal": _css(NOMINAL), "marks": _css(MARK), "regions": _css(REGION)},
+        "marks": [
+            (_node(layer), layer) for layer in dict.fromkeys(mark.layer for mark in scene.marks if mark.link is None)
+        ],
         "cell": f"{cell:g}",
         "notes": notes,
     }

@@ -82,7 +82,9 @@ def choice_sheet(choice: Choice) -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
     every = sum(map(len, choice.geometric.measurements))
-    some = f"; by {choice.rows} of {every} rows, of groups taken at random" if choice.rows < every else ""
+    some = f"; by {choice.rows} of {every} rows, taken at random" if choice.rows < every else ""
+    if choice.taken_back:
+        some += f"; {choice.taken_back} more are taken back, as no fit with them converges"
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
@@ -234,9 +236,12 @@ def count(n: int, one: str, several: str) -> str:
 
 
 def correlation(fit: Fit) -> tuple[IntArray, Array]:
-    """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties."""
-    seen = np.flatnonzero(~fit.unidentifiable & (np.diag(fit.covariance) > 0.0))
-    C = fit.covariance[np.ix_(seen, seen)]
+    """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties.
+
+    Without targets, where there are very many of them.
+    """
+    seen = fit.correlated
+    C = fit.spread.of(seen)
     sigma = np.sqrt(np.diag(C))
     return seen, np.asarray(C / np.outer(sigma, sigma))
 

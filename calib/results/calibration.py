@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.assessment.blame import Blame
 from calib.assessment.checking import looks_wrong
 from calib.assessment.checks import answered
 from calib.assessment.choice import Choice
@@ -18,7 +19,8 @@ from calib.foundations.arguments import checked
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY, MM
 from calib.identification.fit import Fit
-from calib.identification.identify import residuals_of
+from calib.identification.identify import at_clocks, residuals_of
+from calib.identification.optics_choice import OpticsChoice
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.in_urdf import machine_in_urdf
@@ -70,6 +72,8 @@ class Calibration:
     ``findings``: what looks wrong in the data, but is usable. ``outliers``: of the data to identify from. ``in_urdf``:
     the metrics of the calibrated URDF alone, if it cannot hold the machine because of closed loops or joint terms.
     ``levels``, ``trace`` and ``choice``: the steps before the fit. ``origin``: from what it was made.
+    ``optics``: how many numbers lenses and boards have, and why. ``blame``: what lens, print, arm and corners explain,
+    where boards were seen.
     """
 
     fit: Fit
@@ -86,6 +90,8 @@ class Calibration:
     origin: Origin = FROM_PYTHON
     checks: tuple[Check, ...] = ()
     shown: tuple[str, ...] = ()
+    optics: tuple[OpticsChoice, ...] = ()
+    blame: Blame | None = None
 
     @property
     def trusted(self) -> bool:
@@ -146,7 +152,8 @@ def assess(
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
-    tables = (*own, *validation)
+    tables = at_clocks(fit, (*own, *validation))
+    own, validation = tables[: len(own)], tables[len(own) :]
     given = tuple(names) if names is not None else tuple(table.where for table in tables)
     if len(given) != len(tables):
         raise MeasurementError(f"{len(given)} names are given for {len(tables)} tables.")
@@ -156,7 +163,7 @@ def assess(
         uses.append(("validation", validation))
     in_urdf = judged_in_urdf(fit, own, uses)
     if in_urdf is not None and in_urdf.fit is not fit:
-        machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit))
+        machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit, machine))
     sets: list[JudgedSet] = []
     for use, some in uses:
         before, after = residuals_of(fit, some, fit.nominal), residuals_of(fit, some, fit.machine)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.assessment.advice import advice
+from calib.assessment.hand_eye import hand_eyes
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
 from calib.foundations.arguments import checked
@@ -31,6 +32,7 @@ from calib.machine.model_file import (
 )
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
+from calib.presentation.hand_eye import camera_info, static_transform, urdf_joint
 from calib.presentation.inline import Page
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
@@ -176,7 +178,7 @@ def robot_errors(folder: Path) -> dict[str, float]:
         raise OutputError(f"{path}: is not a result of this tool.") from e
     if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
         raise OutputError(f"{path}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}.")
-    of_set_up = ("base", "tool", "target", "length")
+    of_set_up = ("base", "tool", "target", "length", "lens", "board")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
@@ -214,7 +216,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "advice": [advised.sentence for advised in advice(fit)],
         "learned_priors": [asdict(prior) for prior in fit.learned],
         "parameters": fit.records(),
-        "covariance": fit.covariance.tolist(),
+        "covariance": fit.spread.of(fit.told_together).tolist(),
         "singular_values": fit.singular_values.tolist(),
         "noise": [
             {
@@ -252,6 +254,24 @@ def result(found: Calibration) -> dict[str, Any]:
             for level in found.levels
         ],
         "choice": None if found.choice is None else found.choice.records(),
+        "cameras": {
+            one.camera: {
+                "on": one.parent,
+                "pose": PoseEntry.of(one.pose).model_dump(),
+                "lens": one.lens._asdict(),
+                "sigmas": dict(zip(one.lens._fields, one.sigmas.tolist(), strict=True)),
+                "distance": one.distance,
+                "rms": {"px": one.pixels, "m": one.across},
+                "ros2": static_transform(one),
+                "urdf": urdf_joint(one),
+                "camera_info": camera_info(one),
+            }
+            for one in hand_eyes(fit, found.sets)
+        },
+        "optics": [asdict(one) for one in found.optics],
+        "blame": None
+        if found.blame is None
+        else asdict(found.blame) | {"sentence": found.blame.sentence, "advice": found.blame.advice},
         "trace": None if found.trace is None else {"reason": found.trace.reason, "iterations": found.trace.records()},
         "versions": versions(),
         "inputs": dict(found.origin.hashes),

@@ -6,8 +6,11 @@ say.
 
 from collections.abc import Callable
 
+from calib.assessment.hand_eye import hand_eyes
+from calib.presentation.hand_eye import blame_section, hand_eye_section, optics_section
 from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
+from calib.presentation.report.in_time import in_time
 from calib.presentation.report.outlying import outlier_section
 from calib.results.calibration import Calibration
 from calib.results.versions import versions
@@ -18,10 +21,14 @@ SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: None if c.trace is None else sections.trace(c.trace),
     lambda c: sections.levels([(e.name, e.free, e.rank, e.metrics) for e in c.levels]) if c.levels else None,
     lambda c: None if c.choice is None else sections.chosen(c.choice),
+    lambda c: hand_eye_section(hand_eyes(c.fit, c.sets)),
+    lambda c: optics_section(c.optics),
+    lambda c: None if c.blame is None else blame_section(c.blame),
     lambda c: sections.distribution(c.sets),
     lambda c: sections.pose_section(c.sets),
     lambda c: sections.joints(c.fit, c.sets),
     lambda c: sections.workspace(c.fit, c.sets),
+    lambda c: in_time(c.fit, c.sets),
     lambda c: outlier_section(c.outliers),
     lambda c: sections.budget(c.machine, c.sets),
     lambda c: sections.parameters(c.fit),

@@ -1,7 +1,6 @@
 """The scene of a calibration."""
 
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,12 +10,20 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
-from calib.measurement.kinds import size
-from calib.presentation.scene import Mark, Scene, magnification
+from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty import squared_bound
+from calib.measurement.kinds import Kind, size
+from calib.measurement.measurements import Measurements, numbered
+from calib.presentation.scene import Mark, MarkKind, Scene, magnification
 from calib.results.calibration import Calibration
 from calib.robot.conditions import Conditions, joined
 from calib.robot.links import Arm, arm_of
 from calib.robot.robot import Deviations
+
+# Ellipsoids of all rows would hide one another, and take longer than the fit.
+_MOST_REGIONS = 60
+# More of them hide each other, and all else.
+_MOST_TARGETS = 300
 
 
 def scene_of(found: Calibration) -> Scene:
@@ -32,7 +39,7 @@ def scene_of(found: Calibration) -> Scene:
     with_points = [judged for judged in known if size(judged.data.kind) >= 3]
     sets = with_points or known
     readings = np.concatenate([judged.data.readings for judged in sets])
-    conditions = joined([judged.data.conditions for judged in sets])
+    conditions = joined([(len(judged.data), judged.data.conditions) for judged in sets])
     measured = np.concatenate([_points(found, judged) for judged in sets])
     before = after = measured
     if with_points:
@@ -42,6 +49,7 @@ def scene_of(found: Calibration) -> Scene:
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
     nominal, apart = _nominal(found, readings, conditions, root, scales[0])
+    marks, notes = _targets(found, extent)
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -54,28 +62,129 @@ def scene_of(found: Calibration) -> Scene:
             for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
             if name not in fit.tool_tips
         },
+        tools_on={
+            name: (fit.tool_tips[name], tool[:3, 3])
+            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
+            if name in fit.tool_tips
+        },
+        notes=notes,
         tip=robot.tip,
         rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),
         measured=measured,
         before=before,
         after=after,
         scales=scales,
-        marks=tuple(_targets(found, extent)),
+        marks=(*marks, *_stations(found, extent)),
         judged=bool(with_points),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
+        groups={
+            "table": [judged.file for judged in sets for _ in range(len(judged.data))],
+            "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
+        },
+        regions=_regions(found, sets) if with_points else {},
     )
 
 
-def _targets(found: Calibration, extent: float) -> Iterator[Mark]:
-    """Yield the sockets, anchors, balls, planes, boards and cameras where the calibration has found them."""
-    fit = found.fit
+def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
+    """Return the half axes (3, 3) of the region of the tool with 95 %, in the first set-up's axes, of some rows."""
+    if found.machine.uncertainty is None:
+        return {}
+    known = found.machine.uncertainty
+    radius = np.sqrt(squared_bound(0.95, 3, known.degrees_of_freedom))
+    total = sum(len(judged.data) for judged in sets)
+    chosen = np.unique(np.linspace(0, total - 1, _MOST_REGIONS).astype(int))
+    axes: dict[int, Array] = {}
+    start = 0
+    for judged in sets:
+        data, own = judged.data, chosen[(chosen >= start) & (chosen < start + len(judged.data))] - start
+        turned = _carried(found, judged)[:, :3, :3]
+        for setup, tool in sorted({(data.setups[data.setup[n]], data.tools[data.tool[n]]) for n in own}):
+            rows = np.array([n for n in own if (data.setups[data.setup[n]], data.tools[data.tool[n]]) == (setup, tool)])
+            told = data.conditions.subset(rows)
+            sure = tool_uncertainty(found.machine.at(setup), data.readings[rows], tool, conditions=told)
+            sizes, ways = np.linalg.eigh(sure.covariance[:, :3, :3])
+            half = turned[rows] @ ways * (radius * np.sqrt(np.maximum(sizes, 0.0)))[:, None, :]
+            axes |= {start + int(n): one for n, one in zip(rows, half, strict=True)}
+        start += len(data)
+    return dict(sorted(axes.items()))
+
+
+# What targets of a kind of rows are: their layer, and how they are drawn.
+_DRAWN: Mapping[Kind, tuple[str, MarkKind]] = {
+    "socket": ("sockets", "socket"),
+    "sphere": ("balls", "ball"),
+    "plane": ("planes", "plane"),
+    "indicator": ("indicated planes", "plane"),
+    "distance": ("anchors", "point"),
+    "pixels": ("boards and cameras", "plane"),
+}
+
+
+def _targets(found: Calibration, extent: float) -> tuple[list[Mark], tuple[str, ...]]:
+    """Return sockets, anchors, balls, planes, boards and cameras where they were found, and what is to be said of them.
+
+    Planes are as large as they were touched, balls as far away from their centres as the tool's point was; sockets are
+    open to where the tip was.
+    """
+    fit, own = found.fit, found.fit.measurements[0]
     known = shapes(fit.measurements)
-    for name, T in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True):
-        shape = known.get(name)
-        if shape and name not in fit.measurements[0].target_links:
-            kind: Literal["point", "plane"] = "point" if shape == "point" else "plane"
-            yield Mark("targets", name, kind, T, (0.012 if kind == "point" else 0.08) * extent)
+    every = [t for t, name in enumerate(own.targets) if name in known]
+    drawn = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(len(every), _MOST_TARGETS)).astype(int))]
+    sets = [
+        (data, _tool_points(found, data), dict(numbered(data.target)))
+        for data in fit.measurements
+        if data.kind in _DRAWN
+    ]
+    marks = []
+    for t in drawn:
+        name, T = own.targets[t], fit.machine.frames.targets[t]
+        about = [(data, points[rows[t]]) for data, points, rows in sets if t in rows]
+        layer, kind = _DRAWN[about[0][0].kind]
+        if known[name] == "point" and kind == "plane":
+            layer, kind = "marks", "point"
+        touched = np.concatenate([points for _, points in about])
+        placed, size = _as_touched(kind, T, touched[:, 0], touched[:, 1], extent)
+        marks.append(Mark(layer, name, kind, placed, size, own.target_links.get(name)))
+    return marks, () if len(drawn) == len(every) else (f"{len(drawn)} of the {len(every)} targets are drawn.",)
+
+
+def _stations(found: Calibration, extent: float) -> Iterator[Mark]:
+    """Yield where the instrument stood in set-ups beside the first, as seen from the base of that."""
+    bases = found.fit.machine.frames.bases
+    for name, base in zip(found.fit.measurements[0].setups[1:], bases[1:], strict=True):
+        yield Mark("stations", name, "point", bases[0] @ rigid.inverse(base), 0.02 * extent)
+
+
+def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: float) -> tuple[Array, float]:
+    """Return the place (4, 4) and the size of a target that tools at ``points`` (N, 3), on ``tips``, have touched."""
+    off = (points - T[:3, 3]) @ T[:3, :3]
+    if kind == "ball":
+        return T, float(np.median(np.linalg.norm(off, axis=1)))
+    if kind == "plane" and np.abs(off[:, 2]).max() < 0.1 * max(float(np.ptp(off[:, :2])), 1e-6):
+        middle = np.append((off[:, :2].min(axis=0) + off[:, :2].max(axis=0)) / 2.0, 0.0)
+        half = float(np.abs(off[:, :2] - middle[:2]).max())
+        return rigid.placement(T[:3, :3], T[:3, 3] + T[:3, :3] @ middle), max(1.1 * half, 0.01 * extent)
+    if kind == "socket":
+        up = (tips - points).mean(axis=0)
+        size = float(np.linalg.norm(up))
+        if size > 0.0:
+            across = np.cross(np.eye(3)[np.argmin(np.abs(up))], up / size)
+            across /= np.linalg.norm(across)
+            R = np.column_stack([across, np.cross(up / size, across), up / size])
+            return rigid.placement(R, T[:3, 3]), 0.018 * extent
+    return T, (0.08 if kind == "plane" else 0.012) * extent
+
+
+def _tool_points(found: Calibration, data: Measurements) -> Array:
+    """Return the points (N, 2, 3) of tools and of the tips that carry them, in the frame in which targets are told."""
+    fit = found.fit
+    tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
+    for link in dict.fromkeys(data.target_links.values()):
+        rows = np.array([data.link_of(int(t)) == link for t in data.target])
+        seat = fit.robot.with_tip(link).tips(data.readings[rows], fit.deviations, data.conditions.subset(rows))
+        tips[rows] = rigid.inverse(fit.bases_of(data)[rows] @ seat) @ tips[rows]
+    return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 
 def _points(found: Calibration, judged: JudgedSet) -> Array:

@@ -19,6 +19,8 @@ class Conditions:
 
     ``approach`` (N, nr): the side from which every reading was reached: +1 growing, -1 falling, 0 from neither.
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
+    ``payload`` (N, links, 4): what each of the robot's ``links`` carries, its first moment in kg m in the link and its
+    mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
     """
 
     __repr__ = brief
@@ -26,6 +28,8 @@ class Conditions:
     approach: Array | None = None
     temperature: Array | None = None
     torque: Array | None = None
+    payload: Array | None = None
+    gravity: Array | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -33,9 +37,10 @@ class Conditions:
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
         return Conditions(
-            None if self.approach is None else self.approach[rows],
-            None if self.temperature is None else self.temperature[rows],
-            None if self.torque is None else self.torque[rows],
+            *(
+                None if told is None else told[rows]
+                for told in (self.approach, self.temperature, self.torque, self.payload, self.gravity)
+            )
         )
 
 
@@ -50,17 +55,31 @@ def ordinary(readings: Array) -> Conditions:
     return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
 
 
-def joined(parts: Sequence[Conditions]) -> Conditions:
-    """Return the conditions of rows one part after the other; None where one part has none."""
+def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
+    """Return the conditions of rows one part after the other, each part being how many rows it has, and theirs.
+
+    None where one part has none; but a part that tells no load has that of the robot.
+    """
 
     def of_all(found: Sequence[Array | None]) -> Array | None:
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
+    def loads(found: Sequence[Array | None]) -> Array | None:
+        like = next((values for values in found if values is not None), None)
+        if like is None:
+            return None
+        sizes = [rows for rows, _ in parts]
+        return of_all(
+            [np.full((n, *like.shape[1:]), np.nan) if v is None else v for n, v in zip(sizes, found, strict=True)]
+        )
+
     return Conditions(
-        of_all([part.approach for part in parts]),
-        of_all([part.temperature for part in parts]),
-        of_all([part.torque for part in parts]),
+        of_all([told.approach for _, told in parts]),
+        of_all([told.temperature for _, told in parts]),
+        of_all([told.torque for _, told in parts]),
+        loads([told.payload for _, told in parts]),
+        loads([told.gravity for _, told in parts]),
     )
 
 

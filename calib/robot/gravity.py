@@ -6,14 +6,18 @@ virtual work ``(dq/du)^T g(q)``, with the gravity torques g of the tree of joint
 joints, passive ones too, follow the coordinates.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.errors import RobotError
+from calib.foundations.ranges import refuse_beyond
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
-from calib.robot.kinematics import Frame, Kinematics, Mass
+from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor
 from calib.robot.loops import Closure, passive_joints
 from calib.robot.skeleton import Skeleton, end_frame, skeleton
 
@@ -22,13 +26,59 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """What the tip link carries: ``mass`` in kg, its centre ``position`` in m in the tip link's frame."""
+    """What a link carries: ``mass`` in kg, its centre ``position`` in m in the link's frame.
+
+    ``link``: one of those that the robot was loaded with; "" is its tip.
+    """
 
     mass: float
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    link: str = ""
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+
+    @property
+    def moments(self) -> tuple[float, float, float, float]:
+        """Its first moment in kg m, and its mass in kg: what torques are linear in."""
+        x, y, z = self.position
+        return self.mass * x, self.mass * y, self.mass * z, self.mass
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What bears on a robot beside its own links: ``gravity`` (m/s^2) in the base link, and a ``payload``, or none.
+
+    on_the_wall = calib.measuring.Load(gravity=(9.80665, 0.0, 0.0), payload=calib.Payload(2.5))
+    """
+
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    payload: Payload | None = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+
+
+def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float, float]:
+    """Return gravity as it is. Raises RobotError where it is not three numbers, or out of range."""
+    if len(gravity) != 3:
+        raise RobotError(f"{where}: gravity {tuple(gravity)} is not three numbers in m/s^2.")
+    refuse_beyond(gravity, "gravity", f"{where}: gravity", RobotError)
+    x, y, z = map(float, gravity)
+    return x, y, z
+
+
+def checked_payload(payload: Payload | None, links: Sequence[str], where: str) -> Payload | None:
+    """Return a payload as it is. Raises RobotError where it is out of range, or on none of the ``links``."""
+    if payload is not None:
+        refuse_beyond(payload.mass, "mass", f"{where}: the payload's mass", RobotError)
+        refuse_beyond(payload.position, "position, station, point", f"{where}: the payload", RobotError)
+        if payload.link and payload.link not in links:
+            raise RobotError(
+                f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
+                f"with: {', '.join(map(repr, links))}."
+            )
+    return payload
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,13 +86,17 @@ class Weights:
     """A nominal machine with masses. ``bodies``: chain joint that carries it, mass in kg, centre (3,) in its link in m.
 
     ``units``: masses that nobody knows, by name: the chain joint that carries one, and (4,) its first moment in kg m in
-    that joint's frame, then its mass in kg. ``gravity`` (3,) in m/s^2, in the base link.
+    that joint's frame, then its mass in kg. ``gravity`` (3,) in m/s^2, in the base link. ``hands``: the chain joints
+    that carry the links on which rows may have another payload than the one among the bodies, -1 for the base;
+    ``payload`` (links, 4): the first moment and mass of that one.
     """
 
     mechanism: Mechanism
     bodies: tuple[tuple[int, float, Array], ...]
     gravity: Array
     units: tuple[tuple[str, int, Array], ...] = ()
+    hands: tuple[int, ...] = ()
+    payload: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 class Holding:
@@ -58,30 +112,67 @@ class Holding:
         self._kinematics = Kinematics(
             s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried], _masses(s, weights)
         )
+        moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
+        self._hands = np.array(moved, dtype=np.intp)
+        self._at_hands = Kinematics(s.tree, [end_frame(s, int(m.carrying[weights.hands[k]])) for k in moved])
         self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
 
-    def __call__(self, readings: Array) -> Array:
-        """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr)."""
-        q, follow = self._posed(readings)
-        return _by_virtual_work(self._kinematics.holding(q, self._weights.gravity), follow)
+    def __call__(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
+        """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr).
 
-    def of_units(self, readings: Array) -> Array:
-        """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr).
+        Under gravity and payloads that are ``told`` of the rows, else those of the robot.
+        """
+        q, follow = self._posed(readings)
+        gravity = self._gravity(len(q), told)
+        found = _by_virtual_work(self._kinematics.holding(q, gravity), follow)
+        if (other := self._other_payloads(told)) is not None:
+            rows, more = other
+            found[rows] += self._carried(q[rows], follow[rows] if follow.ndim == 3 else follow, gravity[rows], more)
+        return found
+
+    def of_units(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
+        """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr)."""
+        q, follow = self._posed(readings)
+        regressors, gravity = self._kinematics.regressors(q), self._gravity(len(q), told)
+        found = np.empty((len(self._weights.units), len(q), follow.shape[-1]))
+        for k, (_, joint, unit) in enumerate(self._weights.units):
+            found[k] = self._of_moments(regressors[self._frames[joint]], unit, gravity, follow)
+        return found
+
+    def _of_moments(self, frame: Regressor, moments: Array, gravity: Array, follow: Array) -> Array:
+        """Return what coordinates hold (N, c) of first moments and masses (4,) or (N, 4) in a frame.
 
         A first moment h in a frame R has the energy -g . R h, and a turn w of the frame in itself changes it by
         -(h x R^T g) . w; a mass m, moved by v, by -m R^T g . v.
         """
-        q, follow = self._posed(readings)
         types = self._weights.mechanism.types
-        regressors = self._kinematics.regressors(q)
-        found = np.empty((len(self._weights.units), len(q), follow.shape[-1]))
-        for k, (_, joint, unit) in enumerate(self._weights.units):
-            frame = regressors[self._frames[joint]]
-            g = self._weights.gravity @ frame.placement[:, :3, :3]
-            twists = frame.by_joint(types, range(len(types)))
-            slopes = np.concatenate([unit[3] * g, np.cross(unit[:3], g)], axis=1)
-            found[k] = _by_virtual_work(-(slopes[:, None] @ twists)[:, 0], follow)
-        return found
+        g = np.einsum("ni,nij->nj", gravity, frame.placement[:, :3, :3])
+        slopes = np.concatenate([moments[..., 3:] * g, np.cross(moments[..., :3], g)], axis=1)
+        twists = frame.by_joint(types, range(len(types)))
+        return _by_virtual_work(-(slopes[:, None] @ twists)[:, 0], follow)
+
+    def _gravity(self, rows: int, told: Conditions) -> Array:
+        """Return gravity (N, 3) of rows."""
+        own = np.broadcast_to(self._weights.gravity, (rows, 3))
+        return own if told.gravity is None else np.where(np.isnan(told.gravity), own, told.gravity)
+
+    def _other_payloads(self, told: Conditions) -> tuple[BoolArray, Array] | None:
+        """Return the rows (N,) that carry something else than the robot's own payload, and by how much more (n, L, 4).
+
+        None where there are none.
+        """
+        if told.payload is None or not self._hands.size:
+            return None
+        more = (told.payload - self._weights.payload)[:, self._hands]
+        more = np.where(np.isnan(more), 0.0, more)
+        rows = np.any(more, axis=(1, 2))
+        return (rows, more[rows]) if rows.any() else None
+
+    def _carried(self, q: Array, follow: Array, gravity: Array, payloads: Array) -> Array:
+        """Return what coordinates hold (N, c) of payloads (N, L, 4) on the hands alone, at q (N, nj)."""
+        frames = self._at_hands.regressors(q)
+        of_each = [self._of_moments(frame, payloads[:, k], gravity, follow) for k, frame in enumerate(frames)]
+        return np.asarray(np.sum(of_each, axis=0))
 
     def _posed(self, readings: Array) -> tuple[Array, Array]:
         """Return joint positions (N, nj), and the rates (nj, c) or (N, nj, c) at which they follow the coordinates."""

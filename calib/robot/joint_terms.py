@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
+from calib.robot.conditions import Conditions
 from calib.robot.flexures import link_length
 from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
@@ -33,6 +34,13 @@ def with_joint_terms(robot: Robot, terms: Sequence[JointTerm]) -> Robot:
     if bodies or units:
         equipped = replace(equipped, weights=_weights(equipped, bodies, tuple(units)))
     return equipped
+
+
+def in_setup(robot: Robot, setup: str) -> Robot:
+    """Return the robot, in the frames of its URDF, as it stands in a set-up: with the load that it has there."""
+    if robot.load_in(setup) == robot.load:
+        return replace(robot, setup=setup)
+    return with_joint_terms(replace(robot, setup=setup), robot.terms)
 
 
 def weights_of(robot: Robot) -> Weights:
@@ -118,11 +126,14 @@ def lateral_moments(robot: Robot) -> tuple[JointTerm, ...]:
 def _fewest(robot: Robot, terms: Sequence[JointTerm], first: int = 0) -> tuple[JointTerm, ...]:
     """Return terms with the masses that make what their coordinates hold differ; ``first``: of these coordinates."""
     readings, units = random_readings(robot, _POSES), _units(robot)
-    each = Holding(_weights(robot, (), tuple(units))).of_units(readings)
-    least = _TOLD_APART * float(np.linalg.norm(robot.gravity)) * np.sqrt(_POSES)
+    # On the floor a turntable holds nothing, and on a wall it does.
+    pulls = list(dict.fromkeys([robot.load.gravity, *(load.gravity for load in robot.loads.values())]))
+    told = Conditions(gravity=np.repeat(np.array(pulls), _POSES, axis=0))
+    each = Holding(_weights(robot, (), tuple(units))).of_units(np.tile(readings, (len(pulls), 1)), told)
+    least = _TOLD_APART * float(np.linalg.norm(robot.load.gravity)) * np.sqrt(_POSES)
     found: list[JointTerm] = []
     for k, term in enumerate(terms):
-        kept = np.zeros((_POSES, 0))
+        kept = np.zeros((each.shape[1], 0))
         for name, torques in zip(units, each[:, :, first + k], strict=True):
             left = torques - kept @ (kept.T @ torques)
             if np.linalg.norm(left) > least:
@@ -136,7 +147,15 @@ def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Se
     if unknown := next((name for name in names if name not in known), None):
         raise RobotError(f"{robot.urdf.where}: the robot has no moment of mass {unknown!r}.")
     units = tuple((name, *known[name]) for name in names)
-    return Weights(robot.mechanism, tuple(bodies), read_only(robot.gravity), units)
+    load = robot.load
+    return Weights(
+        robot.mechanism,
+        tuple(bodies),
+        read_only(load.gravity),
+        units,
+        tuple(robot.carrier(link) for link in robot.links) if bodies else (),
+        read_only(robot.moments(load.payload)),
+    )
 
 
 def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
@@ -161,8 +180,10 @@ def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
             f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up and bending under "
             "gravity need; give every <link> an <inertial>, or free moments instead of elastic."
         )
-    if robot.payload is not None:
-        bodies.append((robot.tip_joint, robot.payload.mass, read_only(robot.payload.position)))
+    if (payload := robot.load.payload) is not None:
+        at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
+        if at >= 0:
+            bodies.append((at, payload.mass, read_only(payload.position)))
     return tuple(bodies)
 
 
@@ -180,6 +201,20 @@ def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] 
             )
         T, at = joint.origin @ T, joint.parent
     return index[at], T
+
+
+def weighed_at_zero(robot: Robot) -> frozenset[str]:
+    """Return the names of joints that carry masses on the chain, and are no part of it: they are taken at zero."""
+    carriers = {robot.urdf.joint(joint.name).child for joint in robot.chain}
+    found: set[str] = set()
+    for link, (mass, _) in inertials(robot.urdf).items():
+        joints: list[UrdfJoint] = []
+        at = link
+        while at not in carriers and (joint := robot.urdf.parent_joint(at)) is not None:
+            joints, at = [*joints, joint], joint.parent
+        if mass > 0.0 and at in carriers:
+            found.update(joint.name for joint in joints if joint.type != "fixed")
+    return frozenset(found)
 
 
 def _reading(robot: Robot, joint: UrdfJoint) -> str | None:

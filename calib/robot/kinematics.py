@@ -121,11 +121,12 @@ class Kinematics:
         return found
 
     def holding(self, q: Array, gravity: Array) -> Array:
-        """Return what the joints hold (N, nj), in Nm and N, at configurations q (N, nj), in ``gravity`` (3,) in m/s^2.
+        """Return what the joints hold (N, nj), in Nm and N, at configurations q (N, nj).
 
-        These are the slopes of the potential energy of the masses.
+        In ``gravity`` (N, 3) in m/s^2: these are the slopes of the potential energy of the masses.
         """
-        model, data = self._model, self._data
-        model.gravity.linear = gravity
-        found = [pin.computeGeneralizedGravity(model, data, q_n).copy() for q_n in np.ascontiguousarray(q)]
-        return np.array(found).reshape(-1, model.nv)
+        model, data, found = self._model, self._data, np.empty((len(q), self._model.nv))
+        for n, (q_n, g) in enumerate(zip(np.ascontiguousarray(q), gravity, strict=True)):
+            model.gravity.linear = g
+            found[n] = pin.computeGeneralizedGravity(model, data, q_n)
+        return found

@@ -1,6 +1,7 @@
 """Loading an arm: which joints lie between base and tip, what they read, how they are coupled and closed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
@@ -12,10 +13,9 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
-from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import shown
 from calib.robot import deviation
-from calib.robot.gravity import STANDARD_GRAVITY, Payload
+from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload, checked_gravity, checked_payload
 from calib.robot.loops import Loop
 from calib.robot.robot import ChainJoint, ClosedLoop, Coupling, Reading, Robot
 from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
@@ -45,8 +45,8 @@ def load_robot(
     is a path, or ``"example:panda_description/urdf/panda.urdf"`` for a file of example-robot-data. ``couplings``
     replace what the URDF says of how a joint mimics others. ``loops`` close chains that a URDF, which is a tree, leaves
     open; the search for the passive joints starts where their ``<mimic>`` puts them. ``gravity`` (3,), in m/s^2 in the
-    base link, and ``payload``, in the tip link, are used by terms of wind-up and bending. Raises RobotError with one
-    sentence when the file or the arm cannot be used.
+    base link, and ``payload`` are used by terms of wind-up and bending; :meth:`calib.Robot.with_loads` says what they
+    are in single set-ups. Raises RobotError with one sentence when the file or the arm cannot be used.
     """
     document = urdf if isinstance(urdf, Urdf) else read_urdf(urdf)
     tip = _only_leaf(document) if tip is None else _known_link(document, tip, "tip")
@@ -83,6 +83,7 @@ def load_robot(
     for i, joint in enumerate(moving):
         if joint.name in names:
             offset_coupling[:, i] = coupling[:, names.index(joint.name)]
+    every = tuple(dict.fromkeys((tip, *others, *(link for link in links if link == base))))
     return Robot(
         document,
         base,
@@ -96,9 +97,9 @@ def load_robot(
         closed,
         tuple(couplings),
         tuple(loops),
-        gravity=_gravity(document, gravity),
-        payload=_checked(document, payload),
-        links=tuple(dict.fromkeys((tip, *others, *(link for link in links if link == base)))),
+        gravity=checked_gravity(gravity, document.where),
+        payload=checked_payload(payload, every, document.where),
+        links=every,
     )
 
 
@@ -119,7 +120,7 @@ def with_document(
     def joint(name: str) -> str:
         return joints.get(name, name)
 
-    return load_robot(
+    found = load_robot(
         document,
         link(robot.tip),
         link(robot.base),
@@ -135,23 +136,15 @@ def with_document(
             for loop in robot.closed_loops
         ],
         gravity=robot.gravity,
-        payload=robot.payload,
+        payload=_on(link, robot.payload),
     )
+    loads = {name: Load(load.gravity, _on(link, load.payload)) for name, load in robot.loads.items()}
+    return replace(found.with_loads(loads), setup=robot.setup)
 
 
-def _gravity(document: Urdf, gravity: Sequence[float]) -> tuple[float, float, float]:
-    if len(gravity) != 3:
-        raise RobotError(f"{document.where}: gravity {tuple(gravity)} is not three numbers in m/s^2.")
-    refuse_beyond(gravity, "gravity", f"{document.where}: gravity", RobotError)
-    x, y, z = map(float, gravity)
-    return x, y, z
-
-
-def _checked(document: Urdf, payload: Payload | None) -> Payload | None:
-    if payload is not None:
-        refuse_beyond(payload.mass, "mass", f"{document.where}: the payload's mass", RobotError)
-        refuse_beyond(payload.position, "position, station, point", f"{document.where}: the payload", RobotError)
-    return payload
+def _on(link: Callable[[str], str], payload: Payload | None) -> Payload | None:
+    """Return a payload on the link that is called otherwise."""
+    return payload if payload is None or not payload.link else replace(payload, link=link(payload.link))
 
 
 def _known_link(document: Urdf, name: str, role: str) -> str:

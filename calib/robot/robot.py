@@ -19,7 +19,15 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import OF_DIMENSION
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
-from calib.robot.gravity import STANDARD_GRAVITY, Holding, Payload, Weights
+from calib.robot.gravity import (
+    STANDARD_GRAVITY,
+    Holding,
+    Load,
+    Payload,
+    Weights,
+    checked_gravity,
+    checked_payload,
+)
 from calib.robot.kinematics import Kinematics, MovingType
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
@@ -133,7 +141,8 @@ class Robot:
     joints = coupling @ readings + coupling_offset; for the passive joints of ``loops`` that is where the search starts.
     ``offset_coupling`` (nj, nj): positions += offset_coupling @ offsets. ``couplings`` and ``closed_loops``: as given.
     ``terms``: what the readings go through before they are coupled; ``weights``: the masses, where these need them.
-    ``gravity`` (m/s^2) in the base link; ``payload``: what the tip link carries.
+    ``gravity`` (m/s^2) in the base link, and ``payload``, are those of set-ups of which ``loads`` say nothing.
+    ``setup``: the one in which it stands; :attr:`load` is what bears on it there.
     """
 
     __repr__ = brief
@@ -155,6 +164,42 @@ class Robot:
     gravity: tuple[float, float, float] = STANDARD_GRAVITY
     payload: Payload | None = None
     links: tuple[str, ...] = ()
+    loads: Mapping[str, Load] = field(default_factory=dict)
+    setup: str = ""
+
+    @checked
+    def with_loads(self, loads: Mapping[str, Load]) -> "Robot":
+        """Return the same robot, with what bears on it in single set-ups, by name. Raises RobotError.
+
+            robot = calib.load_robot("arm.urdf").with_loads({"wall": calib.measuring.Load((9.81, 0.0, 0.0))})
+
+        Say so before error model or terms are made of it.
+        """
+        where = self.urdf.where
+        return replace(
+            self,
+            loads={
+                name: Load(checked_gravity(load.gravity, where), checked_payload(load.payload, self.links, where))
+                for name, load in loads.items()
+            },
+        )
+
+    @property
+    def load(self) -> Load:
+        """What bears on the robot where it stands."""
+        return self.load_in(self.setup)
+
+    def load_in(self, setup: str) -> Load:
+        """Return what bears on the robot in a set-up."""
+        return self.loads.get(setup, Load(self.gravity, self.payload))
+
+    def moments(self, payload: Payload | None) -> Array:
+        """Return first moments in kg m, and masses in kg, of a payload (links, 4) on the robot's ``links``."""
+        links = self.links or (self.tip,)
+        found = np.zeros((len(links), 4))
+        if payload is not None:
+            found[links.index(payload.link or links[0])] = payload.moments
+        return found
 
     @checked
     def with_tip(self, link: str) -> "Robot":
@@ -169,7 +214,7 @@ class Robot:
                 f"{self.urdf.where}: {link!r} is not one of the links that the robot was loaded with: "
                 f"{', '.join(map(repr, self.links))}."
             )
-        return replace(self, tip=link, tip_joint=self._carrier(link))
+        return replace(self, tip=link, tip_joint=self.carrier(link))
 
     def driving(self, links: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the readings that say where links are; those of closed loops always do."""
@@ -181,12 +226,12 @@ class Robot:
 
     def _path(self, link: str) -> Iterator[ChainJoint]:
         """Yield the joints from a link back to the base."""
-        joint = self.tip_joint if link == self.tip else self._carrier(link)
+        joint = self.tip_joint if link == self.tip else self.carrier(link)
         while joint >= 0:
             yield self.chain[joint]
             joint = self.chain[joint].parent
 
-    def _carrier(self, link: str) -> int:
+    def carrier(self, link: str) -> int:
         """Return the index of the joint that carries a link of the URDF, -1 for the base link."""
         if link == self.base:
             return -1
@@ -364,10 +409,20 @@ class TipModel:
         """
         q = self._positions(readings, conditions)
         placement, by_joint = self._kinematics.jacobian(q)
+        return placement, self._by_reading(q, by_joint, readings)
+
+    def following(self, motion: TipMotion, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
+        """Return the local twists (N, 6, nr) of :meth:`driven` from a motion at these readings (N, nr)."""
+        every = [6 * j + (5 if kind == "revolute" else 2) for j, kind in enumerate(self._types)]
+        # Only loops ask where the joints are.
+        q = readings if self._closure is None else self._positions(readings, conditions)
+        return self._by_reading(q, motion.regressor[:, :, every], readings)
+
+    def _by_reading(self, q: Array, by_joint: Array, readings: Array) -> Array:
         by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
-        return placement, by_reading
+        return by_reading
 
     def _positions(self, readings: Array, conditions: Conditions) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""

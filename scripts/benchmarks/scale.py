@@ -26,6 +26,8 @@ import calib
 from calib.foundations import rigid
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
+# Anchors in unknown places, each with so many lengths.
+ANCHORS, LENGTHS = (10, 100, 300, 1_000, 10_000), 10
 SIGMA = 0.05e-3
 LIMIT_MIB = 2048.0
 AT_ONCE = 10_000
@@ -101,6 +103,24 @@ def from_arrays(poses: int, observes: str) -> Cost:
     return Cost(f"identify {observes}s", poses, seconds, loaded, peak())
 
 
+def from_anchors(anchors: int, _: str) -> Cost:
+    """Lengths alone, from anchors of which nobody knows where they are: three unknowns each beside those of the arm."""
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    model = calib.error_model(robot, offsets="all", placements="all", tool="position")
+    rng, target = np.random.default_rng(2), np.repeat(np.arange(anchors), LENGTHS)
+    table = columns(robot, anchors * LENGTHS, "position")
+    x = np.stack([table.pop(f"{axis} [m]") for axis in "xyz"], axis=1)
+    places = rng.uniform(-2.0, 2.0, (anchors, 3))
+    more = {"length [m]": np.linalg.norm(x - places[target], axis=1), "target": [f"anchor {t}" for t in target]}
+    data = calib.read_measurements({**table, **more}, robot, "distance", sigma=SIGMA)
+    loaded, start = peak(), time.perf_counter()
+    fit = calib.identify(model, data)
+    seconds = time.perf_counter() - start
+    if not fit.converged:
+        raise SystemExit(f"{anchors} anchors did not converge")
+    return Cost(f"identify {anchors:,} anchors, {LENGTHS} lengths each", anchors * LENGTHS, seconds, loaded, peak())
+
+
 def by_command(poses: int, observes: str) -> Cost:
     """The whole job, from the table on disk to report, scene and residuals."""
     robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
@@ -168,7 +188,15 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.one:
         what, poses, observes = arguments.one
-        print(json.dumps(asdict({"identify": from_arrays, "command": by_command}[what](int(poses), observes))))
+        print(
+            json.dumps(
+                asdict(
+                    {"identify": from_arrays, "anchors": from_anchors, "command": by_command}[what](
+                        int(poses), observes
+                    )
+                )
+            )
+        )
         return 0
     costs: list[Cost] = []
     table = Table(title="Panda, every placement, zero, base and tool free")
@@ -180,6 +208,10 @@ def main() -> int:
                 costs.append(measured(what, poses, observes))
                 table.add_row(*cells(costs[-1]))
                 print(", ".join(cells(costs[-1])), file=sys.stderr)
+    for anchors in ANCHORS:
+        costs.append(measured("anchors", anchors, "distance"))
+        table.add_row(*cells(costs[-1]))
+        print(", ".join(cells(costs[-1])), file=sys.stderr)
     Console().print(table)
     if arguments.markdown is not None:
         arguments.markdown.write_text(markdown(costs), encoding="utf-8")

@@ -36,6 +36,7 @@ ROBOTS = {
     "ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0"),
     "panda": ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp"),
     "xarm7": ("example:xarm_description/urdf/xarm7.urdf", "link7"),
+    "z1": ("example:z1_description/urdf/z1.urdf", "link06"),
 }
 ORDERS = (1, 2, 5, 11)
 
@@ -72,7 +73,8 @@ def judge(session: Session) -> Judged:
         fit = None
         for free in session.levels or (None,):
             fit = calib.identify(session.model, session.own, free=free, start=fit, losses=session.losses)
-        found = calib.assess(fit, session.held_out, findings=findings)
+        # The lens of these cameras is as it is told.
+        found = calib.assess(fit, session.held_out, findings=findings).accepting(["lens"])
     except calib.CalibError as e:
         return Judged("refused", (type(e).__name__,), str(e))
     failed = tuple(check.name for check in found.checks if not check.passed)
@@ -254,6 +256,24 @@ def sound(seed: int) -> Session:
     return Session(label, whole(w.robot, kind, **free), (own,), (held,), losses, levels)
 
 
+# Gears of arms for hobbyists wobble by up to that, in rad.
+POOR = (2e-3, 20e-3)
+
+
+def poor(seed: int) -> Session:
+    """A sound session with an arm that is poor, and as poor with what was held out."""
+    rng = np.random.default_rng([seed, 24])
+    which = str(rng.choice(["ur5", "ur10", "panda"]))
+    kind = str(rng.choice(["position", "pose"]))
+    wobble = float(np.exp(rng.uniform(*np.log(POOR))))
+    sigma = float(rng.choice([0.05e-3, 0.2e-3, 1e-3]))
+    w = world(which, rng, Errors(np.radians(3.0), 2e-3, 10e-3), sigma, wobble)
+    q, v = readings(w, int(rng.integers(40, 150))), readings(w, int(rng.integers(15, 60)))
+    label = {"layout": "poor", "robot": which, "kind": kind, "rows": len(q), "held out": len(v), "wobble": wobble}
+    own, held = table(w, q, w.measure(q), kind, 0.0), table(w, v, w.measure(v), kind, 0.0)
+    return Session(label | {"sigma": sigma, "stated": 0.0}, whole(w.robot, kind), (own,), (held,))
+
+
 def _of_family(layout: str, seed: int, rng: np.random.Generator, stated: bool) -> Session:
     if layout == "sockets":
         found, robot = known("panda")
@@ -329,11 +349,12 @@ def sound_tables(which: str, seed: int, how: str = "random") -> Tables:
 Make = Callable[[str, int, float], Session]
 BAD: dict[str, Make] = {}
 LATER: dict[str, Make] = {}
+LAST: dict[str, Make] = {}
 
 
 def bad(what: str, which: str, seed: int) -> Session:
     """A session with something wrong; the sigma of the instrument is stated in every other seed."""
-    make = BAD.get(what) or LATER[what]
+    make = (BAD | LATER | LAST)[what]
     made = make(which, seed, 0.05e-3 if seed % 2 else 0.0)
     return replace(made, label={**made.label, "what": what})
 
@@ -558,4 +579,64 @@ LATER |= {
     "1 deg of backlash that nobody modelled": _both(_backlash),
     "robot seen from the tool": _both(_inverse),
     "one joint in degrees": _both(lambda t, q, T: (_column(q, 5, np.degrees(q[:, 5])), T)),
+}
+
+
+# ---- ten more, written down when the check for rows of two machines was there, and before any of them was judged
+
+
+def _seldom(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    rows = t.w.rng.random(len(q)) < 0.1
+    T[rows] = t.w.measure(q[rows] + np.radians(0.5) * (np.eye(q.shape[1])[1] + np.eye(q.shape[1])[3]))
+    return q, T
+
+
+def _three_loads(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    load = t.w.rng.integers(0, 3, (len(q), 1))
+    return q, t.w.measure(q + np.radians(0.4) * load * (np.eye(q.shape[1])[1] + np.eye(q.shape[1])[2]))
+
+
+def _sometimes_swapped(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    rows = t.w.rng.random(len(q)) < 0.1
+    T[rows] = T[rows][:, [1, 0, 2, 3]]
+    return q, T
+
+
+def _jitter(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    late = t.w.rng.integers(0, 4, len(q) - 3)
+    return q[3:], T[np.arange(3, len(q)) - late]
+
+
+def _leaning(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    lean = 2e-3 * np.stack([np.sin(q[:, 0]), np.cos(q[:, 0]), np.zeros(len(q))], axis=1)
+    base = np.array(t.w.state.base).reshape(-1, 4, 4)[0]
+    turns = np.zeros((len(q), 4, 4)) + np.eye(4)
+    turns[:, :3, :3] = Rotation.from_rotvec(lean).as_matrix()
+    return q, base @ turns @ np.linalg.inv(base) @ T
+
+
+def _bent(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    return q, t.w.measure(q + 0.02 * q[:, 1:2] * np.eye(q.shape[1])[2])
+
+
+def _stretched(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
+    T[:, 2, 3] *= 1.01
+    return q, T
+
+
+def _new_zero(t: Tables) -> Tables:
+    return replace(t, U=t.w.measure(t.v + np.radians(0.5) * np.eye(t.v.shape[1])[2]))
+
+
+LAST |= {
+    "a tenth of the rows with a payload that bends": _both(_seldom),
+    "three payloads, not said": _both(_three_loads),
+    "x and y swapped in a tenth of the rows": _both(_sometimes_swapped),
+    "readings rounded to whole degrees": _both(lambda t, q, T: (np.radians(np.round(np.degrees(q))), T)),
+    "none to three samples late at random, on a path": _both(_jitter, "path"),
+    "a joint whose reading has lost its sign": _both(lambda t, q, T: (_column(q, 3, np.abs(q[:, 3])), T)),
+    "one axis of the instrument 1 % too long": _both(_stretched),
+    "a base that leans by 2 mrad after the arm": _both(_leaning),
+    "a joint that follows its neighbour by 2 %": _both(_bent),
+    "a zero off by 0.5 deg in the validation": _own(_new_zero),
 }

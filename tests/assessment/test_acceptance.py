@@ -1,6 +1,8 @@
 """Verification and comparison against simulated truth: what has not changed passes as often as it should."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -340,6 +342,30 @@ def test_compare_of_a_folder_with_itself(case: Path) -> None:
     assert " ".join(said.out.split()).endswith("Nothing has moved by more than the uncertainty of both explains.")
     contents = json.loads(run("compare", case / "out", case / "out", "--json").out)
     assert (contents["moved"], contents["tip"]["max"]) == (False, pytest.approx(0.0, abs=1e-9))
+
+
+def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
+    page, other = tmp_path / "both.html", tmp_path / "later"
+    shutil.copytree(case / "out", other)
+    result = json.loads((other / "result.json").read_text(encoding="utf-8"))
+    result["metrics"]["validation"]["after"]["position"]["rms"] = 1.2345e-3
+    result["checks"][0]["passed"] = False
+    result["inputs"]["more.csv"] = "abc"
+    (other / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    assert run("compare", case / "out", other, "-o", page, "-q") == (0, "", "")
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr.*?</tr>", page.read_text(), re.DOTALL)]
+    old = json.loads((case / "out" / "result.json").read_text(encoding="utf-8"))["metrics"]["validation"]["after"]
+    (judged,) = [row for row in rows if row[:3] == ["validation", "after", "position"]][:1]
+    assert (judged[4], judged[7]) == (f"{1e3 * old['position']['rms']:.4f}", "1.2345")
+    assert [result["checks"][0]["name"], "yes", "NO"] in rows
+    assert ["more.csv", "-", "abc"] in rows
+    before = page.read_bytes()
+    assert run("compare", case / "out", other, "-o", page).code == 1
+    assert page.read_bytes() == before
+    (other / "result.json").write_text('{"trusted": true, "metrics": []}')
+    said = run("compare", case / "out", other, "-o", tmp_path / "new.html")
+    assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool.\n")
+    assert not (tmp_path / "new.html").exists()
 
 
 def test_a_folder_without_doubts_cannot_be_verified(case: Path, tmp_path: Path) -> None:

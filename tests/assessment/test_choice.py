@@ -114,22 +114,69 @@ def test_of_very_many_rows_some_are_looked_at_whatever_their_order(monkeypatch: 
     model, data, _ = measured(5, 200, {(1, 3): 3e-4, (2, 6): 3e-4})
     twice = data.subset(np.tile(np.arange(len(data)), 2))
     choice = choose_terms(model, twice)
-    # Both visits of a pose, or none.
+    # Rather another pose than another visit.
     assert choice.rows == 180
     assert len(choice.geometric.measurements[0]) == 400
     joints = [reading.name for reading in model.robot.readings]
     assert {*harmonic(joints[1], 3), *harmonic(joints[2], 6)} <= set(choice.terms)
-    assert "; by 180 of 400 rows, of groups taken at random" in choice_sheet(choice).caption
+    assert "; by 180 of 400 rows, taken at random" in choice_sheet(choice).caption
     again = choose_terms(model, twice.subset(np.random.default_rng(0).permutation(len(twice))))
     assert again.terms == choice.terms
     figures = [[step.held_out.rms for step in one.steps] for one in (choice, again)]
     np.testing.assert_allclose(*figures, rtol=1e-6)
 
 
-def test_few_large_groups_are_all_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice_module, "_ENOUGH_ROWS", 10)
+def test_of_few_large_groups_all_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choice_module, "_ENOUGH_ROWS", 40)
     model, data, _ = measured(7, 60, {})
-    assert choose_terms(model, replace(data, group=tuple(f"g{k % 4}" for k in range(60)))).rows == 60
+    assert choose_terms(model, replace(data, group=tuple(f"g{k % 4}" for k in range(60)))).rows == 40
+
+
+def cubes(
+    seed: int, places: int, rows: int, waves: dict[tuple[int, int], float]
+) -> tuple[calib.Measurements, Array, machines.Machine]:
+    """Rows of a UR10 in a few small cubes of joint space, and readings in others."""
+    _, _, true = measured(seed, 5, waves)
+    rng = np.random.default_rng([seed, 78])
+
+    def somewhere(number: int) -> Array:
+        return np.concatenate([c + rng.uniform(-0.2, 0.2, (rows, 6)) for c in rng.uniform(-2.5, 2.5, (number, 6))])
+
+    robot = machines.load(*UR10)
+    return true.measure(robot, somewhere(places), "position", rng=rng, sigma=SIGMA), somewhere(12), true
+
+
+@pytest.mark.parametrize(("seed", "places"), [(17, 4), (18, 5), (19, 7)])
+def test_in_cubes_that_were_not_measured_terms_do_not_harm(seed: int, places: int) -> None:
+    """scripts/studies/clusters.py counts over a hundred."""
+    data, elsewhere, true = cubes(seed, places, 40, {(1, 2): 2e-4, (2, 5): 2e-4, (3, 11): 2e-4})
+    choice = choose_terms(calib.error_model(machines.load(*UR10), offsets="all", placements="all"), data)
+
+    def p95(fit: calib.Fit) -> float:
+        missed = machines.predicted(fit, elsewhere)[:, :3, 3] - true.see(elsewhere)[:, :3, 3]
+        return float(np.quantile(np.linalg.norm(missed, axis=1), 0.95))
+
+    assert p95(choice.fit) <= p95(choice.geometric)
+    away = [step.away for step in choice.steps[: choice.taken + 1]]
+    assert all(figure is not None for figure in away) or choice.taken == 0
+
+
+def test_a_fit_that_does_not_converge_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data, _ = measured(1, 150, {(0, 5): 2e-4, (1, 3): 2e-4, (2, 7): 2e-4, (3, 4): 3e-4})
+    whole = choose_terms(model, data)
+    assert whole.taken >= 4
+    assert whole.taken_back == 0
+    identify, most = choice_module.identify, 2 * (whole.taken // 2)
+
+    def stubborn(model: calib.ErrorModel, *given: object, **options: object) -> calib.Fit:
+        fit = identify(model, *given, **options)  # type: ignore[arg-type]
+        return replace(fit, converged=len(model.terms) <= most)
+
+    monkeypatch.setattr(choice_module, "identify", stubborn)
+    less = choose_terms(model, data)
+    assert (less.taken, less.taken_back) == (whole.taken // 2, whole.taken - whole.taken // 2)
+    assert less.fit.model.terms == less.model.terms
+    assert len(less.terms) < len(whole.terms)
 
 
 def test_the_records_tell_every_step() -> None:

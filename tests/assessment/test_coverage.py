@@ -37,7 +37,7 @@ def test_a_store_is_resumed_and_read_once(tmp_path: Path) -> None:
     refused = json.dumps({"cell": "ur5 white 60", "seed": 0, "refused": "why"})
     store.write_text(f"{first}{refused}\n")
     text = coverage.page(coverage.stored(store))
-    assert "2 simulated sessions in 45 cells" in text
+    assert "2 simulated sessions in 51 cells" in text
     assert "1 were refused" in text
     assert "| UR5, 60 poses | 0 | | | | | | | not run |" in text
 

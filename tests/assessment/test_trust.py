@@ -76,11 +76,11 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 21
+    assert len({check.name for check in found.checks}) == len(found.checks) == 23
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
-    assert "held out" in alone.shown[1]
+    assert "Held-out rows" in alone.shown[1]
 
 
 def test_the_verdict_is_the_conjunction_of_the_checks(cell: Cell, fit: calib.Fit) -> None:
@@ -160,12 +160,20 @@ def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
     q = cell.path(500)
     # Measured so many rows after it was read.
     late = np.roll(q, rows, axis=0)[10:-10]
-    parts, C = cell.effects(cell.measured(late, q[10:-10]))
-    found = delay(parts, C)
+    data = cell.measured(late, q[10:-10])
+    parts, C = cell.effects(data)
+    found, step = delay(parts, C)
     assert found.value == pytest.approx(rows, abs=max(4.0 * found.sigma, 0.15))
     assert abs(found.t) > 6.0
-    assert not checks.late(found).passed
-    assert delay(parts, C, 1e-3).value == pytest.approx(1e-3 * found.value)
+    assert np.isnan(step)
+    assert not checks.late(found, step).passed
+    assert f"rows {'later' if rows > 0 else 'earlier'} than" in checks.late(found, step).sentence
+    # With times, five rows a second, the same is told in ms.
+    timed, step = delay(*cell.effects(replace(data, times=0.2 * np.arange(len(data)))))
+    assert timed.value == pytest.approx(0.2 * found.value, rel=1e-6)
+    assert step == pytest.approx(0.2)
+    assert f"{1e3 * abs(timed.value):.2g} +- " in checks.late(timed, step).sentence
+    assert " ms " in checks.late(timed, step).sentence
 
 
 def test_a_gain_comes_back(cell: Cell) -> None:
@@ -190,7 +198,7 @@ def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
 def test_sound_rows_show_no_effect(cell: Cell) -> None:
     for q in (cell.draw(60), cell.path(400)):
         parts, C = cell.effects(cell.measured(q))
-        late = delay(parts, C)
+        late, _ = delay(parts, C)
         assert not abs(late.value) > 5.0 * late.sigma
         assert all(not abs(gain.t) > 6.0 for gain in gains(parts, C).values())
         assert all(step.size < checks.SIZE for step in steps(parts, C))
@@ -262,3 +270,19 @@ def test_a_table_that_asks_for_a_base_of_its_own() -> None:
     (check,) = (check for check in found.checks if check.name == "groups")
     assert not check.passed
     assert "it fits better with a base of its own" in check.sentence
+
+
+def test_a_table_that_asks_for_a_tool_of_its_own_however_much() -> None:
+    """The noise of a table is estimated with what it lacks in it: its size is judged by what remains all the same."""
+    cell = Cell(9)
+    one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
+    sizes = []
+    for shift in (1e-3, 10e-3):
+        T = cell.machine.see(other.readings)[:, :3, :3]
+        moved = replace(other, position=other.position + T @ np.array([shift, 0.0, 0.0]))
+        found = calib.assess(calib.identify(cell.model, [one, moved]))
+        (check,) = (check for check in found.checks if check.name == "groups")
+        assert not check.passed
+        assert "it fits better with a tool of its own" in check.sentence
+        sizes.append(check.statistic)
+    assert sizes[1] > 5.0 * sizes[0]

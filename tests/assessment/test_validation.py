@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.validation import HeldOut, cross_validate, folds, groups, held_out, one_standard_error
+from calib.assessment.validation import (
+    HeldOut,
+    cross_validate,
+    folds,
+    groups,
+    held_out,
+    largest_unharmed,
+    neighbourhoods,
+    one_standard_error,
+    smallest_unharmed,
+    some_rows,
+)
 from calib.foundations.errors import JobError, MeasurementError
 from tests.support import machines
 
@@ -99,6 +110,63 @@ def test_the_rule_takes_the_smallest_within_one_standard_error() -> None:
     assert one_standard_error([HeldOut(value, 0.05) for value in rms]) == 2
     assert one_standard_error([HeldOut(value, 0.0) for value in rms]) == 3
     assert one_standard_error([HeldOut(value, 0.5) for value in rms]) == 0
+
+
+def test_a_model_that_harms_somewhere_is_not_taken() -> None:
+    first = HeldOut(1.0, 0.05, 2.0, 3.0)
+    assert smallest_unharmed([first, HeldOut(0.5, 0.05, 2.1, 3.0)]) == 0
+    assert smallest_unharmed([first, HeldOut(0.5, 0.05, 1.0, 4.1)]) == 0
+    # A row that lies off has what the model changes on top.
+    assert smallest_unharmed([first, HeldOut(0.5, 0.05, 1.0, 3.9)]) == 1
+    assert smallest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 1
+    assert largest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 2
+    assert largest_unharmed([first, HeldOut(0.4, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 1
+    # Of few neighbourhoods chance says as much.
+    assert largest_unharmed([first, HeldOut(0.8, 0.11, 1.0, 3.0)]) == 0
+    assert largest_unharmed([first, HeldOut(0.8, 0.09, 1.0, 3.0)]) == 1
+
+
+def in_cubes(places: int, rows: int, width: float) -> tuple[calib.Measurements, np.ndarray]:
+    """Rows in cubes of joint space, and which cube they are in."""
+    rng = np.random.default_rng(4)
+    _, data = measured(places * rows)
+    cube = np.repeat(np.arange(places), rows)
+    readings = rng.uniform(-2.5, 2.5, (places, 6))[cube] + rng.uniform(-width, width, (places * rows, 6))
+    return replace(data, readings=readings), cube
+
+
+@pytest.mark.parametrize("places", [3, 5, 8])
+def test_places_that_lie_apart_are_not_divided(places: int) -> None:
+    data, cube = in_cubes(places, 30, 0.2)
+    found = neighbourhoods([data], groups([data]))
+    pairs = {(int(a), int(b)) for a, b in zip(cube, found, strict=True)}
+    assert len(pairs) == places  # one for one
+    order = np.random.default_rng(0).permutation(len(data))
+    moved = data.subset(order)
+    np.testing.assert_array_equal(neighbourhoods([moved], groups([moved])), found[order])
+
+
+def test_poses_all_over_are_divided_into_neighbourhoods() -> None:
+    _, data = measured(300)
+    found = neighbourhoods([data], groups([data]), 10)
+    assert len(np.unique(found)) == 10
+    # Rows are nearer to their own middle than to any other one's.
+    middles = np.array([data.readings[found == k].mean(axis=0) for k in range(10)])
+    nearest = np.argmin(np.linalg.norm(data.readings[:, None] - middles, axis=2), axis=1)
+    assert np.mean(nearest == found) > 0.95
+    assert len(np.unique(neighbourhoods([data.subset(range(7))], groups([data.subset(range(7))]), 10))) == 7
+
+
+def test_which_rows_are_looked_at_does_not_depend_on_their_order() -> None:
+    _, data = measured(60)
+    data = visited_again(data, 40)
+    order = np.random.default_rng(3).permutation(len(data))
+    chosen = some_rows([data], groups([data]), 50)
+    again = data.subset(order)
+    np.testing.assert_array_equal(some_rows([again], groups([again]), 50), chosen[order])
+    # Other poses rather than other visits.
+    assert len(np.unique(groups([data])[chosen])) == 50
+    assert some_rows([data], groups([data]), 500).all()
 
 
 def test_held_out_errors_are_those_of_poses_never_seen() -> None:

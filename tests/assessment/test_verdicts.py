@@ -2,7 +2,7 @@
 
 import pytest
 
-from scripts.studies.verdict_sessions import BAD, LATER, bad, judge, sound
+from scripts.studies.verdict_sessions import BAD, LAST, LATER, bad, judge, poor, sound
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -31,4 +31,14 @@ def test_bad_sessions_are_not(what: str) -> None:
 
 def test_there_are_enough_of_them() -> None:
     assert len(BAD) >= 30
-    assert len(LATER) == 10
+    assert len(LATER) == len(LAST) == 10
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_poor_arms_are_trusted(seed: int) -> None:
+    assert judge(poor(seed)).word == "trusted"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_rows_with_a_payload_are_told_from_those_without(seed: int) -> None:
+    assert "one machine" in judge(bad("half of the rows with a payload that bends", "xarm7", seed)).failed

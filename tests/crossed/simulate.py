@@ -223,7 +223,8 @@ class Case:
         seen = np.empty((n, 2))
         for k in range(2):
             own = which == k
-            seen[own] = project(self.camera(), (rigid.inverse(_view(self.truth.base, k)) @ T[own])[:, :3, 3]).pixels
+            points = (rigid.inverse(_view(self.truth.base, k)) @ T[own])[:, :3, 3]
+            seen[own] = project(self.camera().lens, points).pixels
         seen += self.rng.normal(0.0, SIGMA_PIXEL, seen.shape)
         columns = self.columns(q, told, tools) | {"target": np.array(["s0", "s1"])[which]}
         return columns | {"u [px]": seen[:, 0], "v [px]": seen[:, 1]}

@@ -184,7 +184,7 @@ def test_numbers_out_of_range_are_sentences() -> None:
         (lambda: calib.plan(model, 10, candidates=10**12), "1000000000000 random poses are asked for; allowed are"),
         (lambda: calib.plan(model, 10, candidates=100, target=-1e-3), "target is -0.001 m; allowed is"),
         (lambda: calib.plan(model, 2, candidates=with_nan), "row 3 of 'joint_1' is nan"),
-        (lambda: calib.Priors(length=-1.0), "Priors: length is -1 m; allowed is 1e-06 to 1000 mm."),
+        (lambda: calib.Priors(length=1e300), "Priors: length is 1e+300 m; allowed is 1e-06 to 1000 mm."),
         (lambda: Relation("nope", ("a", "b"), 1.0, 1.0), "relation: 'nope' is not one of distance, angle, offset."),  # type: ignore[arg-type]
         (lambda: Relation("distance", ("a",), 1.0, 1.0), "Relation: targets is ('a',); needs 2 texts."),  # type: ignore[arg-type]
     ):  # fmt: skip

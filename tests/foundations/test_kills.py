@@ -195,7 +195,7 @@ def test_readers_do_not_wait_for_one_another_but_for_a_writer(tmp_path: Path, mo
     monkeypatch.setattr(folders, "_PATIENCE", 0.05)
     with held(out, fcntl.LOCK_SH), reading_folder(out), reading_folder(tmp_path / "other"):
         pass
-    with held(out, fcntl.LOCK_EX), pytest.raises(OutputError, match="another run is busy"), reading_folder(out):
+    with held(out, fcntl.LOCK_EX), pytest.raises(OutputError, match="another run is writing here"), reading_folder(out):
         pass
 
 

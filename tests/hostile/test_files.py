@@ -223,11 +223,12 @@ COMMANDS = (
     ("models", JOB),
     ("plan", URDF, "-o", "there", "--measured", TABLE, "--working", TABLE, "--mesh-root", "there"),
     ("verify", "there", TABLE),
-    ("compare", "there", "there"),
+    ("compare", "there", "there", "-o", "there"),
     ("iso9283", TABLE),
     ("uncertainty", "there", "-o", "there"),
     ("export", "there", "--to", "offsets", "-o", "there"),
     ("five-point", TABLE, "-o", "there"),
+    ("board", "-o", TABLE),
     ("import", TABLE, "-o", "there"),
     ("init", URDF, TABLE, "-o", "there"),
 )

@@ -24,7 +24,7 @@ def test_the_triangles_have_the_gram_matrix_of_the_whole_system(observes: str, m
     found, x = problem(*ARMS["mimic"], observes, "pose", rows=50)
     (data,), (J,) = found.measurements, system.jacobian(found, x)
     monkeypatch.setattr(system, "BLOCK", 7)
-    (residual,), triangles, _, _ = system.evaluate(found, [data.sigma], x)
+    (residual,), triangles, *_ = system.evaluate(found, [data.sigma], x)
     np.testing.assert_allclose(system.jacobian(found, x)[0], J, rtol=1e-14, atol=1e-14)
     np.testing.assert_array_equal(
         residual, system.residuals(found.model.robot, found.measurements, found.machine(x))[0]

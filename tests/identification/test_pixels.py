@@ -193,7 +193,7 @@ def test_a_tracker_and_a_camera_in_one_fit(camera_on: str) -> None:
     assert {"base.x", "tool.eye.rx", "target.target.rx", "tool.ball.x"} <= names
     # A reflector has no orientation to determine.
     assert "tool.ball.rx" not in names
-    assert fit.rank == 36 + 3
+    assert fit.rank == 36 + 3 + 1  # and the scale of the board, which the tracker tells
     assert fit.converged
     alone = calib.identify(replace(model, tool="position"), sets[0])
     held_out = tracked.arm.draw(rng, 200)
@@ -240,7 +240,7 @@ def test_what_cannot_be_seen_is_told() -> None:
     rng = np.random.default_rng(64)
     true = scene(rng, NOMINAL, "tip")
     seen = observability(everything("tip", "board"), [true.measure(ROBOT, true.draw(rng, 30))])
-    assert (seen.rank, len(seen.parameters)) == (30, 48)
+    assert (seen.rank, len(seen.parameters)) == (30, 49)
     # The base is the world: its place is no unknown beside that of the board.
     assert not any(parameter.kind == "base" for parameter in seen.parameters)
 

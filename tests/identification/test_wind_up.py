@@ -116,7 +116,11 @@ def test_the_model_read_back_gives_way_alike_and_is_commanded(robot: calib.Robot
     (tmp_path / "nominal.urdf").write_bytes(URDF.read_bytes())
     model = calib.load_machine(tmp_path)
     np.testing.assert_allclose(model.tips(u), fit.robot.tips(u, fit.deviations), rtol=0, atol=1e-13)
-    assert json.loads((tmp_path / "model.json").read_text())["payload"] == {"mass": 8.0, "position": [0.0, 0.1, 0.2]}
+    assert json.loads((tmp_path / "model.json").read_text())["payload"] == {
+        "mass": 8.0,
+        "position": [0.0, 0.1, 0.2],
+        "link": "",
+    }
     found = for_joint_targets(model, u)
     assert found.reached.all(), found.reasons
     np.testing.assert_allclose(model.tips(found.readings), loaded.tips(u), rtol=0, atol=2e-6)

@@ -40,7 +40,7 @@ def test_a_key_that_belongs_at_the_top_and_in_sections(folder: Path) -> None:
     for key, places in (
         ("schema", "at the top of the file"),
         ("base", "at the top of the file or in [robot] or [error_model]"),
-        ("prior", "in [error_model]"),
+        ("prior", "in [error_model] or [setups.NAME]"),
     ):
         write(JOB, f'schema = 1\n[[measurements]]\n{key} = "x"\n')(folder)
         said = run("check", JOB)
@@ -148,6 +148,12 @@ CASES: dict[str, Edit] = {
     "wind-up without masses": job(('base = "pose"', 'base = "pose"\nelastic = "all"')),
     "gravity without unit": job(('tip = "probe"', 'tip = "probe"\ngravity = ["0 m/s2", "0 m/s2", "-9.81"]')),
     "gravity of two numbers": job(('tip = "probe"', 'tip = "probe"\ngravity = ["0 m/s2", "-9.81 m/s2"]')),
+    "payload of a link that is not there": job(
+        ('tip = "probe"', 'tip = "probe"\npayload = { mass = "1 kg", link = "hand" }')
+    ),
+    "payload of a table without mass": job(('sigma = "0.02 mm"', 'sigma = "0.02 mm"\npayload = { link = "probe" }')),
+    "quaternion of a set-up without a position": append("\n[setups.wall]\nquaternion = [1.0, 0.0, 0.0, 0.0]\n"),
+    "gravity of a set-up without unit": append('\n[setups.wall]\ngravity = ["0 m/s2", "0 m/s2", "9.81"]\n'),
     "payload too light": job(('tip = "probe"', 'tip = "probe"\npayload = { mass = "-1 kg" }')),
     "order of rows misspelt": job(('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nin_order = "yes"')),
     "gain misspelt": job(('base = "pose"', 'base = "pose"\ngains = "all"')),

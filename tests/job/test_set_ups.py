@@ -181,3 +181,67 @@ def test_the_old_name_of_the_column_is_told(folder: Path) -> None:
     (folder / "old.csv").write_text(text, encoding="utf-8")
     job, out = said_of(folder, table("old"))
     assert "old.csv:1: the column 'point' is called 'tool' now; rename it." in run("calibrate", job, "-o", out).err
+
+
+LEVELS = """
+harmonics = ["elbow_joint"]
+[[levels]]
+name = "geometry"
+measurements = ["left.csv"]
+free = ["*_joint.t?", "*_joint.r?", "*.offset", "base.*", "tool.*"]
+[[levels]]
+name = "gear"
+measurements = ["right.csv"]
+free = ["elbow_joint.*", "base.*", "tool.*"]
+"""
+
+
+def test_levels_of_other_set_ups_and_tools_make_one_machine(folder: Path) -> None:
+    """What a URDF holds is fitted to all tables; of the machine only the last level's set-ups and tools are kept."""
+    job, out = said_of(folder, LEVELS, table("left", setup="left", tool="long"), RIGHT)
+    assert run("calibrate", job, "-o", out, "-q").code in (0, 3)
+    machine = calib.load_machine(out)
+    assert machine.in_urdf is not None
+    assert machine.in_urdf.bases.keys() == machine.bases.keys()
+    assert machine.in_urdf.tools.keys() == machine.tools.keys()
+
+
+AFTER = """
+schema = 1
+[robot]
+urdf = "whole/calibrated.urdf"
+tip = "tool0"
+[error_model]
+tool = "position"
+[[measurements]]
+file = "after.csv"
+sigma = "0.03 mm"
+"""
+
+
+def test_base_and_tool_after_a_crash_are_found_from_a_few_rows(folder: Path) -> None:
+    """The arm is as it was calibrated; it stands elsewhere and carries another tool."""
+    job, _ = said_of(folder, LEFT, RIGHT)
+    assert run("calibrate", job, "-o", folder / "whole", "-q").code == 0
+    rng = np.random.default_rng(2)
+    arm = machines.arm(*UR10).moved(rng)
+    rng = np.random.default_rng(8)
+    true = machines.Machine(arm, anywhere(rng), {"new": pose((0.08, -0.05, 0.2))})
+
+    def seen(n: int) -> tuple[Array, Array]:
+        q = arm.draw(rng, n)
+        return q, true.see(q)
+
+    q, poses = seen(8)
+    poses[:, :3, 3] += rng.normal(scale=SIGMA, size=(8, 3))
+    write_table(folder / "after.csv", machines.table(arm, q, poses, "position"))
+    (folder / "after.toml").write_text(AFTER, encoding="utf-8")
+    assert run("calibrate", folder / "after.toml", "-o", folder / "after", "-q").code in (0, 3)
+    result = json.loads((folder / "after" / "result.json").read_text())
+    assert result["rank"] == len(result["parameters"]) == 9
+    q, poses = seen(200)
+    machine = calib.load_machine(folder / "after")
+    d = machine.predict(q)[:, :3, 3] - poses[:, :3, 3]
+    nominal = calib.load_robot(*UR10).tips(q) @ machine.tools["tool"]
+    assert np.sqrt(np.mean(np.sum(d**2, axis=1))) < 4.0 * SIGMA
+    assert np.abs((machine.base @ nominal)[:, :3, 3] - poses[:, :3, 3]).max() > 1e-3

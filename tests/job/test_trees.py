@@ -91,6 +91,36 @@ def test_two_arms_that_touch_each_other(cell: tuple[Path, Tree]) -> None:
     np.testing.assert_allclose(reached[:, :3, 3], nominal[:, :3, 3], atol=2e-6)
 
 
+def test_commands_take_an_arm_of_several_by_name(cell: tuple[Path, Tree], tmp_path: Path) -> None:
+    """What a controller of the left arm takes, and poses that calibrate it; the picture shows the tools of both."""
+    folder, _ = cell
+    job, out = folder / "both.toml", folder / "both"
+    job.write_text(JOB + ON + RIGHT + LEFT + TOUCH, encoding="utf-8")
+    assert run("calibrate", job, "-o", out, "-q").code == 0
+    costs = []
+    for k, options in enumerate(((), ("--tool", "left_hand"))):
+        said = run("export", out, "--to", "ros", "-o", tmp_path / f"{k}.yaml", "--json", *options)
+        assert said.code == 0, said
+        costs.append(json.loads(said.out)["before"])
+    assert costs[0] != costs[1]
+    said = run("export", out, "--to", "ros", "-o", tmp_path / "none.yaml", "--tool", "tail")
+    assert said.code == 1 and "'tail'" in said.err and not (tmp_path / "none.yaml").exists()
+
+    tables = []
+    for k, options in enumerate(((), ("--tip", "left_hand"))):
+        said = run("plan", job, "-n", "12", "-o", tmp_path / f"{k}.csv", "--candidates", "60", "--json", *options)
+        assert said.code == 0, said
+        tables.append((json.loads(said.out)["rank"], (tmp_path / f"{k}.csv").read_text()))
+    assert tables[0][1] != tables[1][1]
+    said = run("plan", job, "-n", "12", "-o", tmp_path / "none.csv", "--tip", "tail")
+    assert said.code == 1
+    assert said.err.endswith("'tail' is not a tip of the job; allowed is 'right_hand', 'left_hand'.\n")
+
+    scene = (out / "scene.html").read_text(encoding="utf-8")
+    for node in ("frames/tip/tools/tool", "robot/left_hand/tools/left_hand", "robot/right_hand/sockets/a"):
+        assert f'"{node}"' in scene
+
+
 def test_hands_alone_leave_the_torso_unseen(cell: tuple[Path, Tree]) -> None:
     folder, made = cell
     job, out = folder / "hands.toml", folder / "hands"

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import calib
+from calib.identification.noise import Noise
 from calib.machine.budget import errors_by_cause
-from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.calibrated import CalibratedMachine, _beyond, machine_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.machine.grid import grid_from_residuals
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
@@ -148,6 +149,17 @@ def test_noise_that_is_not_stated_counts_as_the_robots() -> None:
     assert machine.known_uncertainty.position is not None
     assert machine.known_uncertainty.position.model == pytest.approx(SIGMA, rel=0.2)
     assert share(machine, q, "model") > SIGMA
+
+
+def test_a_scatter_within_chance_is_none() -> None:
+    stated = Noise(0, "position", 1.0, 0.0, 200.0, 1.0)
+    assert _beyond(0.9, stated) == 0.0
+    # A tenth is what chance makes of 200 degrees of freedom.
+    assert _beyond(1.1, stated) == 0.0
+    assert _beyond(1.5, stated) == pytest.approx(0.455)
+    assert _beyond(9.0, stated) == pytest.approx(8.0, abs=0.11)
+    # Where no noise is stated, all of it is the model's.
+    assert _beyond(1.1, replace(stated, instrument=0.0)) == 1.1
 
 
 def test_waves_are_errors_of_readings() -> None:

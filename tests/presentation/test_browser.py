@@ -3,19 +3,24 @@
 import json
 import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import f as f_distribution
 
+import calib
 from calib.foundations.rigid import inverse
 from calib.job.inputs import load
 from calib.job.run import run
+from calib.presentation.scene import render_scene
 from calib.results.calibration import Calibration
 from calib.results.folder import report, scene, write_results
 from calib.results.scene import scene_of
 from calib.robot.links import link_placements
+from scripts.benchmarks import first_picture
 from scripts.development.browser import CHROMIUM, Page, browser
 from tests.support.cases import CASE, JOB
 
@@ -59,6 +64,24 @@ def pixels(page: Page, file: Path) -> Any:
 
     page.screenshot(file)
     return np.asarray(Image.open(file).convert("RGB")).astype(int)
+
+
+# Both. ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["report", "scene"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_axe_finds_nothing_that_shuts_people_out(page: Page, out: Path, name: str, scheme: str, width: int) -> None:
+    axe = find_spec("axe_core_python")
+    if axe is None or axe.submodule_search_locations is None:
+        pytest.skip("axe-core-python is not installed")
+    page.size(width, 800)
+    page.media(prefers_color_scheme=scheme)
+    page.open((out / f"{name}.html").as_uri())
+    page.evaluate(Path(axe.submodule_search_locations[0], "axe.min.js").read_text(encoding="utf-8") + "; true")
+    found = "axe.run().then(({ violations: v }) => v.map(({ id, nodes }) => [id, nodes[0].html.slice(0, 100)]))"
+    assert page.evaluate(found) == []
 
 
 # The report. ------------------------------------------------------------------------------------------------------
@@ -224,6 +247,69 @@ def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, o
         np.testing.assert_allclose(np.ptp(along, axis=1), scale * np.linalg.norm(errors, axis=1), atol=1e-5)
 
 
+def test_colours_tell_the_direction_or_the_table_of_errors(page: Page, out: Path, outcome: Calibration) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    assert page.evaluate("[...colour.options].map(option => option.value)") == ["error", "direction", "table"]
+
+    def chosen(by: str, cloud: str) -> Any:
+        page.evaluate(f"colour.value = '{by}'; colour.dispatchEvent(new Event('change')); true")
+        mesh = f"viewer.scene_tree.find(['{cloud}', '<object>']).object.children[1]"
+        flat = np.array(page.evaluate(f"[...{mesh}.geometry.attributes.color.array]"))
+        kinds = np.array(page.evaluate("KINDS.map(colour => colour.toArray())"))
+        seen = flat.reshape(492, -1, 3)[:, 0]
+        return np.abs(seen[:, None] - kinds).sum(axis=2).argmin(axis=1), np.abs(seen[:, None] - kinds).sum(axis=2).min()
+
+    for cloud, predicted in (("before", s.before), ("after", s.after)):
+        kinds, off = chosen("direction", cloud)
+        errors = (predicted - s.measured) @ s.calibrated.root[:3, :3]
+        largest = np.abs(errors).argmax(axis=1)
+        assert off < 1e-6
+        np.testing.assert_array_equal(kinds, 2 * largest + (errors[np.arange(492), largest] < 0.0))
+        assert page.evaluate("key.innerText").split() == ["+x", "−x", "+y", "−y", "+z", "−z"]
+        kinds, _ = chosen("table", cloud)
+        files = page.evaluate("key.innerText").split()
+        assert [files[k] for k in kinds] == [row.split(" line ")[0] for row in s.rows]
+    assert page.evaluate("getComputedStyle(document.getElementById('magnitude')).display") == "none"
+
+
+def test_regions_are_as_large_as_stated_and_stand_where_the_errors_end(
+    page: Page, out: Path, outcome: Calibration
+) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    flat = page.evaluate(
+        "[...viewer.scene_tree.find(['regions', '<object>']).object.geometry.attributes.position.array]"
+    )
+    corners = np.array(flat).reshape(len(s.regions), -1, 3)
+    to_base, factor = inverse(s.calibrated.root), s.scales[0]
+    data = np.concatenate([judged.data.readings for judged in outcome.sets])
+    for (n, _), drawn in zip(s.regions.items(), corners, strict=True):
+        centre = to_base[:3, :3] @ (s.measured[n] + factor * (s.after - s.measured)[n]) + to_base[:3, 3]
+        sure = calib.tool_uncertainty(outcome.machine, data[n : n + 1])
+        R = s.calibrated.root[:3, :3]
+        C = R.T @ sure.covariance[0, :3, :3] @ R
+        off = (drawn - centre) / factor
+        reached = np.einsum("ni,ij,nj->n", off, np.linalg.inv(C), off)
+        bound = f_distribution.ppf(0.95, 3, sure.degrees_of_freedom) * 3.0
+        np.testing.assert_allclose(reached, bound, rtol=5e-3)
+
+
+def test_thousands_of_points_are_points_of_the_card(page: Page, tmp_path: Path) -> None:
+    many = first_picture.scene(2500)
+    (tmp_path / "many.html").write_text(render_scene(many), encoding="utf-8")
+    page.size(1280, 800)
+    page.open((tmp_path / "many.html").as_uri())
+    for name, where in (("measured", many.measured), ("before", many.measured + 20.0 * (many.before - many.measured))):
+        found = "[...(node.isPoints ? node : node.children[1]).geometry.attributes.position.array]"
+        flat = page.evaluate(f"(node => {found})(viewer.scene_tree.find(['{name}', '<object>']).object)")
+        np.testing.assert_allclose(np.array(flat).reshape(-1, 3), where, atol=1e-5)
+    picture = pixels(page, tmp_path / "many.png")
+    assert (picture.max(axis=2) - picture.min(axis=2) > 90).sum() > 3000  # errors in colours
+
+
 def test_parallelogram_moves_when_it_is_played(page: Page, out: Path) -> None:
     page.size(1280, 800)
     page.open((out / "scene.html").as_uri())
@@ -241,7 +327,10 @@ def test_every_layer_has_its_switch(page: Page, out: Path) -> None:
     page.size(1280, 800)
     page.open((out / "scene.html").as_uri())
     layers = page.evaluate("boxes.map(box => box.dataset.layer)")
-    assert layers == ["measured", "before", "after", "robot", "nominal", "frames", "labels", "Grid"]
+    assert layers == ["measured", "before", "after", "robot", "nominal", "regions", "frames", "labels", "Grid"]
+    # Where there are many, regions hide what else there is to see: they are shown when asked for.
+    assert page.evaluate("viewer.scene_tree.find(['regions']).object.visible") is False
+    page.evaluate("boxes.find(box => box.dataset.layer === 'regions').click(); true")
     for layer in layers:
         shown = (
             "labels.filter(l => l.element.style.display === '').length > 0"
@@ -309,6 +398,24 @@ def test_views_look_along_the_axes_and_a_bar_is_as_long_as_it_says(page: Page, o
         text, width = page.evaluate("[bar.innerText, bar.getBoundingClientRect().width - 4]")
         metres = float(text.split()[0]) * (1.0 if text.endswith(" m") else 1e-3)
         assert (ends[1] - ends[0]) * 640 / 0.1 == pytest.approx(width / metres, rel=0.02)
+
+
+def test_views_look_along_the_tool_and_from_the_instrument(page: Page, out: Path, outcome: Calibration) -> None:
+    s = scene_of(outcome)
+    page.size(1280, 800)
+    page.open((out / "scene.html").as_uri())
+    to_base = inverse(s.calibrated.root)
+    tip = link_placements(s.urdf, s.calibrated)["tool0"][0, :3, 2]
+    for view in ("along the tool", "from the instrument"):
+        page.evaluate(f"document.querySelector('[data-view=\"{view}\"]').click(), viewer.render(), true")
+        x, y, z = page.evaluate("camera.position.clone().sub(viewer.controls.target).normalize().toArray()")
+        whence = np.array([x, -z, y])
+        if view == "along the tool":
+            np.testing.assert_allclose(whence, -tip / np.linalg.norm(tip), atol=1e-3)
+        else:
+            middle = page.evaluate("middle().toArray()")
+            way = to_base[:3, 3] - np.array([middle[0], -middle[2], middle[1]])
+            np.testing.assert_allclose(whence, way / np.linalg.norm(way), atol=1e-3)
 
 
 def test_a_notebook_shows_report_and_scene_in_place(page: Page, outcome: Calibration, tmp_path: Path) -> None:

@@ -114,6 +114,12 @@ def test_without_pandas_it_is_said_in_a_sentence(fit: Fit, monkeypatch: pytest.M
         calib.data_frame(fit)
 
 
+def test_a_notebook_shows_a_figure_without_a_magic_line(fit: Fit) -> None:
+    text = calib.plot(fit)._repr_svg_()  # type: ignore[attr-defined]
+    assert text.startswith("<?xml")
+    assert "<svg" in text
+
+
 def test_figures_show_the_numbers(fit: Fit) -> None:
     (axes,) = calib.plot(fit).axes
     before, after = axes.get_lines()

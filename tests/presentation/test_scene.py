@@ -16,9 +16,9 @@ from calib.foundations.rigid import inverse, placement, rotation_about
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.presentation.meshes import balls, parse_mesh, sticks
-from calib.presentation.scene import SCALE, Mark, Scene, magnification, render_scene
+from calib.presentation.scene import SCALE, Mark, Scene, _shape, magnification, render_scene
 from calib.presentation.thin_meshes import thin_mesh
-from calib.results.scene import scene_of
+from calib.results.scene import _as_touched, scene_of
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Deviations
@@ -74,7 +74,7 @@ def scene(n: int = 20, shape: str = BOX, **changes: Any) -> Scene:
 
 
 def legend_of(text: str) -> str:
-    match = re.search(r'<div id="legend">(.*?)<script', text, re.DOTALL)
+    match = re.search(r'<aside id="legend"[^>]*>(.*?)<script', text, re.DOTALL)
     assert match is not None
     return match[1]
 
@@ -244,6 +244,8 @@ def test_marks_are_layers_of_their_own() -> None:
         *(Mark("sockets", name, "point", T, 0.01) for name in ("A", "B")),
         Mark("planes", "table", "plane", T, 0.2),
         Mark("axes", "turntable", "axis", T, 0.3),
+        Mark("balls", "gauge", "ball", T, 0.05),
+        Mark("cups", "cup", "socket", T, 0.02),
     )
     s = scene(marks=marks)
     text = render_scene(s)
@@ -255,9 +257,39 @@ def test_marks_are_layers_of_their_own() -> None:
         )
     assert np.ptp(vertices(commands, "/marks/planes/table/0"), axis=0) == pytest.approx([0.4, 0.4, 0.0])
     assert np.ptp(vertices(commands, "/marks/axes/turntable/0"), axis=0)[2] == pytest.approx(0.6)
-    assert re.findall(r'data-layer="marks/([^"]*)"', text) == ["sockets", "planes", "axes"]
+    assert np.ptp(vertices(commands, "/marks/balls/gauge/0"), axis=0) == pytest.approx([0.1, 0.1, 0.1], rel=0.02)
+    assert re.findall(r'data-layer="marks/([^"]*)"', text) == ["sockets", "planes", "axes", "balls", "cups"]
     labels = [name for _, name in page_of(text)["labels"]]
-    assert labels == ["base", "instrument", "tip", "ball", "A", "B", "table", "turntable"]
+    assert labels == ["base", "instrument", "tip", "ball", "A", "B", "table", "turntable", "gauge", "cup"]
+
+
+def test_a_socket_is_a_cup_that_is_open_along_z() -> None:
+    cup = _shape(Mark("sockets", "A", "socket", np.eye(4), 0.02))
+    corners = cup.vertices[cup.faces]
+    assert corners[:, :, 2].max() < 0.005
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = (normals * corners.mean(axis=1)).sum(axis=1) > 0.0
+    assert outward.sum() == (~outward).sum()  # seen from within as well
+
+
+def test_targets_are_as_large_as_they_were_touched() -> None:
+    chance = np.random.default_rng(3)
+    T = placement(rotation_about(np.array([0.6, 0.0, 0.8]), 1.1), np.array([0.4, -0.2, 0.7]))
+    away = chance.standard_normal((30, 3))
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    on_ball = T[:3, 3] + 0.0254 * away
+    assert _as_touched("ball", T, on_ball, on_ball, 1.0)[1] == pytest.approx(0.0254)
+    flat = np.column_stack([chance.uniform(0.2, 0.5, 30), chance.uniform(-0.1, 0.1, 30), 1e-4 * away[:, 0]])
+    placed, size = _as_touched("plane", T, flat @ T[:3, :3].T + T[:3, 3], on_ball, 1.0)
+    seen = (flat @ T[:3, :3].T + T[:3, 3] - placed[:3, 3]) @ placed[:3, :3]
+    assert np.abs(seen[:, :2]).max() == pytest.approx(size / 1.1)
+    np.testing.assert_allclose(placed[:3, :3], T[:3, :3])
+    assert abs((placed[:3, 3] - T[:3, 3]) @ T[:3, 2]) < 1e-12  # it is moved within itself
+    tips = np.broadcast_to(T[:3, 3], (30, 3)) + (0.0, 0.0, 0.1) + 0.01 * away
+    placed, _ = _as_touched("socket", T, np.broadcast_to(T[:3, 3], (30, 3)), tips, 1.0)
+    up = tips.mean(axis=0) - T[:3, 3]
+    np.testing.assert_allclose(placed[:3, 2], up / np.linalg.norm(up), atol=1e-12)
+    np.testing.assert_allclose(placed[:3, :3] @ placed[:3, :3].T, np.eye(3), atol=1e-12)
 
 
 # Arms. ------------------------------------------------------------------------------------------------------------
@@ -360,13 +392,13 @@ def test_missing_meshes_become_sticks_and_are_counted(tmp_path: Path) -> None:
 
 
 def test_many_points_stay_light() -> None:
-    s = scene(5000)
+    s = scene(11_000)
     text = render_scene(s)
     assert len(text) < 8_000_000
-    assert "1000 of the 5000 points" in text
+    assert "10000 of the 11000 points" in text
     worst = s.measured[np.argmax(np.linalg.norm(s.after - s.measured, axis=1))]
     dots = np.array(page_of(text)["clouds"]["measured"])
-    assert len(dots) == 1000
+    assert len(dots) == 10_000
     to_base = inverse(s.calibrated.root)
     assert np.linalg.norm(dots - (to_base @ [*worst, 1.0])[:3], axis=1).min() < 1e-6
 

@@ -42,7 +42,7 @@ def test_the_terminal_says_pixels(calibrated: tuple[Path, str]) -> None:
         for of, when in ((use, "before"), ("pixels", "after"))
     ]
     assert "Noise of one pixels coordinate: 0.2000 px instrument" in said
-    assert "The data determine 30 combinations of 48 parameters." in said
+    assert "The data determine 39 combinations of 58 parameters." in said
 
 
 def test_the_figures_are_those_of_the_residuals(calibrated: tuple[Path, str]) -> None:
@@ -75,14 +75,17 @@ def test_camera_and_board_are_found(calibrated: tuple[Path, str]) -> None:
 def test_check_counts_what_is_seen() -> None:
     said = run("check", CASE / "calibration.toml", "--json")
     told = json.loads(said.out)
-    assert (told["rank"], len(told["parameters"])) == (30, 48)
+    # Nine numbers of the lens are seen; of the board's scale a robot that is all free tells nothing.
+    assert (told["rank"], len(told["parameters"])) == (39, 58)
 
 
 JOB = "calibration.toml"
+LENS = {"fx": 1395.2, "fy": 1393.8, "cx": 648.3, "cy": 505.9}
+BENT = {"k1": "-0.1124", "k2": "0.1387", "p1": "0.00031", "p2": "-0.00047", "k3": "-0.0312"}
 BROKEN: dict[str, tuple[Edit, str]] = {
     "camera without its place": (edit(JOB, ('camera_on = "tip"\n', "")), "instruments.camera.camera_on: is missing"),
     "camera without focal length": (edit(JOB, ('fx = "1395.2 px"\n', "")), "instruments.camera.fx: is missing"),
-    "camera elsewhere": (edit(JOB, ('"tip"\nsigma', '"wall"\nsigma')), '\'wall\' is not "floor", "tip" or a link'),
+    "camera elsewhere": (edit(JOB, ('"tip"\nlens', '"wall"\nlens')), '\'wall\' is not "floor", "tip" or a link'),
     "focal length zero": (edit(JOB, ("1395.2 px", "0 px")), "instruments.camera.fx: '0 px' is not above 0"),
     "focal length without unit": (edit(JOB, ('"1395.2 px"', "1395.2")), "instruments.camera.fx: 1395.2 is not a text"),
     "sigma in mm": (edit(JOB, ('"0.2 px"', '"0.2 mm"')), "'0.2 mm' is not of a camera; allowed are pixels"),
@@ -115,7 +118,34 @@ BROKEN: dict[str, tuple[Edit, str]] = {
         'instruments.leica.k1: means nothing with kind = "laser_tracker"',
     ),
     "tool without orientation": (edit(JOB, ('tool = "pose"', 'tool = "position"')), 'is not known; write "pose"'),
-    "folded lens": (edit(JOB, ("k1 = -0.1124", "k1 = -9.0")), "identification.csv:"),
+    "folded lens": (
+        edit(JOB, ('lens = "free"', 'lens = "given"'), ("k1 = -0.1124", "k1 = -9.0")),
+        "identification.csv:",
+    ),
+    "lens without size": (
+        edit(
+            JOB,
+            ("size = [1280, 1024]\n", ""),
+            *((f'{key} = "{value} px"\n', "") for key, value in LENS.items()),
+            *((f"{key} = {value}\n", "") for key, value in BENT.items()),
+        ),
+        "instruments.camera.size: is missing, and no more is known of the lens; write that of its images",
+    ),
+    "lens bent and without focal lengths": (
+        edit(JOB, *((f'{key} = "{value} px"\n', "") for key, value in LENS.items())),
+        "instruments.camera.k1: means nothing without fx, fy, cx, cy",
+    ),
+    "lens twice": (
+        edit(JOB, ("size = [1280, 1024]", 'lens_file = "lens.yaml"')),
+        "instruments.camera.fx: is given by lens_file as well; keep one of them",
+    ),
+    "lens of a word": (edit(JOB, ('"free"', '"wide"')), '\'wide\' is not "given", "free" or a list of fx, fy, cx'),
+    "lens of a number twice": (edit(JOB, ('"free"', '["fx", "fx"]')), "names a number twice"),
+    "size of one number": (edit(JOB, ("[1280, 1024]", "[1280]")), "is not a list of two whole numbers, like [7, 5]"),
+    "board that is not there": (
+        edit(JOB, ('instrument = "camera"', 'instrument = "camera"\nboard = "board.toml"')),
+        "board.toml: there is no such file",
+    ),
     "column in mm": (edit("identification.csv", ("u [px]", "u [mm]")), "unit 'mm' is not a unit of pixel"),
     "normal of a board": (
         append("[targets.board]\nnormal = [0, 0, 1]\n"),
@@ -146,5 +176,5 @@ def test_levels_work_without_a_base(tmp_path: Path) -> None:
     said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
     assert (said.code, said.err) == (0, "")
     levels = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["levels"]
-    assert [(level["name"], level["free"], level["rank"]) for level in levels] == [("eye", 12, 12), ("all", 48, 30)]
+    assert [(level["name"], level["free"], level["rank"]) for level in levels] == [("eye", 22, 22), ("all", 58, 39)]
     assert levels[1]["metrics"]["pixels"]["rms"] < 0.1 * levels[0]["metrics"]["pixels"]["rms"]

@@ -1,12 +1,14 @@
 """Simulated cameras with known truth, made without any of calib's projection or kinematics."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.measurement.boards import Board
+from calib.measurement.optics import seen_by
 from tests.support import machines
 
 Array = NDArray[np.float64]
@@ -111,3 +113,20 @@ def scene(
         found = Scene(arm, camera, places, base, tool, target)
         if found.visible(arm.draw(rng, 2000)).sum() > 12:
             return found
+
+
+def photographed(
+    robot: calib.Robot,
+    true: Scene,
+    n: int,
+    camera: calib.measuring.Camera,
+    board: Board,
+    rng: Rng | None = None,
+    sigma: float = 0.0,
+) -> calib.Measurements:
+    """Photographs of a board as it was printed, ``true.places``; marks are said to be where they should, ``BOARD``."""
+    readings = true.draw(np.random.default_rng(4) if rng is None else rng, n)
+    data = true.measure(robot, readings, rng, sigma)
+    value = data.value.copy()
+    value[:, 2:] = np.tile(BOARD, (n, 1))
+    return seen_by(replace(data, value=value), camera, board)

@@ -45,7 +45,7 @@ def export_ros(model: CalibratedMachine) -> Export:
         }
         for term, coefficient in zip(robot.terms, d.terms, strict=True)
     ]
-    x, y, z = map(float, robot.gravity)
+    x, y, z = map(float, robot.load.gravity)
     contents: dict[str, Node] = {
         "schema": 1,
         "base_link": robot.base,

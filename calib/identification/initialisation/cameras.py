@@ -52,7 +52,7 @@ class TargetRows(NamedTuple):
     @property
     def rays(self) -> Array:
         """Where the marks are seen: unit directions (n, 3) in the camera's frame."""
-        return rays(undistort(self.camera, self.data.value[self.rows, :2])[0])
+        return rays(undistort(self.camera.lens, self.data.value[self.rows, :2])[0])
 
 
 def sights(

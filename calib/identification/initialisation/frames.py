@@ -7,7 +7,7 @@ centre; targets from where the nominal robot puts the tool (:mod:`calib.identifi
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -18,9 +18,12 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.carried import Carried
+from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
 from calib.identification.machine import Frames, Machine
-from calib.measurement.measurements import Measurements
+from calib.measurement.kinds import Kind
+from calib.measurement.measurements import Measurements, numbered
+from calib.measurement.scalars import Scalar
 from calib.robot.robot import Deviations
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
@@ -40,16 +43,21 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     """Return bases, tools and targets that explain sets with common names best with the nominal robot.
 
     What is fixed or known stays as given, a base with a prior where the prior has it. ``begun``: a machine whose robot
-    is taken in the place of the nominal one, and whose set-ups and tools, the first of the names, stay.
+    is taken in the place of the nominal one, and whose set-ups, tools and scalars, the first of the names, stay.
 
     Raises MeasurementError where nothing shows where the base of a set-up is.
     """
-    sets = [_thinned(data) for data in sets]
+    known = None if begun is None else _values(sets[0].scalars, begun.frames.scalars)
+    sets = [_thinned(data) for data in with_found_lenses(sets, known)]
     carried = [_carried(model, data, None if begun is None else begun.deviations) for data in sets]
     tips = [rows.tips for rows in carried]
     at = _Placed.of(model, sets[0], None if begun is None else begun.frames)
     unshown = np.zeros(len(at.tools), dtype=np.bool_)
-    seen = [(data, T, data.position) for data, T in zip(sets, tips, strict=True) if data.position is not None]
+    seen = [
+        (data, _at_points(T, data, at.tools), data.position)
+        for data, T in zip(sets, tips, strict=True)
+        if data.position is not None
+    ]
     if seen:
         rows = TipObservations(
             np.concatenate([T for _, T, _ in seen]),
@@ -68,6 +76,20 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     if not at.stands.all():
         at = _by_targets(model, carried, at)
     return Initialisation(with_targets(model, carried, Frames(at.bases, at.tools)), unshown)
+
+
+def _at_points(tips: Array, data: Measurements, tools: Array) -> Array:
+    """Return tips (N, 4, 4) moved by where the rows' points are beside the tool's own, tools turned as in ``tools``."""
+    if data.points is None:
+        return tips
+    moved = tips.copy()
+    moved[:, :3, 3:] += tips[:, :3, :3] @ tools[data.tool, :3, :3] @ data.points[:, :, None]
+    return moved
+
+
+def _values(scalars: Sequence[Scalar], values: Array) -> dict[str, float]:
+    """Return values (s,) of the first of the scalars, by name."""
+    return {one.name: float(value) for one, value in zip(scalars, values, strict=False)}
 
 
 def _carried(model: ErrorModel, data: Measurements, deviations: Deviations | None) -> Carried:
@@ -197,7 +219,8 @@ def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
 def is_fit(sets: Sequence[Measurements]) -> bool:
     """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
     data = sets[0]
-    alone = len(sets) == len(data.setups) == 1
+    # A clock's start is no least-squares fit.
+    alone = len(sets) == len(data.setups) == 1 and not data.uses
     return alone and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
 
 
@@ -216,10 +239,12 @@ def _thinned(data: Measurements) -> Measurements:
 
 def turned_by(data: Measurements) -> bool:
     """Return whether the rows show how tools are turned."""
+    if data.points is not None and np.any(data.points != 0.0):
+        return True
     return data.kind == "pose" or (data.camera is not None and (data.of_boards or data.camera.camera_on == "tip"))
 
 
-def turned(sets: Sequence[Measurements], kinds: Sequence[str] = ("pose", "pixels")) -> BoolArray:
+def turned(sets: Sequence[Measurements], kinds: Sequence[str] = get_args(Kind)) -> BoolArray:
     """Return the tools (k,) whose orientation shows in sets of some kinds with common names."""
     found = np.zeros(len(sets[0].tools), dtype=np.bool_)
     for data in sets:
@@ -239,33 +264,47 @@ def _turned_in_sockets(model: ErrorModel, carried: Sequence[Carried], at: _Place
     around keeps its centre on average, which is near enough for a start. What stays is known only where the base is:
     elsewhere it is another unknown in the base of every set-up.
     """
-    rows, right = [], []
+    rows, right, stays = [], [], []
     tools, placed = at.tools, at.placed
     k, m = len(tools), len(carried[0].data.targets)
-    width = m * (1 + len(at.bases))
+    # Of tools in whose frame points differ from row to row, the rotation is sought as well, as a free matrix.
+    turning = ~placed & turned([one.data for one in carried], ("socket", "sphere")) & (model.tool == "pose")
     for one in carried:
         data = one.data
         if data.kind not in ("socket", "sphere"):
             continue
         in_world = one.seen(at.bases)
-        A = np.zeros((len(data), 3, k + width, 3))
+        n, R = np.arange(len(data)), in_world[:, :3, :3]
+        A = np.zeros((len(data), 3, 4 * k, 3))
         b = -in_world[:, :3, 3].copy()
-        n = np.arange(len(data))
-        A[n, :, data.tool] = np.where(placed[data.tool, None, None], 0.0, in_world[:, :3, :3])
-        b -= np.where(placed[data.tool, None], (in_world[:, :3, :3] @ tools[data.tool, :3, 3:])[:, :, 0], 0.0)
+        A[n, :, data.tool] = np.where(placed[data.tool, None, None], 0.0, R)
+        b -= np.where(placed[data.tool, None], (R @ tools[data.tool, :3, 3:])[:, :, 0], 0.0)
+        if data.points is not None:
+            sought = turning[data.tool]
+            for axis in range(3):
+                A[n, :, k + 3 * data.tool + axis] = np.where(sought, data.points[:, axis], 0.0)[:, None, None] * R
+            b -= np.where(sought[:, None], 0.0, (R @ tools[data.tool, :3, :3] @ data.points[:, :, None])[:, :, 0])
         stands = at.stands[data.setup] | one.on_links
         known = np.array([name in model.targets for name in data.targets], dtype=np.bool_)[data.target] & stands
         for t in np.unique(data.target[known]):
             b[known & (data.target == t)] += model.targets[data.targets[t]].pose[:3, 3]
-        unknown = np.where(stands, 0, m * (1 + data.setup)) + data.target
-        A[n[~known], :, k + unknown[~known]] = -np.eye(3)
-        rows.append(A.reshape(3 * len(data), -1))
-        right.append(b.ravel())
+        rows.append(A.reshape(len(data), 3, -1))
+        right.append(b)
+        stays.append(np.where(known, -1, np.where(stands, 0, m * (1 + data.setup)) + data.target))
     if not rows:
         return tools
+    every, values = np.concatenate(rows), np.concatenate(right)
+    # What stays is anywhere: it takes up the mean of the rows about it.
+    for which, own in numbered(np.concatenate(stays)):
+        if which >= 0:
+            every[own] -= every[own].mean(axis=0)
+            values[own] -= values[own].mean(axis=0)
     # What turning does not show, such as the height on an axis that alone turns, stays as guessed.
-    guess = np.concatenate([tools[:, :3, 3].ravel(), np.zeros(3 * width)])
-    A, b = np.concatenate(rows), np.concatenate(right)
-    change = np.linalg.lstsq(A, b - A @ guess, rcond=NEGLIGIBLE)[0]
+    guess = np.concatenate([tools[:, :3, 3].ravel(), np.zeros(9 * k)])
+    equations = every.reshape(-1, every.shape[2])
+    change = np.linalg.lstsq(equations, values.ravel() - equations @ guess, rcond=NEGLIGIBLE)[0]
     points = (guess + change)[: 3 * k].reshape(-1, 3)
-    return np.asarray(rigid.placement(tools[:, :3, :3], np.where(placed[:, None], tools[:, :3, 3], points)))
+    # Columns of the matrix stand one after the other; a scanner sees two of them, and these tell the third.
+    matrices = np.swapaxes(change[3 * k : 12 * k].reshape(-1, 3, 3), -1, -2)
+    rotations = np.where(turning[:, None, None], rigid.nearest_rotation(matrices), tools[:, :3, :3])
+    return np.asarray(rigid.placement(rotations, np.where(placed[:, None], tools[:, :3, 3], points)))

@@ -1,5 +1,6 @@
 """From a model and measurements to a problem: common names, start values, what is unknown, and what cannot be."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +19,8 @@ from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.robot.conditions import joined
+from calib.robot.terms import kind_of
 from calib.robot.transmission import lacking
 
 
@@ -52,8 +55,8 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     of_model = _without_turns_of_points(model.parameters(sets[0].tools, sets[0].setups), sets, layout)
     of_model = _with_unshown_tools(of_model, unshown, layout)
     parameters = (*of_model, *targets.unknowns(sets, model.targets, layout))
-    names = [parameter.name for parameter in parameters]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
+    counts = Counter(parameter.name for parameter in parameters)
+    if twice := sorted(name for name, count in counts.items() if count > 1):
         raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")
     return Problem(model, parameters, reference, sets, relations=model.relations)
 
@@ -72,8 +75,10 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         for end in data.ends:
             if missing := lacking(model.robot.terms, names, end.conditions):
                 raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
-    sets = [replace(data, tip=data.tip or model.robot.tip) for data in sets]
+    sets = [replace(data.loaded(model.urdf_robot), tip=data.tip or model.robot.tip) for data in sets]
+    _refuse_unfollowed_payloads(model, sets)
     links = _common_links(sets)
+    _refuse_other_optics(sets)
     _refuse_absent(model, sets)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
@@ -89,7 +94,8 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
 
     def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
         # -1 stays what it is: none.
-        return np.array([*(new.index(name) for name in old), -1], dtype=np.intp)[numbers]
+        place = {name: k for k, name in enumerate(new)}
+        return np.array([*(place[name] for name in old), -1], dtype=np.intp)[numbers]
 
     return tuple(
         replace(
@@ -109,6 +115,27 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         )
         for data in sets
     )
+
+
+def _refuse_other_optics(sets: Sequence[Measurements]) -> None:
+    """Refuse cameras of one name with other numbers, and boards of one name with other marks."""
+    cameras: dict[str, Measurements] = {}
+    boards: dict[str, Measurements] = {}
+    for data in sets:
+        if data.camera is not None and data.camera.free:
+            first = cameras.setdefault(data.camera.name, data)
+            if first.camera != data.camera:
+                raise MeasurementError(
+                    f"{data.where}: the camera {data.camera.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
+        if data.board is not None:
+            first = boards.setdefault(data.board.name, data)
+            if not data.board.same_as(first.board):
+                raise MeasurementError(
+                    f"{data.where}: the board {data.board.name!r} is not the one of that name in {first.where}; give "
+                    "one of them another name."
+                )
 
 
 def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
@@ -154,6 +181,19 @@ def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
             )
 
 
+def _refuse_unfollowed_payloads(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse payloads that differ from row to row where a term takes all masses for the same and unknown."""
+    blind = next((kind_of(term) for term in model.robot.terms if kind_of(term).masses == "unknown"), None)
+    if blind is None:
+        return
+    told = joined([(len(data), end.conditions) for data in sets for end in data.ends]).payload
+    if told is not None and not np.array_equal(told, np.broadcast_to(told[0], told.shape), equal_nan=True):
+        raise JobError(
+            f"{blind.key}: the payload is not the same in all rows, which masses that nobody states do not follow; "
+            "give every <link> of the URDF an <inertial>, and free terms of stated masses, such as elastic."
+        )
+
+
 def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Machine) -> Machine:
     """Return a machine with the set-ups, tools, targets and scalars of sets with common names that it does not know.
 
@@ -192,7 +232,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
     x0 = values_at(model.robot, new, placed, machine.deviations)
     # The mean of a socket's rows is the answer already; other targets are near it.
-    others = [data for data in sets if data.kind in targets.SHAPES and data.kind != "socket"]
+    others = [data for data in sets if data.stream or (data.kind in targets.SHAPES and data.kind != "socket")]
     of_setup = any(not parameter.nuisance for parameter in new)
     return problem.machine(solve(problem, x0).x if new and (others or of_setup) else x0)
 

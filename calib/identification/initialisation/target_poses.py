@@ -11,7 +11,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.carried import Carried
 from calib.identification.machine import Frames
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, numbered
 from calib.robot.conditions import ordinary
 
 # Directions of a linear fit below this share of the best one are left at their start.
@@ -26,20 +26,22 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
     names, found = sets[0].targets, targets.shapes(sets)
     poses, scalars = np.tile(np.eye(4), (len(names), 1, 1)), np.array([one.start for one in sets[0].scalars])
     carried = [one.seen(frames.bases) for one in rows]
-    points = [(T @ frames.tools[data.tool])[:, :3, 3] for data, T in zip(sets, carried, strict=True)]
+    points = [(T @ data.placed_by(frames.tools))[:, :3, 3] for data, T in zip(sets, carried, strict=True)]
+    of_target = [dict(numbered(data.target)) for data in sets]
+    none = np.zeros(0, dtype=np.intp)
     for t, name in enumerate(names):
-        own = [(data, x[data.target == t], data.value[data.target == t]) for data, x in zip(sets, points, strict=True)]
-        own = [(data, x, value) for data, x, value in own if len(x) and data.kind in targets.SHAPES]
-        sights = cameras.sights(sets, carried, t)
+        about = [
+            (data, T, x, rows.get(t, none)) for data, T, x, rows in zip(sets, carried, points, of_target, strict=True)
+        ]
+        about = [(data, T, x, rows) for data, T, x, rows in about if len(rows)]
+        touched = [(data, T, x, rows) for data, T, x, rows in about if data.kind in targets.SHAPES]
+        own = [(data, x[rows], data.value[rows]) for data, _, x, rows in touched]
+        sights = cameras.sights([data for data, *_ in about], [T for _, T, *_ in about], t)
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
-            touched = [
-                (data.subset(data.target == t), T[data.target == t], x[data.target == t])
-                for data, T, x in zip(sets, carried, points, strict=True)
-                if data.kind in targets.SHAPES and np.any(data.target == t)
-            ]
-            poses[t] = _plane(np.concatenate([x for *_, x in touched]), _arm_beside(model, touched))
+            beside = [(data.subset(rows), T[rows], x[rows]) for data, T, x, rows in touched]
+            poses[t] = _plane(np.concatenate([x for *_, x in beside]), _arm_beside(model, beside))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             if sights and not sockets:

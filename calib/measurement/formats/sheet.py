@@ -10,7 +10,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats import arrays, records, workbook
+from calib.measurement.formats import arrays, logs, records, workbook
 from calib.measurement.layout import is_number, layout
 
 _MOST_COLUMNS = 1000
@@ -36,10 +36,11 @@ class Sheet:
         return csv_text([self.titles, *self.rows] if named else self.rows)
 
 
-def read_sheet(path: str | Path) -> Sheet:
+def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     """Return the sheet of a file: a table of text, records (.jsonl, YAML, JSON), a workbook (.xlsx), arrays (.npz).
 
-    Raises MeasurementError when it cannot be read, or holds no rows.
+    Logs of UR's RTDE and of Motive become tables with ``time [s]``; ``part``: the rigid body of these. Raises
+    MeasurementError when it cannot be read, or holds no rows.
     """
     path, where = Path(path), str(path)
     readers: Mapping[str, Callable[[bytes, str], tuple[Sequence[str], Sequence[Sequence[str]]]]] = {
@@ -54,13 +55,33 @@ def read_sheet(path: str | Path) -> Sheet:
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        return _of_text(data, where)
+        return _of_log(data, where, part) or _with_names_of_log(_of_text(data, where))
     titles, rows = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
     if len(titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{where}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
     return Sheet(tuple(titles), tuple(map(tuple, rows)), where)
+
+
+def _of_log(data: bytes, where: str, part: str | None) -> Sheet | None:
+    """Return the sheet of a log that is no plain table, None for others."""
+    text = in_bytes(data, where).decode("utf-8", errors="replace")
+    if not logs.is_motive(text):
+        return None
+    titles, rows, said = logs.of_motive(text, where, part)
+    if not rows:
+        raise MeasurementError(f"{where}: has a header and no rows.")
+    return Sheet(tuple(titles), tuple(map(tuple, rows)), where, (said,))
+
+
+def _with_names_of_log(sheet: Sheet) -> Sheet:
+    """Return a sheet with our names, where its titles are those of a known log."""
+    found = logs.of_rtde(sheet.titles, sheet.rows)
+    if found is None:
+        return sheet
+    titles, rows, said = found
+    return Sheet(tuple(titles), tuple(map(tuple, rows)), sheet.where, (*sheet.remarks, said))
 
 
 def _of_text(data: bytes, where: str) -> Sheet:

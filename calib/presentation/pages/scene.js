@@ -4,12 +4,18 @@ const byId = name => document.getElementById(name);
 const legend = byId("legend"), pane = byId("pane"), THREE = MeshCat.THREE;
 // Nothing is drawn before everything is there.
 const viewer = new MeshCat.Viewer(pane, false);
-for (const command of page.commands)
-  viewer.handle_command_bytearray(Uint8Array.from(atob(command), c => c.charCodeAt(0)));
+for (const command of page.commands) {
+  const text = atob(command), bytes = new Uint8Array(text.length);  // a call for each would take ten times as long
+  for (let k = 0; k < bytes.length; k++) bytes[k] = text.charCodeAt(k);
+  viewer.handle_command_bytearray(bytes);
+}
 const boxes = [...document.querySelectorAll("[data-layer]")];
 const wanted = name => boxes.find(box => box.dataset.layer === name).checked;
 // meshcat's own panel: boxes and numbers without names, for things that the legend has switches for.
 viewer.gui.domElement.remove();
+const canvas = pane.querySelector("canvas");
+canvas.setAttribute("role", "img");
+canvas.setAttribute("aria-label", document.title + ": the arm, measured points and errors in space");
 const nodeAt = path => viewer.scene_tree.find(path.split("/"));
 
 // The nominal arm: the shapes of the calibrated one, seen through. It joins the second picture: the first comes sooner.
@@ -27,7 +33,8 @@ function addNominal() {
 
 // Points, and error vectors from them: many copies of one shape, each with its place and colour.
 const { measured, before, after } = page.clouds;
-const paint = new THREE.MeshBasicMaterial({ vertexColors: true }), up = new THREE.Vector3(0, 1, 0);
+const paint = new THREE.MeshBasicMaterial({ vertexColors: true });
+const thread = new THREE.LineBasicMaterial({ vertexColors: true }), up = new THREE.Vector3(0, 1, 0);
 const night = matchMedia("(prefers-color-scheme: dark)");
 
 // In one geometry: where there is no graphics card, instances are drawn one by one.
@@ -50,40 +57,115 @@ function copies(shape, matrices, tint) {
   return new THREE.Mesh(geometry, paint);
 }
 
-function vectors(name, cloud, scale, shape, tints) {
+// Of thousands of points each is one of the graphics card's own, and an error is a line. ``outline``: none is a square.
+function specks(points, tint, size, outline) {
+  const geometry = new THREE.BufferGeometry().setFromPoints(points), across = size / Math.tan(VIEW * Math.PI / 360);
+  geometry.setAttribute("color", new THREE.Float32BufferAttribute(points.flatMap((_, n) => tint(n).toArray()), 3));
+  const look = new THREE.PointsMaterial({ size: across, vertexColors: true });
+  if (outline) {
+    const picture = document.createElement("canvas"), pen = picture.getContext("2d");
+    picture.width = picture.height = 32;
+    pen.fillStyle = "#fff";
+    pen.fill(new Path2D(outline));
+    Object.assign(look, { map: new THREE.CanvasTexture(picture), alphaTest: 0.5 });
+  }
+  return new THREE.Points(geometry, look);
+}
+const VIEW = 35;  // degrees of the camera
+const ROUND = "M16 0a16 16 0 1 0 .01 0z", EDGED = "M16 0L32 16 16 32 0 16z";
+const many = measured.length > 2000;
+
+function vectors(name, cloud, shape, outline, tint) {
   const at = measured.map(p => new THREE.Vector3(...p));
-  const way = cloud.errors.map(e => new THREE.Vector3(...e).multiplyScalar(scale));
-  const tint = n => tints[cloud.kinds[n]], one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
-  const sticks = at.map((p, n) => {
-    const length = way[n].length(), turn = new THREE.Quaternion();
-    if (length > 0) turn.setFromUnitVectors(up, way[n].clone().divideScalar(length));
-    return new THREE.Matrix4().compose(p.clone().addScaledVector(way[n], 0.5), turn, new THREE.Vector3(1, length, 1));
-  });
-  const ends = at.map((p, n) => new THREE.Matrix4().compose(p.clone().add(way[n]), still, one));
-  const stick = new THREE.CylinderGeometry(0.28 * page.radius, 0.28 * page.radius, 1, 3, 1, true);
-  nodeAt(name).children["<object>"]?.object.children.forEach(part => part.geometry.dispose());
-  viewer.set_object([name], new THREE.Group().add(copies(stick, sticks, tint), copies(shape, ends, tint)));
+  const way = cloud.errors.map(e => new THREE.Vector3(...e).multiplyScalar(factor));
+  const ends = at.map((p, n) => p.clone().add(way[n])), group = new THREE.Group();
+  if (many) {
+    const lines = new THREE.BufferGeometry().setFromPoints(at.flatMap((p, n) => [p, ends[n]]));
+    const colours = at.flatMap((_, n) => { const rgb = tint(n).toArray(); return [...rgb, ...rgb]; });
+    lines.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
+    group.add(new THREE.LineSegments(lines, thread), specks(ends, tint, 1.3 * page.radius, outline));
+  } else {
+    const one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
+    const sticks = at.map((p, n) => {
+      const length = way[n].length(), turn = new THREE.Quaternion();
+      if (length > 0) turn.setFromUnitVectors(up, way[n].clone().divideScalar(length));
+      return new THREE.Matrix4().compose(p.clone().addScaledVector(way[n], 0.5), turn, new THREE.Vector3(1, length, 1));
+    });
+    const stick = new THREE.CylinderGeometry(0.28 * page.radius, 0.28 * page.radius, 1, 3, 1, true);
+    const places = ends.map(p => new THREE.Matrix4().compose(p, still, one));
+    group.add(copies(stick, sticks, tint), copies(shape, places, tint));
+  }
+  put(name, group);
 }
 
-// Drawn anew whenever the reader turns the errors up or the light down.
+// Where the calibrated tool is with 95 %, around some of the predictions and as much larger as the errors are.
+const haze = new THREE.MeshBasicMaterial({ color: 0x009e73, opacity: 0.22, transparent: true, depthWrite: false });
+function regions() {
+  const places = page.regions.map(([n, axes]) => {
+    const [a, b, c] = [0, 3, 6].map(k => new THREE.Vector3(...axes.slice(k, k + 3)).multiplyScalar(factor));
+    const centre = measured[n].map((x, k) => x + factor * after.errors[n][k]);
+    return new THREE.Matrix4().makeBasis(a, b, c).setPosition(...centre);
+  });
+  const shape = copies(new THREE.IcosahedronGeometry(1, 2), places, () => new THREE.Color());
+  shape.material = haze;
+  put("regions", shape);
+}
+
+function put(name, object) {
+  nodeAt(name).children["<object>"]?.object.traverse(part => part.geometry?.dispose());
+  viewer.set_object([name], object);
+}
+
+// What colours may mean. Those of kinds are Okabe and Ito's, which every kind of colour vision tells apart.
+const KINDS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#8a8f94"].map(c => new THREE.Color(c));
+const facing = error => {
+  const size = error.map(Math.abs), k = size.indexOf(Math.max(...size));
+  return 2 * k + (error[k] < 0);
+};
+const meanings = { direction: ["+x", "\u2212x", "+y", "\u2212y", "+z", "\u2212z"] };
+const kindOf = { direction: (cloud, n) => facing(cloud.errors[n]) };
+for (const [name, { names, kinds }] of Object.entries(page.groups)) {
+  meanings[name] = names.length > 7 ? [...names.slice(0, 6), "others"] : names;
+  kindOf[name] = (_, n) => Math.min(kinds[n], 6);
+}
+const colour = byId("colour"), key = byId("key");
+
+// Drawn anew whenever the reader turns the errors up or the light down, or asks for other colours.
 let factor = page.scales[0];
 function draw() {
   const clouds = page.clouds, paints = night.matches ? clouds.dark : clouds.light;
-  const tints = paints.scale.map(colour => new THREE.Color(colour)), dots = new THREE.Color(paints.measured);
-  document.querySelectorAll("[data-shade]").forEach(e => {
-    e.style.background = "#" + (e.dataset.shade === "dot" ? dots : tints.at(e.dataset.shade)).getHexString();
-  });
+  const tints = paints.scale.map(c => new THREE.Color(c)), dots = new THREE.Color(paints.measured);
   nodeAt("Grid").children["<object>"].object.material.color.set(paints.grid);
+  const by = colour ? colour.value : "error", kind = kindOf[by];
+  document.querySelectorAll("[data-shade]").forEach(e => {
+    e.style.background = "#" + (kind || e.dataset.shade === "dot" ? dots : tints.at(e.dataset.shade)).getHexString();
+  });
+  const tint = cloud => kind ? n => KINDS[kind(cloud, n)] : n => tints[cloud.kinds[n]];
+  if (colour) {
+    byId("magnitude").hidden = Boolean(kind);
+    key.replaceChildren(...(meanings[by] || []).map((text, k) => {
+      const item = document.createElement("span"), swatch = document.createElement("i");
+      swatch.style.background = "#" + KINDS[k].getHexString();
+      item.append(swatch, text);
+      return item;
+    }));
+  }
   if (!measured.length) return;
-  const places = measured.map(p => new THREE.Matrix4().makeTranslation(...p)), r = page.radius;
+  const ofDots = by in page.groups ? tint(after) : () => dots, r = page.radius;
+  const places = measured.map(p => new THREE.Vector3(...p));
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
   const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
-  viewer.set_object(["measured"], copies(dot, places, () => dots));
-  vectors("before", before, factor, ball, tints);
-  vectors("after", after, factor, diamond, tints);
+  put("measured", many ? specks(places, ofDots, 1.3 * r, ROUND)
+    : copies(dot, places.map(p => new THREE.Matrix4().makeTranslation(p.x, p.y, p.z)), ofDots));
+  if (page.judged) {
+    vectors("before", before, ball, null, tint(before));
+    vectors("after", after, diamond, EDGED, tint(after));
+  }
+  if (page.regions.length) regions();
   for (const name of ["before", "after"]) if (byId("drawn-" + name)) byId("drawn-" + name).textContent = "\u00d7" + factor;
 }
+if (colour) colour.addEventListener("change", () => { draw(); choose(); });
 draw();
 night.addEventListener("change", () => { draw(); choose(); });
 
@@ -202,10 +284,23 @@ choose();
 
 // three.js has y up, the scene z.
 const outline = page.outline.map(([x, y, z]) => new THREE.Vector3(x, z, -y));
-const camera = viewer.camera, whence = { all: [0.72, 0.42, 0.9], front: [1, 0, 0], side: [0, 0, 1], top: [0, 1, 1e-4] };
-let back = new THREE.Vector3(...whence.all).normalize(), touched = false;
+const camera = viewer.camera, whence = {
+  all: () => new THREE.Vector3(0.72, 0.42, 0.9),
+  front: () => new THREE.Vector3(1, 0, 0),
+  side: () => new THREE.Vector3(0, 0, 1),
+  top: () => new THREE.Vector3(0, 1, 1e-4),
+  "along the tool": () => axis("frames/tip", 2).multiplyScalar(-1).add(new THREE.Vector3(1e-4, 0, 1e-4)),
+  "from the instrument": () => axis("frames/instrument", 3).sub(middle()),
+};
+const axis = (path, column) => {
+  const { object } = nodeAt(path);
+  object.updateWorldMatrix(true, false);
+  return new THREE.Vector3().setFromMatrixColumn(object.matrixWorld, column);
+};
+const middle = () => new THREE.Box3().setFromPoints(outline).getCenter(new THREE.Vector3());
+let back = whence.all().normalize(), touched = false;
 for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => {
-  back = new THREE.Vector3(...whence[button.dataset.view]).normalize();
+  back = whence[button.dataset.view]().normalize();
   touched = false;
   fit();
 });
@@ -217,7 +312,7 @@ function fit() {
   const wide = cover.width < 0.5 * w;
   const free = wide ? [cover.right, 0, w, h] : [0, 24, w, cover.top];
   const [fw, fh] = [free[2] - free[0], free[3] - free[1]];
-  camera.fov = 35;
+  camera.fov = VIEW;
   const t = Math.tan(camera.fov * Math.PI / 360), tx = t * fw / h, ty = t * fh / h;
   const right = up.clone().cross(back).normalize(), above = back.clone().cross(right);
   const target = new THREE.Vector3();
@@ -244,7 +339,7 @@ function fit() {
 
 // Names of the frames beside their origins, the first place where they cover no other; a hidden frame hides its name.
 const labels = page.labels.map(([path, text]) => {
-  const element = document.body.appendChild(document.createElement("div"));
+  const element = byId("stage").appendChild(document.createElement("div"));
   element.className = "label";
   element.textContent = text;
   return { element, object: nodeAt(path).object, w: element.offsetWidth, h: element.offsetHeight };
@@ -286,9 +381,10 @@ const told = byId("told");
 let pressed = [0, 0];
 function pointed(event) {
   let best = -1, least = 14;
-  const p = new THREE.Vector3(), T = viewer.scene.matrixWorld;
-  measured.forEach((point, n) => {
-    p.set(...point).applyMatrix4(T).project(camera);
+  const p = new THREE.Vector3(), T = camera.projectionMatrix.clone();
+  T.multiply(camera.matrixWorldInverse).multiply(viewer.scene.matrixWorld);
+  measured.forEach(([px, py, pz], n) => {
+    p.set(px, py, pz).applyMatrix4(T);
     const x = (p.x + 1) / 2 * pane.offsetWidth, y = (1 - p.y) / 2 * window.innerHeight;
     const d = Math.hypot(x - event.clientX, y - event.clientY);
     if (p.z < 1 && d < least) [best, least] = [n, d];

@@ -65,7 +65,7 @@ class Rows:
     @cached_property
     def held(self) -> Array:
         """What all coordinates hold against gravity (N, c)."""
-        return self.weights(self.readings)
+        return self.weights(self.readings, self.conditions)
 
 
 # At rows: the bases (N, shares) of a kind, in rad or m per unit of each coefficient. At readings (N, nr): their slopes.

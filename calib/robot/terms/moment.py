@@ -22,7 +22,7 @@ class OfMasses(Kind):
 
         def found(rows: Rows) -> Array:
             units = np.array([rows.weights.units[term.body] for term in shares.terms], dtype=np.intp)
-            return -rows.weights.of_units(rows.readings)[units, :, shares.coordinate].T
+            return -rows.weights.of_units(rows.readings, rows.conditions)[units, :, shares.coordinate].T
 
         return found
 
@@ -71,5 +71,6 @@ class Moment(OfMasses):
         return tuple(term for term in parts.moments() if term.reading == name)
 
     def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether masses are not stated: where they are, compliances say it with fewer coefficients."""
-        return not parts.weighed()
+        """Return whether masses are not stated, and stay the same: else compliances say it with fewer coefficients."""
+        same = told.payload is None or np.array_equal(told.payload[1:], told.payload[:-1], equal_nan=True)
+        return same and not parts.weighed()

@@ -1,0 +1,108 @@
+"""Hand-eye: where each camera is, how far its pixels are off where the marks are, and the lens that was found."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.assessment.judged import JudgedSet
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.identification.fit import Fit
+from calib.identification.observations.pixels import marks_seen
+from calib.measurement.instruments import Camera
+from calib.measurement.lens import Lens
+from calib.measurement.measurements import Measurements
+from calib.measurement.optics import lens_at, lens_scalars
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandEye:
+    """Where a camera is: its pose (4, 4) in the link ``parent``, and how it sees.
+
+    ``on_tip``: whether the arm carries it. ``lens``: with ``sigmas`` (12,) of its numbers, zero of those that were
+    given. ``distance``: of the marks, their median, in m. ``pixels``: two-dimensional rms of the residuals held out, or
+    of those identified from, in px; ``across``: the same where the marks are, across the line of sight, in m.
+    """
+
+    camera: str
+    parent: str
+    pose: Array
+    on_tip: bool
+    lens: Lens
+    sigmas: Array
+    size: tuple[int, int] | None
+    distance: float
+    pixels: float
+    across: float
+
+
+def hand_eyes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[HandEye, ...]:
+    """Return where the cameras are that the arm carries, or that stand beside it, judged by what is held out.
+
+    Cameras on other links of the robot are targets, and told there.
+    """
+    held_out = [one for one in sets if one.use == "validation"]
+    by_camera: dict[tuple[str, str], list[JudgedSet]] = {}
+    for one in held_out or sets:
+        data = one.data
+        if data.camera is not None and not data.target_links:
+            by_camera.setdefault((data.camera.name, _name(data)), []).append(one)
+    return tuple(_hand_eye(fit, own) for own in by_camera.values())
+
+
+def _name(data: Measurements) -> str:
+    """Return the name of the first camera of a set: of a tool where the arm carries it, else of a target."""
+    assert data.camera is not None, "asked of what cameras saw"
+    on_tip = data.camera.camera_on == "tip"
+    return str(data.tools[data.tool[0]] if on_tip else data.targets[data.target[0]])
+
+
+def _hand_eye(fit: Fit, own: Sequence[JudgedSet]) -> HandEye:
+    data = own[0].data
+    camera = data.camera
+    assert camera is not None, "asked of what cameras saw"
+    on_tip, names = camera.camera_on == "tip", fit.measurements[0]
+    frames = fit.machine.frames
+    if on_tip:
+        pose = frames.tools[names.tools.index(_name(data))] if _name(data) in names.tools else np.eye(4)
+    else:
+        at = names.targets.index(_name(data)) if _name(data) in names.targets else None
+        pose = np.eye(4) if at is None else rigid.inverse(frames.base) @ frames.targets[at]
+    lens, sigmas = lens_of(fit, camera)
+    r2 = np.concatenate([np.sum(one.after**2, axis=1) for one in own])
+    depth = np.concatenate([_depths(fit, one.data) for one in own])
+    return HandEye(
+        camera.name,
+        (data.tip or fit.robot.tip) if on_tip else fit.robot.base,
+        read_only(pose),
+        on_tip,
+        lens,
+        read_only(sigmas),
+        camera.size,
+        float(np.median(depth)),
+        float(np.sqrt(np.mean(r2))),
+        float(np.sqrt(np.mean(r2 * (depth / lens.fx) ** 2))),
+    )
+
+
+def lens_of(fit: Fit, camera: Camera) -> tuple[Lens, Array]:
+    """Return the lens of a camera as a fit has it, and the sigmas (12,) of its numbers: zero where given."""
+    scalars = {one.name: k for k, one in enumerate(fit.measurements[0].scalars)}
+    names, sigma_of = lens_scalars(camera), dict(zip([p.name for p in fit.parameters], fit.sigmas, strict=True))
+    values = {
+        role: float(fit.machine.frames.scalars[scalars[one.name]]) for role, one in names.items() if one.name in scalars
+    }
+    sigmas = np.array([sigma_of.get(names[name].name, 0.0) if name in names else 0.0 for name in Lens._fields])
+    return lens_at(camera, values), sigmas
+
+
+def _depths(fit: Fit, data: Measurements) -> Array:
+    """Return how far marks (N,) are before the camera, in m."""
+    camera = data.camera
+    assert camera is not None, "asked of what cameras saw"
+    tools = fit.bases_of(data) @ data.tips(fit.model.robot, fit.machine.deviations) @ fit.tools_of(data)
+    known = {name: fit.machine.frames.targets[k] for k, name in enumerate(fit.measurements[0].targets)}
+    targets = np.stack([known.get(name, np.eye(4)) for name in data.targets])[data.target]
+    cameras, boards = (tools, targets) if camera.camera_on == "tip" else (targets, tools)
+    return np.abs(marks_seen(cameras, boards, data.value[:, 2:])[1][:, 2])

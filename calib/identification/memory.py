@@ -1,0 +1,223 @@
+"""Noise that remembers: rows of a stream err together, and say less than as many rows that err alone.
+
+The whitened residuals of one number, in the order of time, are taken as a sum of noises that forget, each in its own
+time, and one that does not remember:
+
+    E[r(t) r(s)] = w_0 [t = s] + sum_k w_k exp(-|t - s| / tau_k),   w >= 0
+
+Such noise has a state: a sum over all earlier rows follows from that over those before the last one, so that nothing of
+N x N numbers is needed (P. Hartikainen, S. Sarkka, Kalman filtering and smoothing solutions to temporal Gaussian
+process regression models, 2010). Weights are those that fit the autocovariances of the residuals best (C. L. Lawson,
+R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23); over how many times tau the weights are spread, the
+data say. The parameters have followed a part of the noise, the slowest most of all: simulated noise, from which they
+take as much, says by how much the weights are too small.
+
+The estimate stays that of least squares; its covariance is the sandwich ``C (J^T S J + priors) C`` in the place of C.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.brief import brief
+from calib.identification.arrow import Covariance
+from calib.identification.parameters import scales
+from calib.identification.system import Component, Problem, Rates
+from calib.measurement.measurements import Measurements
+
+# Times that noise may remember, in rows' distances and s; sums of neighbours stand for what is between them.
+_SHORTEST, _LONGEST, _TIMES = 0.5, 10.0, 14
+# Lags whose autocovariances are fitted; rows beyond the longest are not looked at.
+_LAGS = 60
+# Of more rows, runs of neighbours that are as many together; each is so long.
+_MOST_ROWS, _RUN = 12000, 3000
+# Fewer rows tell no memory.
+_FEWEST = 60
+# Draws that tell what parameters take, and rounds.
+_DRAWS, _ROUNDS = 8, 3
+# Less than this share of all noise is none.
+_NONE = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory:
+    """How one quantity of one set errs in time: shares ``weights`` (k,) of the variance that last ``times`` (k,) in s.
+
+    ``alone``: the share of what does not remember. ``step``: between rows, in s. ``rows``: how many there are.
+    """
+
+    __repr__ = brief
+
+    measurements: int
+    quantity: str
+    alone: float
+    weights: Array
+    times: Array
+    step: float
+    rows: int
+
+    @property
+    def rows_as_one(self) -> float:
+        """How many rows count as one in a mean over many: the integrated autocorrelation."""
+        rates = np.exp(-self.step / self.times)
+        whole = self.alone + float(np.sum(self.weights))
+        return (self.alone + float(np.sum(self.weights * (1.0 + rates) / (1.0 - rates)))) / whole
+
+
+def with_memory(
+    problem: Problem, x: Array, sigmas: Sequence[Array], residuals: Sequence[Array], covariance: Covariance
+) -> tuple[Covariance, tuple[Memory, ...]]:
+    """Return the covariance at x (p,) when rows with times err together, and how they do.
+
+    ``sigmas`` and ``residuals`` (N, d) of every set; ``covariance``: as if rows erred alone. Looked at are common
+    parameters, with targets that follow them.
+    """
+    units = scales(problem.parameters)
+    scaled = covariance.scaled(1.0 / units)
+    C = scaled.common
+    more, found = np.zeros_like(C), []
+    for c, component in enumerate(problem.components):
+        data = problem.measurements[component.measurements]
+        if not _in_time(data):
+            continue
+        rows = _chosen(len(data))
+        part = data.subset(rows)
+        assert part.times is not None, "rows in time have times"
+        J = (
+            _jacobian(problem, x, part, component, scaled)
+            / sigmas[component.measurements][rows][:, component.columns, None]
+        )
+        r = (residuals[component.measurements] / sigmas[component.measurements])[rows][:, component.columns]
+        memory = _memory(c, component, part.times, J, r, C, len(data))
+        if memory is not None:
+            found.append(memory)
+            share = len(data) / len(rows)
+            more += share * (_gram(memory, part.times, J) - np.einsum("ndi,ndj->ij", J, J))
+    if not found:
+        return covariance, ()
+    C = C + C @ more @ C
+    return replace(scaled, common=0.5 * (C + C.T)).scaled(units), tuple(found)
+
+
+def _in_time(data: Measurements) -> bool:
+    """Return whether rows are in the order of time, and near to each other in it."""
+    if data.times is None or len(data) < _FEWEST:
+        return False
+    steps = np.diff(data.times)
+    return bool(np.all(steps >= 0.0) and 0.0 < float(np.median(steps)) <= _LONGEST / 4.0)
+
+
+def _chosen(n: int) -> IntArray:
+    """Return the rows to look at: all, or runs of neighbours, spread evenly."""
+    if n <= _MOST_ROWS:
+        return np.arange(n)
+    starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
+    return np.unique(starts[:, None] + np.arange(_RUN))
+
+
+def _jacobian(problem: Problem, x: Array, part: Measurements, component: Component, known: Covariance) -> Array:
+    rates, found = Rates(problem, problem.machine(x), scales(problem.parameters), known.split), []
+    for block in rates.blocks(part):
+        J = block.J
+        if block.own is not None and block.block is not None:
+            J = J + block.own @ known.follow[block.block]
+        found.append(J[:, component.columns])
+    return np.concatenate(found)
+
+
+def _memory(c: int, component: Component, times: Array, J: Array, r: Array, C: Array, rows: int) -> Memory | None:
+    """Return how residuals (n, d) remember, None where they do not; J (n, d, p) and C (p, p) are those of the fit."""
+    step = float(np.median(np.diff(times)))
+    taus = np.geomspace(_SHORTEST * step, min(_LONGEST, 0.1 * (times[-1] - times[0])), _TIMES)
+    lags = _Lags.of(times, step, float(taus[-1]))
+    seen = lags.covariances(r)
+    shares = lags.fitted(seen, taus)
+    if float(np.sum(shares[1:])) < _NONE * float(np.sum(shares)):
+        return None
+    rng, flat = np.random.default_rng(c), J.reshape(-1, len(C))
+    for _ in range(_ROUNDS):
+        drawn = []
+        for _ in range(_DRAWS):
+            e = _drawn(rng, shares, taus, times, r.shape[1])
+            drawn.append(lags.covariances(e - (flat @ (C @ (flat.T @ e.ravel()))).reshape(e.shape)))
+        # What fits of simulated noise leave of its autocovariances, is missing of those that were seen.
+        lost = lags.model(taus) @ shares - np.mean(drawn, axis=0)
+        shares = lags.fitted(seen + lost, taus)
+    kept = np.flatnonzero(shares[1:] > 0.0)
+    return Memory(
+        component.measurements, component.quantity, float(shares[0]), shares[1:][kept], taus[kept], step, rows
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lags:
+    """Distances ``rows`` (l,) between rows, 0 first, their ``times`` (l,) in s, and first rows of such ``pairs``."""
+
+    rows: IntArray
+    times: Array
+    pairs: tuple[IntArray, ...]
+
+    @classmethod
+    def of(cls, times: Array, step: float, longest: float) -> "_Lags":
+        most = min(int(2.0 * longest / step), len(times) // 2)
+        rows = np.unique(np.concatenate([[0], np.geomspace(1, max(most, 2), _LAGS)]).astype(np.intp))
+        pairs: list[IntArray] = []
+        for lag in rows:
+            apart = times[lag:] - times[: len(times) - lag]
+            pairs.append(np.flatnonzero(apart <= (lag + 0.5) * step * 1.1))
+        return cls(rows, np.asarray(rows * step, dtype=np.float64), tuple(pairs))
+
+    def covariances(self, r: Array) -> Array:
+        """Return the autocovariances (l,) of rows (n, d)."""
+        return np.array(
+            [
+                float(np.mean(r[own + lag] * r[own])) if len(own) else 0.0
+                for lag, own in zip(self.rows, self.pairs, strict=True)
+            ]
+        )
+
+    def model(self, taus: Array) -> Array:
+        """Return the autocovariances (l, k + 1) of one unit of every noise, that without memory first."""
+        return np.column_stack([self.rows == 0, np.exp(-self.times[:, None] / taus)])
+
+    def fitted(self, seen: Array, taus: Array) -> Array:
+        """Return the shares (k + 1,) that fit autocovariances (l,) best; near lags are surest."""
+        surest = 1.0 / np.sqrt(1.0 + self.times / self.times[1])
+        return np.asarray(nnls(self.model(taus) * surest[:, None], seen * surest)[0])
+
+
+def _steps(times: Array, tau: float) -> Array:
+    """Return what is left (n,) of the noise of the row before."""
+    return np.asarray(np.exp(-np.diff(times, prepend=-np.inf) / tau))
+
+
+def _drawn(rng: np.random.Generator, shares: Array, taus: Array, times: Array, width: int) -> Array:
+    """Return simulated noise (n, width)."""
+    found: Array = np.sqrt(shares[0]) * rng.normal(size=(len(times), width))
+    for share, tau in zip(shares[1:], taus, strict=True):
+        if share > 0.0:
+            keep = _steps(times, tau)
+            found += np.sqrt(share) * _recursive(keep, np.sqrt(1.0 - keep**2)[:, None] * rng.normal(size=found.shape))
+    return found
+
+
+def _recursive(keep: Array, x: Array) -> Array:
+    """Return ``y_n = keep_n y_(n-1) + x_n`` (n, ...)."""
+    y: Array = np.array(x, dtype=np.float64)
+    for n in range(1, len(y)):
+        y[n] += keep[n] * y[n - 1]
+    return y
+
+
+def _gram(memory: Memory, times: Array, J: Array) -> Array:
+    """Return ``J^T S J`` (p, p) of rows (n, d, p), numbers of a row being independent."""
+    own = np.einsum("ndi,ndj->ij", J, J)
+    found = (memory.alone + float(np.sum(memory.weights))) * own
+    for weight, tau in zip(memory.weights, memory.times, strict=True):
+        before = _recursive(_steps(times, tau), J) - J
+        both = np.einsum("ndi,ndj->ij", J, before)
+        found += weight * (both + both.T)
+    return np.asarray(found)

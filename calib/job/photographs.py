@@ -1,0 +1,296 @@
+"""From a folder of photographs and the readings of the arm at each to a table of pixels, and a job that reads it."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.compensation.commands import for_poses
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, read_only
+from calib.foundations.csv_text import csv_text
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.units import MM
+from calib.foundations.words import shown
+from calib.machine.calibrated import CalibratedMachine
+from calib.measurement.columns import POSITION, orientations, stacked
+from calib.measurement.formats.images import (
+    ENDINGS,
+    LEAST_CORNERS,
+    MOST_BLUR,
+    Detection,
+    detector,
+    read_image,
+    thumbnail,
+)
+from calib.measurement.formats.sheet import Sheet, read_sheet
+from calib.measurement.layout import name_and_unit
+from calib.measurement.prints import Print
+from calib.measurement.table import Columns, read_table
+from calib.robot.robot import Robot
+
+IMAGE = "image"
+LEAST_PHOTOGRAPHS = 3
+# What is written of a pixel and of its sigma: a ten-thousandth.
+_DIGITS = 4
+_FLANGE = ("flange_x", "flange_y", "flange_z", "flange_rz", "flange_ry", "flange_rx")
+_MARKS = ("u [px]", "v [px]", "board_x [mm]", "board_y [mm]", "board_z [mm]", "sigma [px]")
+
+
+class Photograph(NamedTuple):
+    """One photograph as it was read: its name and size, what was found, why it is left out ("": it is not), a copy."""
+
+    name: str
+    size: tuple[int, int]
+    found: Detection
+    left_out: str
+    small: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """Photographs of one size (w, h) with readings: ``titles`` and ``readings`` by name. ``remarks``: how these came.
+
+    ``urdf``: of the six axes that stand for the flange's pose, where no robot is known.
+    """
+
+    photographs: tuple[Photograph, ...]
+    size: tuple[int, int]
+    titles: tuple[str, ...]
+    readings: Mapping[str, tuple[str, ...]]
+    print_: Print
+    remarks: tuple[str, ...]
+    urdf: str = ""
+
+    @property
+    def used(self) -> tuple[Photograph, ...]:
+        """Those that are not left out."""
+        return tuple(one for one in self.photographs if not one.left_out)
+
+    def contents(self) -> dict[str, object]:
+        """Return what was found, as plain data."""
+        sigma = np.concatenate([one.found.sigma for one in self.used])
+        return {
+            "used": len(self.used),
+            "corners": len(sigma),
+            "sigma": float(np.sqrt(np.mean(sigma**2))),
+            "size": list(self.size),
+            "left_out": [{"image": one.name, "why": one.left_out} for one in self.photographs if one.left_out],
+            "remarks": list(self.remarks),
+        }
+
+    def table(self) -> str:
+        """Return the table of pixels: a row for every corner, with the readings of its photograph."""
+        marks = self.print_.marks / MM
+        rows: list[Sequence[object]] = [(*self.titles, "group", *_MARKS)]
+        for one in self.used:
+            before = (*self.readings[one.name], one.name)
+            for mark, (u, v), sigma in zip(one.found.marks, one.found.pixels, one.found.sigma, strict=True):
+                x, y, z = marks[mark]
+                numbers = (f"{u:.{_DIGITS}f}", f"{v:.{_DIGITS}f}", f"{x:g}", f"{y:g}", f"{z:g}")
+                rows.append((*before, *numbers, f"{max(sigma, 1e-3):.{_DIGITS}f}"))
+        return csv_text(rows)
+
+    def job(self, urdf: str, tip: str | None, table: str, board: str, *, camera_on: str) -> str:
+        """Return a job of a table of pixels: all that may deviate free, the lens too, a quarter held out."""
+        alone = bool(self.urdf)
+        free = ["# The robot is taken as given: hand-eye and lens alone."] if alone else []
+        free += [f'{key} = "{"none" if alone else "all"}"' for key in ("offsets", "placements")]
+        prior = [] if alone else ['prior = { length = "1 mm", angle = "1 mrad" }  # how well arms are made']
+        lines = [
+            "schema = 1",
+            "",
+            "[robot]",
+            f"urdf = {json.dumps(urdf)}",
+            *([] if tip is None else [f"tip = {json.dumps(tip)}"]),
+            "",
+            "[error_model]",
+            *free,
+            'base = "fixed"  # cameras see how board and arm are to each other: the base is the world',
+            'tool = "pose"',
+            *prior,
+            "",
+            "[instruments.camera]",
+            'kind = "camera"',
+            f'camera_on = "{camera_on}"',
+            'lens = "free"',
+            f"size = [{self.size[0]}, {self.size[1]}]",
+            "",
+            "[[measurements]]",
+            f"file = {json.dumps(table)}",
+            'observes = "pixels"',
+            'instrument = "camera"',
+            f"board = {json.dumps(board)}",
+            "hold_out = 0.25",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def import_photographs(
+    folder: Path,
+    print_: Print,
+    readings: Path,
+    *,
+    robot: Robot | None = None,
+    orientation: str | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Imported:
+    """Find a board in the photographs of a folder, and join them with the arm's readings at each.
+
+    ``readings``: a table with the column ``image``, and columns of the joints; or ``x``, ``y``, ``z`` and the
+    quaternion, or three angles of an ``orientation``, of the flange as its controller states it. Then the readings are
+    those with which the nominal ``robot`` is there; without a robot they are six axes that put the flange there.
+
+    Raises CalibError where less than three photographs remain, or readings cannot be had.
+    """
+    files = _files(folder)
+    titles, by_image, remarks, urdf = _readings(readings, robot, orientation)
+    detect = detector(print_)
+    seen: list[Photograph] = []
+    for file in files:
+        progress(f"looking at {file.name}")
+        seen.append(_look(file, detect))
+    sizes = [one.size for one in seen if not one.left_out]
+    size = max(dict.fromkeys(sizes), key=sizes.count, default=(0, 0))
+    named = {one.name: _named(one.name, by_image) for one in seen}
+    photographs = tuple(one._replace(left_out=_unfit(one, size, named[one.name])) for one in seen)
+    taken = {name: by_image[row] for name, row in named.items() if row is not None}
+    lost = [image for image in by_image if image not in named.values()]
+    if lost:
+        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        remarks += (f"{readings}: there is no photograph {shown(lost[0])}{more} in {folder}",)
+    imported = Imported(photographs, size, titles, taken, print_, remarks, urdf)
+    if len(imported.used) < LEAST_PHOTOGRAPHS:
+        first = next((f"; {one.name}: {one.left_out}" for one in photographs if one.left_out), "")
+        raise MeasurementError(
+            f"{folder}: {len(imported.used)} of {len(photographs)} photographs can be used, and {LEAST_PHOTOGRAPHS} "
+            f"are the fewest that tell anything{first}."
+        )
+    return imported
+
+
+_NOTHING = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        found = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+    except OSError as e:
+        raise MeasurementError(f"{folder}: cannot be read ({e.strerror}).") from e
+    if not found:
+        raise MeasurementError(f"{folder}: holds no photographs; they end with {', '.join(ENDINGS)}.")
+    return found
+
+
+def _look(file: Path, detect: Callable[[Array], Detection]) -> Photograph:
+    try:
+        grey = read_image(file)
+    except MeasurementError as e:
+        return Photograph(file.name, (0, 0), _NOTHING, str(e).removeprefix(f"{file}: ").rstrip("."), b"")
+    found = detect(grey)
+    return Photograph(file.name, (grey.shape[1], grey.shape[0]), found, _why(found), thumbnail(grey))
+
+
+def _unfit(one: Photograph, size: tuple[int, int], row: str | None) -> str:
+    """Return why a photograph is left out among others: nothing where it is of their size, and has readings."""
+    if not one.left_out and one.size != size:
+        return f"has {one.size[0]} x {one.size[1]} pixels, and most have {size[0]} x {size[1]}"
+    return one.left_out or ("" if row is not None else "has no row in the readings")
+
+
+def _why(found: Detection) -> str:
+    """Return why a photograph is of no use, nothing where it is."""
+    if not len(found.marks):
+        return "no board is found"
+    if len(found.marks) < LEAST_CORNERS:
+        return f"only {len(found.marks)} corners are found, and {LEAST_CORNERS} are the fewest"
+    blur = float(np.median(found.blur))
+    return f"is blurred over {blur:.1f} px, and {MOST_BLUR:g} are allowed" if blur > MOST_BLUR else ""
+
+
+def _named(name: str, by_image: Mapping[str, object]) -> str | None:
+    """Return the image of the readings that a file is, by its name with or without its ending."""
+    return next((image for image in (name, Path(name).stem) if image in by_image), None)
+
+
+def _readings(
+    path: Path, robot: Robot | None, orientation: str | None
+) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]], tuple[str, ...], str]:
+    """Return titles and cells of the readings by image, how they came, and the URDF that they are of, where made."""
+    sheet = read_sheet(path)
+    names = [name_and_unit(title)[0].strip().split("[")[0].strip() for title in sheet.titles]
+    if IMAGE not in names:
+        raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
+    images = _images(sheet, names.index(IMAGE))
+    if set(POSITION) <= set(names) and ({"qw", "rx"} & set(names)):
+        return _of_flange(path, images, robot, orientation)
+    own = [k for k, name in enumerate(names) if name != IMAGE]
+    rows = {image: tuple(row[k] for k in own) for image, row in zip(images, sheet.rows, strict=True)}
+    return tuple(sheet.titles[k] for k in own), rows, (f"{path} has readings of the joints",), ""
+
+
+def _images(sheet: Sheet, column: int) -> list[str]:
+    images = [Path(row[column].strip().replace("\\", "/")).name for row in sheet.rows]
+    if twice := next((image for image in images if images.count(image) > 1), None):
+        raise MeasurementError(f"{sheet.where}: the image {shown(twice)} has two rows; it was taken once.")
+    return images
+
+
+def _of_flange(
+    path: Path, images: Sequence[str], robot: Robot | None, orientation: str | None
+) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]], tuple[str, ...], str]:
+    table = read_table(path, Columns({"group": IMAGE}, orientation=orientation))
+    poses = rigid.placement(orientations(table), stacked(table, dict.fromkeys(POSITION, "length")))
+    if robot is None:
+        angles = rigid.rpy_of(poses[:, :3, :3])
+        values = np.column_stack([poses[:, :3, 3], angles[:, ::-1]])
+        names: tuple[str, ...] = _FLANGE
+        said = f"{path} has poses of the flange, and no robot is given: hand-eye alone, the robot as it is"
+        units, urdf = ["m"] * 3 + ["rad"] * 3, flange_urdf()
+    else:
+        values, names = _inverse(path, robot, poses, images), tuple(reading.name for reading in robot.readings)
+        units = ["m" if reading.dimension == "length" else "rad" for reading in robot.readings]
+        said = f"{path} has poses of the flange: readings are those with which the robot of the URDF is there"
+        urdf = ""
+    titles = tuple(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+    rows = {image: tuple(f"{value:.9f}" for value in row) for image, row in zip(images, values, strict=True)}
+    return titles, rows, (said,), urdf
+
+
+def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> Array:
+    """Return readings (N, nr) with which a nominal robot has its tip at poses, each near to the one before."""
+    nominal = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {"tool": read_only(np.eye(4))})
+    found = for_poses(nominal, poses)
+    if not found.reached.all():
+        k = int(np.argmin(found.reached))
+        raise JobError(
+            f"{path}: the robot does not reach the pose of {shown(images[k])} ({found.reasons[k]}); are the flange and "
+            "the base of the controller the tip and the base of the URDF?"
+        )
+    readings = np.array(found.readings)
+    # One configuration for all, as far as there is one: an arm seldom changes it between photographs.
+    for k in range(1, len(readings)):
+        near = for_poses(nominal, poses[k : k + 1], readings[k - 1 : k])
+        if near.reached[0]:
+            readings[k] = near.readings[0]
+    return readings
+
+
+def flange_urdf() -> str:
+    """Return a URDF of six axes that put a flange anywhere: its readings are the flange's pose itself."""
+    axes = ("1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0")
+    return "\n".join(["<robot name='flange'>", "  <link name='base'/>", *_joints(axes), "</robot>", ""])
+
+
+def _joints(axes: Sequence[str]) -> Iterator[str]:
+    parent = "base"
+    for k, (name, axis) in enumerate(zip(_FLANGE, axes, strict=True)):
+        child = "flange" if k == len(axes) - 1 else f"link_{k + 1}"
+        kind, limit = ("prismatic", 100.0) if k < 3 else ("revolute", 7.0)
+        yield f"  <link name='{child}'/>"
+        yield f"  <joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>"
+        yield f"    <axis xyz='{axis}'/><limit lower='-{limit:g}' upper='{limit:g}' effort='1' velocity='1'/></joint>"
+        parent = child

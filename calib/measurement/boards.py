@@ -1,0 +1,125 @@
+"""Boards that cameras see: where their marks should be, and what of the print may be otherwise.
+
+A mark is at ``p = s (m + sum_k c_k d_k)``, with m its place as it was to be printed, s = 1 + ``scale`` and d_k the
+*modes* of the board's shape. They hold no motion of the whole board and no change of its size, which its pose and scale
+are for. The first five are those of a sheet that bends and of a printer that is not quite square: x^2, y^2 and xy out
+of its plane, aspect and shear in it. With all of them, each mark is where it likes.
+
+Pixels alone do not tell the scale, nor does a robot whose lengths are to be found: it has a prior.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from calib.foundations.arguments import refuse_fields
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
+from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
+
+BoardShape = Literal["flat", "quadratic", "free"]
+# Printers and paper are right to so much: half a percent.
+SQUARE_SIGMA = 0.005
+ONLY_BOARD = "board"
+_QUADRATIC = ("bend_x", "bend_y", "twist", "aspect", "shear")
+# Marks are told by their places; what is nearer than this, in m, is one place.
+_ONE_PLACE = 1e-6
+_FLAT = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Board:
+    """A board, or several of one print, and what of it is unknown.
+
+    ``marks`` (m, 3): where its marks should be, in m; needed where its ``shape`` is not flat. ``scale_sigma``: standard
+    deviation of its scale, a share; 0 where its size is known. ``name``: tables of one name are of one board.
+    ``modes`` (m, 3, k): of its shape, each moving marks by 1 m rms.
+
+    Raises JobError when a number cannot be used, or the marks cannot have that shape.
+    """
+
+    __repr__ = brief
+
+    name: str = ONLY_BOARD
+    marks: Array = field(default_factory=lambda: read_only(np.zeros((0, 3))))
+    scale_sigma: float = SQUARE_SIGMA
+    shape: BoardShape = "flat"
+    modes: Array = field(init=False, default_factory=lambda: read_only(np.zeros((0, 3, 0))))
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")
+        if self.shape not in get_args(BoardShape):
+            raise JobError(f"board: shape is {self.shape!r}; allowed are {', '.join(get_args(BoardShape))}.")
+        if self.shape != "flat" and len(self.marks) < 6:
+            raise JobError(f"board: a {self.shape} shape needs the places of six marks or more; write a board.toml.")
+        if self.shape == "quadratic" and np.ptp(self.marks[:, 2]) > _FLAT:
+            raise JobError("board: its marks are not in a plane, so that its shape cannot be quadratic.")
+        object.__setattr__(self, "modes", shape_modes(self.marks, self.shape))
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """What the modes (k,) are called."""
+        count = self.modes.shape[2]
+        return (*_QUADRATIC[:count], *(f"shape_{k + 1}" for k in range(len(_QUADRATIC), count)))
+
+    def same_as(self, other: "Board | None") -> bool:
+        """Return whether another board is this one."""
+        return other is not None and (
+            (self.name, self.scale_sigma, self.shape) == (other.name, other.scale_sigma, other.shape)
+            and np.array_equal(self.marks, other.marks)
+        )
+
+    def numbers(self, places: Array) -> IntArray:
+        """Return which of the marks (n,) are at places (n, 3); -1 for none."""
+        apart = np.linalg.norm(places[:, None] - self.marks[None], axis=2)
+        nearest = np.argmin(apart, axis=1)
+        return np.where(apart[np.arange(len(places)), nearest] < _ONE_PLACE, nearest, -1).astype(np.intp)
+
+
+def shape_modes(marks: Array, shape: BoardShape) -> Array:
+    """Return the modes (m, 3, k) of a shape: without motions and growth of all marks, each of size 1 m rms."""
+    n = len(marks)
+    if shape == "flat":
+        return np.zeros((n, 3, 0))
+    x = marks - marks.mean(axis=0)
+    x = x / np.sqrt((x * x).sum(axis=1).mean())
+    zero = np.zeros(n)
+    whole = np.zeros((n, 3, 7))
+    whole[:, :, :3] = np.eye(3)
+    for k in range(3):
+        whole[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
+    whole[:, :, 6] = x
+    u, v = x[:, 0], x[:, 1]
+    bent = np.stack(
+        [
+            np.stack([zero, zero, u * u], axis=1),
+            np.stack([zero, zero, v * v], axis=1),
+            np.stack([zero, zero, u * v], axis=1),
+            np.stack([u, -v, zero], axis=1),
+            np.stack([v, u, zero], axis=1),
+        ],
+        axis=2,
+    )
+    whole_basis = np.linalg.qr(whole.reshape(3 * n, 7))[0]
+    own = bent.reshape(3 * n, 5)
+    own = own - whole_basis @ (whole_basis.T @ own)
+    own = own / np.linalg.norm(own, axis=0)
+    if shape == "free":
+        taken = np.column_stack([whole_basis, np.linalg.qr(own)[0]])
+        # What is orthogonal to all of these: a mark by itself moves in all of it, so that the order has no meaning.
+        rest = np.linalg.svd(taken, full_matrices=True)[0][:, taken.shape[1] :]
+        own = np.column_stack([own, rest])
+    return read_only(np.sqrt(n) * own.reshape(n, 3, -1))
+
+
+def places_of(marks: Array, modes: Array, values: Array) -> tuple[Array, Array]:
+    """Return where marks (n, 3) with their modes (n, 3, k) are for values (1 + k,), and derivatives (n, 3, 1 + k).
+
+    The first value is the scale, by how much the board is larger than it should be; the others are its shape's, in m.
+    """
+    shaped = marks + modes @ values[1:]
+    s = 1.0 + values[0]
+    return s * shaped, np.concatenate([shaped[:, :, None], s * modes], axis=2)

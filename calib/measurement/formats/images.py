@@ -1,0 +1,198 @@
+"""Photographs of a board: which of its corners are where in each, and how sure that is. OpenCV finds the board.
+
+OpenCV (Apache-2.0, extra ``calib[vision]``) tells which corner is which; where it is, :mod:`.corners` fits.
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.files import read_bytes
+from calib.measurement.formats.corners import LEAST_RADIUS, refine
+from calib.measurement.prints import Print
+
+# What cameras write, by the ends of names.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 200_000_000, 16
+# Pixels looked at around a corner, as a share of the way to what is printed next to it.
+_SHARE = 0.85
+# Below so many corners a photograph tells no pose worth having.
+LEAST_CORNERS = 6
+# Width of a small copy, in px.
+_SMALL = 480
+# Blur, in px, beyond which a photograph is said to be blurred.
+MOST_BLUR = 4.0
+
+
+class Detection(NamedTuple):
+    """What a photograph shows of a board: which ``marks`` (n,), their ``pixels`` (n, 2), ``sigma`` (n,), ``blur`` (n,).
+
+    Pixels as OpenCV counts them: the centre of the first one is 0, 0.
+    """
+
+    marks: IntArray
+    pixels: Array
+    sigma: Array
+    blur: Array
+
+
+def opencv() -> Any:
+    """Return OpenCV. Raises JobError where it is not installed, or older than its detector of ChArUco boards."""
+    try:
+        cv2 = import_module("cv2")
+    except ImportError as e:
+        raise JobError(
+            'photographs need OpenCV, which is not installed: python -m pip install "urdf-calib[vision]".'
+        ) from e
+    if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
+        raise JobError(f"OpenCV {cv2.__version__} is older than 4.7; python -m pip install -U opencv-python-headless.")
+    return cv2
+
+
+def dictionary(name: str) -> Any:
+    """Return OpenCV's dictionary of markers. Raises JobError for a name that it does not know."""
+    cv2 = opencv()
+    number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
+    if not isinstance(number, int):
+        known = sorted(other for other in dir(cv2.aruco) if other.startswith("DICT_"))
+        raise JobError(f"board: dictionary: {name!r} is none of OpenCV's: {', '.join(known)}.")
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+def marker_bits(print_: Print) -> list[BoolArray]:
+    """Return the cells of the markers of a board, True where white, in the order of its white squares.
+
+    Raises JobError when the dictionary has too few.
+    """
+    cv2, of = opencv(), dictionary(print_.dictionary)
+    across, down = print_.squares
+    needed = across * down // 2
+    if (has := len(of.bytesList)) < needed:
+        raise JobError(
+            f"board: {across} x {down} squares need {needed} markers, and {print_.dictionary} has {has}; take a larger "
+            "dictionary or fewer squares."
+        )
+    side = int(of.markerSize) + 2
+    return [np.asarray(cv2.aruco.generateImageMarker(of, k, side) > 127) for k in range(needed)]
+
+
+def read_image(file: Path) -> Array:
+    """Return an image as grey values (h, w) of 8 bits. Raises MeasurementError for what is none."""
+    data = read_bytes(file, MeasurementError, LARGEST_IMAGE)
+    cv2 = opencv()
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    except cv2.error as e:
+        raise MeasurementError(f"{file}: OpenCV cannot read this image ({e.err}).") from e
+    if image is None:
+        raise MeasurementError(f"{file}: is not an image that OpenCV reads.")
+    height, width = image.shape
+    if min(height, width) < SMALLEST_SIDE:
+        raise MeasurementError(f"{file}: has {width} x {height} pixels; the smallest side allowed is {SMALLEST_SIDE}.")
+    return np.asarray(image)
+
+
+def thumbnail(grey: Array) -> bytes:
+    """Return a small copy of an image as JPEG."""
+    cv2 = opencv()
+    h, w = grey.shape
+    share = min(1.0, _SMALL / w)
+    small = cv2.resize(grey, (max(round(w * share), 1), max(round(h * share), 1)), interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 70])[1])
+
+
+def detector(print_: Print) -> Callable[[Array], Detection]:
+    """Return a function that finds the corners of a board in an image of grey values (h, w); there may be none."""
+    cv2 = opencv()
+    find = _charuco(cv2, print_) if print_.kind == "charuco" else _chessboard(cv2, print_)
+
+    def detect(grey: Array) -> Detection:
+        marks, pixels = find(grey)
+        if len(marks) < 4:
+            return _NOTHING
+        along, free = _edges(print_, marks, pixels)
+        corners = refine(grey, pixels, along, _SHARE * free)
+        good = corners.good & (free * _SHARE >= LEAST_RADIUS * 0.8)
+        return Detection(marks[good], *(read_only(a[good]) for a in corners[:3]))
+
+    return detect
+
+
+_NOTHING = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
+
+def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
+    marker_bits(print_)
+    board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, dictionary(print_.dictionary))
+    found = cv2.aruco.CharucoDetector(board)
+
+    def find(grey: Array) -> tuple[IntArray, Array]:
+        corners, ids, _, _ = found.detectBoard(grey)
+        if ids is None or corners is None:
+            return _NOTHING.marks, _NOTHING.pixels
+        return ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64)
+
+    return find
+
+
+def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
+    across, down = print_.squares[0] - 1, print_.squares[1] - 1
+
+    def find(grey: Array) -> tuple[IntArray, Array]:
+        seen, corners = cv2.findChessboardCornersSB(grey, (across, down), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not seen:
+            return _NOTHING.marks, _NOTHING.pixels
+        pixels = corners.reshape(-1, 2).astype(np.float64)
+        # The squares that the first and the last corner have on their outer sides differ: the first one's is black.
+        grid = pixels.reshape(down, across, 2)
+        first, last = (_outside(grey, grid, i, j, si) for i, j, si in ((0, 0, 1), (-1, -1, -1)))
+        return np.arange(across * down, dtype=np.intp), pixels if first < last else pixels[::-1]
+
+    return find
+
+
+def _outside(grey: Array, grid: Array, i: int, j: int, step: int) -> float:
+    """Return the grey in the middle of the square that lies outside of a corner of the grid of corners."""
+    at = grid[i, j] + 0.5 * (grid[i, j] - grid[i + step, j]) + 0.5 * (grid[i, j] - grid[i, j + step])
+    x, y = np.clip(np.rint(at), 0, np.array(grey.shape[::-1]) - 1).astype(int)
+    return float(np.median(grey[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]))
+
+
+def _edges(print_: Print, marks: IntArray, pixels: Array) -> tuple[Array, Array]:
+    """Return the unit directions (n, 2, 2) of the two edges at corners, and how far (n,) from them all is plain, in px.
+
+    By the homography of all corners, bent as the image may be: near a corner it is off by little.
+    """
+    places = print_.marks[marks][:, :2]
+    H = _homography(places, pixels)
+    y = np.column_stack([places, np.ones(len(places))]) @ H.T
+    w = y[:, 2:]
+    J = (H[None, :2, :2] - (y[:, :2] / w)[:, :, None] * H[None, 2:, :2]) / w[:, :, None]
+    along = np.swapaxes(J / np.linalg.norm(J, axis=1, keepdims=True), 1, 2)
+    # The next thing printed is the marker's edge, across the diagonal; a chessboard has its next corner.
+    plain = 0.5 * (print_.square - print_.marker) * np.sqrt(2.0) if print_.kind == "charuco" else print_.square
+    smallest = np.linalg.svd(J, compute_uv=False)[:, -1]
+    return np.asarray(along), np.asarray(plain * smallest)
+
+
+def _homography(places: Array, pixels: Array) -> Array:
+    """Return the homography (3, 3) from places (n, 2) to pixels (n, 2), by the direct linear transformation."""
+    A, p = _normalised(places)
+    B, q = _normalised(pixels)
+    zero = np.zeros_like(p)
+    rows = np.concatenate([np.hstack([p, zero, -q[:, :1] * p]), np.hstack([zero, p, -q[:, 1:2] * p])])
+    H = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
+    found = np.linalg.inv(B) @ H @ A
+    return np.asarray(found / (found[2] @ np.append(places.mean(axis=0), 1.0)))
+
+
+def _normalised(x: Array) -> tuple[Array, Array]:
+    middle = x.mean(axis=0)
+    s = 1.0 / max(float(np.abs(x - middle).max()), 1e-12)
+    T = np.array([[s, 0.0, -s * middle[0]], [0.0, s, -s * middle[1]], [0.0, 0.0, 1.0]])
+    return T, np.column_stack([x, np.ones(len(x))]) @ T.T

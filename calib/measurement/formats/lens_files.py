@@ -1,0 +1,95 @@
+"""Lenses as others write them: OpenCV's FileStorage, ROS's camera_info, Kalibr's camchain, all of them YAML."""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calib.foundations.errors import JobError
+from calib.foundations.files import read_bytes
+from calib.measurement.lens import BENT, RATIONAL, Lens
+
+_LARGEST = 1_000_000
+# What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
+_HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
+_ANCHOR = re.compile(r"(^|[\s:\[{,-])&\w")
+_MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
+_BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
+_MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
+
+
+def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
+    """Return the lens that a YAML file states, and the size (w, h) of its images where it does.
+
+    Raises JobError where it holds no lens, or one of a model that is not ours.
+    """
+    found = _yaml(path)
+    if isinstance(cam := found.get("cam0"), Mapping):  # Kalibr: camera_model, intrinsics fu fv pu pv, resolution
+        if cam.get("camera_model") != "pinhole" or cam.get("distortion_model") not in ("radtan", "none", None):
+            raise JobError(
+                f"{path}: cam0 is of the models {cam.get('camera_model')!r} and {cam.get('distortion_model')!r}; read "
+                "are 'pinhole' and 'radtan'."
+            )
+        focal = _numbers(path, "intrinsics", cam.get("intrinsics"))
+        if len(focal) != 4:
+            raise JobError(f"{path}: intrinsics has {len(focal)} numbers; four are fu, fv, pu, pv.")
+        bent = _numbers(path, "distortion_coeffs", cam.get("distortion_coeffs") or [])
+        return Lens(*focal, **_bent(path, bent, BENT[:4])), _size(cam.get("resolution"))
+    matrix = next((found[key] for key in _MATRIX if key in found), None)
+    if matrix is None:
+        raise JobError(f"{path}: holds no lens: neither camera_matrix of OpenCV or ROS, nor cam0 of Kalibr.")
+    K = _numbers(path, "the camera matrix", matrix)
+    if len(K) != 9:
+        raise JobError(f"{path}: the camera matrix has {len(K)} numbers; it has 9.")
+    model = found.get("distortion_model", "plumb_bob")
+    if model not in _MODELS:
+        raise JobError(f"{path}: distortion_model: {model!r} is not one of {', '.join(_MODELS)}.")
+    bent = _numbers(path, "the distortion", next((found[key] for key in _BENT if key in found), []))
+    size = _size([found.get("image_width"), found.get("image_height")])
+    names = (*BENT, *RATIONAL)
+    return Lens(K[0], K[4], K[2], K[5], **_bent(path, bent, names)), size
+
+
+def _yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        import yaml  # noqa: PLC0415 - an extra
+    except ImportError as e:
+        raise JobError(f"{path}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
+    try:
+        text = read_bytes(path, JobError, _LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as e:
+        raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
+    text = _TAG.sub("", _HEADER.sub("", text))
+    # An alias could make megabytes of a few lines.
+    if _ANCHOR.search(text):
+        raise JobError(f"{path}: has anchors, which are not read.")
+    try:
+        found = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as e:
+        raise JobError(f"{path}: is no YAML that can be read.") from e
+    if not isinstance(found, Mapping):
+        raise JobError(f"{path}: holds no lens: it is no mapping of names.")
+    return found
+
+
+def _numbers(path: Path, what: str, value: Any) -> list[float]:
+    """Return numbers of a list, of rows, or of a matrix with data."""
+    data = value.get("data") if isinstance(value, Mapping) else value
+    rows: list[Any] = data if isinstance(data, list) else [None]
+    flat = [one for row in rows for one in (row if isinstance(row, list) else [row])]
+    if not all(type(one) in (int, float) and math.isfinite(one) for one in flat):
+        raise JobError(f"{path}: {what} is not a list of numbers.")
+    return [float(one) for one in flat]
+
+
+def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, float]:
+    # OpenCV has up to fourteen: thin prisms and a tilted sensor beside these.
+    if any(values[len(names) :]):
+        raise JobError(f"{path}: the distortion has {len(values)} numbers; read are {', '.join(names)}.")
+    return dict(zip(names, values, strict=False))
+
+
+def _size(value: Any) -> tuple[int, int] | None:
+    whole = isinstance(value, list) and len(value) == 2 and all(type(one) is int and one > 0 for one in value)
+    return (value[0], value[1]) if whole else None

@@ -1,0 +1,81 @@
+"""Logs of others, text with headers of their own: Universal Robots' RTDE, and rigid bodies of Motive."""
+
+import re
+from collections.abc import Callable, Sequence
+
+from calib.foundations.errors import MeasurementError
+from calib.foundations.words import listed, shown
+
+_Rows = tuple[Sequence[str], Sequence[Sequence[str]], str]
+_JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
+_UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm"}
+_NUMBER = re.compile(r"-?\d+(\.\d+)?([eE]-?\d+)?")
+
+
+def of_rtde(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> _Rows | None:
+    """Return time and joints of a log of the UR client library, None for other titles.
+
+    Its ``timestamp`` is in s, ``actual_q_0`` to ``actual_q_5`` in rad; what else there is, is left out.
+    """
+    number = {title.strip().split(" ")[0]: k for k, title in enumerate(titles)}
+    columns = ["timestamp", *(f"actual_q_{k}" for k in range(6))]
+    if not all(name in number for name in columns):
+        return None
+    chosen = [number[name] for name in columns]
+    named = ("time [s]", *(f"{joint} [rad]" for joint in _JOINTS))
+    left = len(titles) - len(chosen)
+    said = f"joint readings of a UR by RTDE, actual_q; {left} other columns are left out"
+    return named, [[row[k] for k in chosen] for row in rows], said
+
+
+def is_motive(text: str) -> bool:
+    """Return whether a text begins as an export of Motive (OptiTrack)."""
+    return text.lstrip("\ufeff").startswith("Format Version,") and "Take Name," in text[:500]
+
+
+def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
+    """Return time, points and quaternions of a rigid body in an export of Motive; frames that lost it are left out.
+
+    ``body``: its name, where there are several. Raises MeasurementError where there is none of that name.
+    """
+    lines = [line.split(",") for line in text.lstrip("\ufeff").replace("\r\n", "\n").split("\n")]
+    about = dict(zip(lines[0][::2], lines[0][1::2], strict=False))
+    kinds, names, parts, axes = _header(lines, where)
+    bodies = dict.fromkeys(name for kind, name in zip(kinds, names, strict=False) if kind == "Rigid Body")
+    if not bodies or (body is None and len(bodies) > 1) or (body is not None and body not in bodies):
+        what = "several rigid bodies; say which one by --topic" if body is None else f"no rigid body {shown(body)}"
+        raise MeasurementError(f"{where}: has {what if bodies else 'no rigid bodies'}; there are {listed(bodies)}.")
+    own = body or next(iter(bodies))
+
+    def column(part: str, axis: str) -> int:
+        for k, found in enumerate(zip(kinds, names, parts, axes, strict=False)):
+            if found == ("Rigid Body", own, part, axis):
+                return k
+        raise MeasurementError(f"{where}: the rigid body {shown(own)} has no column {part} {axis}.")
+
+    unit = _UNITS.get(about.get("Length Units", "").lower(), "")
+    if not unit:
+        raise MeasurementError(f"{where}: its length units are {shown(about.get('Length Units', ''))}; not known.")
+    places = [column("Position", axis) for axis in "XYZ"]
+    turns = [column("Rotation", axis) for axis in "WXYZ"] if about.get("Rotation Type") == "Quaternion" else []
+    chosen = [next(k for k, axis in enumerate(axes) if axis.startswith("Time")), *places, *turns]
+    begin = next(k for k, line in enumerate(lines) if line[0].strip() == "Frame") + 1
+    rows = [[line[k] for k in chosen] for line in lines[begin:] if len(line) > max(chosen)]
+    seen = [row for row in rows if all(_NUMBER.fullmatch(cell.strip()) for cell in row)]
+    titles = ("time [s]", *(f"{axis} [{unit}]" for axis in "xyz"), *(("qw", "qx", "qy", "qz") if turns else ()))
+    lost = len(rows) - len(seen)
+    return titles, seen, f"the rigid body {own!r} of Motive; {lost} frames that lost it are left out"
+
+
+def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]:
+    """Return kind, name, part and axis of every column: the lines Type, Name, two of parts, and that of the axes."""
+
+    def line(found: Callable[[Sequence[str]], bool]) -> int:
+        for k, cells in enumerate(lines[:20]):
+            if found(cells):
+                return k
+        raise MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
+
+    kind = line(lambda cells: "Type" in cells[:2])
+    axis = line(lambda cells: cells[0].strip() == "Frame")
+    return tuple([cell.strip() for cell in lines[k]] for k in (kind, kind + 1, axis - 1, axis))

@@ -1,0 +1,215 @@
+"""Recordings of ROS 1, ROS 2 and MCAP: what topics they have, and joints, points and poses as tables.
+
+Needs the package rosbags, which is pure Python and asks for no ROS. Times are those of the messages' headers, else
+those at which they were recorded, in s since the recording began: tables of one recording have one zero.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calib.foundations.arrays import Array
+from calib.foundations.errors import MeasurementError
+from calib.foundations.words import listed, near, shown
+from calib.measurement.formats.sheet import Sheet
+
+SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
+# A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
+_MOST_MESSAGES = 3_000_000
+_NANO = 1e-9
+# Where a point, and where an orientation, may be in a message.
+_POINTS = ("position", "translation", "point", "vector")
+_TURNS = ("orientation", "rotation")
+_INSIDE = ("pose", "transform")
+_TF = "tf2_msgs/msg/TFMessage"
+_JOINTS = "sensor_msgs/msg/JointState"
+# What readers of damaged files raise.
+_DAMAGED = (
+    ValueError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    TypeError,
+    AssertionError,
+    RuntimeError,
+    EOFError,
+    OverflowError,
+    struct.error,
+)
+
+
+class Topic(NamedTuple):
+    """A topic of a recording: how many ``messages`` a second, and its longest gap in s; ``of``: what it can be made."""
+
+    name: str
+    kind: str
+    messages: int
+    rate: float
+    gap: float
+    of: str
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a path is that of a recording: a file by its ending, or a folder with metadata."""
+    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def topics(path: Path) -> tuple[Topic, ...]:
+    """Return the topics of a recording, in order of their names; of frames in ``/tf`` one each, as ``/tf:flange``.
+
+    Raises MeasurementError when it cannot be read.
+    """
+    with _opened(path) as reader:
+        times: dict[str, list[int]] = {}
+        kinds: dict[str, tuple[str, str]] = {}
+        for name, kind, time, message in _messages(reader, path, None):
+            times.setdefault(name, []).append(time)
+            kinds.setdefault(name, (kind, _made_of(kind, message)))
+        return tuple(_topic(name, *kinds[name], np.array(times[name])) for name in sorted(times))
+
+
+def read_topic(path: Path, name: str) -> Sheet:
+    """Return the rows of one topic: ``time [s]`` and joints, or ``x [m]`` to ``z [m]`` and a quaternion.
+
+    Raises MeasurementError when there is no such topic, or when it has neither joints nor points.
+    """
+    with _opened(path) as reader:
+        zero, told = int(reader.start_time), []
+        for _, kind, time, message in _messages(reader, path, name):
+            told.append((_NANO * (_stamp(message, time) - zero), kind, message))
+    if not told:
+        known = [topic.name for topic in topics(path)]
+        close = near(name, known, most=1)
+        raise MeasurementError(
+            f"{path}: there is no topic {shown(name)}{f'; near is {close[0]!r}' if close else ''}; there are "
+            f"{listed(known)}."
+        )
+    of = _made_of(told[0][1], told[0][2])
+    if not of:
+        raise MeasurementError(f"{path}: messages of {shown(name)} are {told[0][1]}: neither joints nor points.")
+    titles, rows, remarks = _joint_rows(told) if of == "joints" else _point_rows(told)
+    if not rows:
+        raise MeasurementError(f"{path}: no message of {shown(name)} has positions of joints.")
+    said = f"time 0 is {_NANO * zero:.3f} s of the recording's clock"
+    return Sheet(titles, tuple(tuple(map(repr, row)) for row in rows), str(path), (said, *remarks))
+
+
+def _joint_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
+    found = [(time, tuple(message.name), message.position) for time, _, message in told if len(message.position)]
+    sets = Counter(names for _, names, position in found if len(names) == len(position))
+    if not sets:
+        return (), [], []
+    names, many = sets.most_common(1)[0]
+    rows = [[time, *map(float, position)] for time, own, position in found if own == names]
+    remarks = ["joints that slide are in m: change the unit of their columns"]
+    if many < len(told):
+        remarks.append(f"{len(told) - many} messages are of other joints, or have no positions, and are left out")
+    return ("time [s]", *(f"{name} [rad]" for name in names)), rows, remarks
+
+
+def _point_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
+    rows = []
+    turned = _turn(told[0][2]) is not None
+    for time, _, message in told:
+        p, q = _point(message), _turn(message)
+        if p is not None:
+            rows.append([time, float(p.x), float(p.y), float(p.z), *((q.w, q.x, q.y, q.z) if turned and q else ())])
+    titles = ("time [s]", "x [m]", "y [m]", "z [m]")
+    rest = [] if len(rows) == len(told) else [f"{len(told) - len(rows)} messages have no point and are left out"]
+    return (*titles, "qw", "qx", "qy", "qz") if turned else titles, rows, rest
+
+
+def _topic(name: str, kind: str, of: str, times: Array) -> Topic:
+    seconds = _NANO * np.diff(np.sort(times))
+    whole = float(np.sum(seconds))
+    rate = len(seconds) / whole if whole > 0.0 else 0.0
+    return Topic(name, kind, len(times), rate, float(seconds.max(initial=0.0)), of)
+
+
+def _made_of(kind: str, message: Any) -> str:
+    """Return which table messages can become: "joints", "pose", "point", or none ("")."""
+    if kind == _JOINTS:
+        return "joints"
+    if _point(message) is None:
+        return ""
+    return "point" if _turn(message) is None else "pose"
+
+
+def _point(message: Any) -> Any:
+    return _within(message, _POINTS, ("x", "y", "z"))
+
+
+def _turn(message: Any) -> Any:
+    return _within(message, _TURNS, ("w", "x", "y", "z"))
+
+
+def _within(message: Any, names: tuple[str, ...], needed: tuple[str, ...]) -> Any:
+    """Return the part of a message, or of the pose or transform in it, that has these numbers; None where none has."""
+    for name in names:
+        part = getattr(message, name, None)
+        if part is not None and all(hasattr(part, axis) for axis in needed):
+            return part
+    # A point by itself is its own place; a quaternion by itself is none.
+    if "position" in names and all(hasattr(message, axis) for axis in needed) and not hasattr(message, "w"):
+        return message
+    for name in _INSIDE:
+        part = getattr(message, name, None)
+        if part is not None and (found := _within(part, names, needed)) is not None:
+            return found
+    return None
+
+
+def _stamp(message: Any, recorded: int) -> int:
+    """Return when a message was made, in ns: what its header says, unless that is 0, else when it was recorded."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    made = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return made or recorded
+
+
+def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str, str, int, Any]]:
+    """Yield topic, kind, time of recording and message; of transforms every frame by itself."""
+    topic, _, frame = (wanted or "").partition(":")
+    chosen = [one for one in reader.connections if wanted is None or one.topic == topic]
+    if not chosen:
+        return
+    seen: set[str] = set()
+    for count, (connection, time, raw) in enumerate(reader.messages(connections=chosen)):
+        if count >= _MOST_MESSAGES:
+            raise MeasurementError(f"{path}: has more than {_MOST_MESSAGES} messages; cut it into parts.")
+        name, kind = connection.topic, connection.msgtype
+        # To list topics, one message of each tells what it is.
+        if wanted is None and name in seen and kind != _TF:
+            yield name, kind, time, None
+            continue
+        seen.add(name)
+        message = reader.deserialize(raw, kind)
+        if kind != _TF:
+            yield name, kind, time, message
+            continue
+        for transform in message.transforms:
+            if wanted is None or transform.child_frame_id == frame:
+                yield f"{name}:{transform.child_frame_id}", kind, time, transform
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a recording; whatever its reader says of damage is one sentence."""
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as e:
+        raise MeasurementError(
+            f"{path}: recordings of ROS need the package rosbags: pip install 'urdf-calib[bags]'."
+        ) from e
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except FileNotFoundError as e:
+        raise MeasurementError(f"{path}: no such file or folder.") from e
+    except (AnyReaderError, OSError, *_DAMAGED) as e:
+        raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e

@@ -1,0 +1,92 @@
+"""Samples of a controller and of an instrument, as a table has them: times that grow, and readings of joints."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from calib.foundations.arrays import Array, read_only, read_only_view
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import Dimension
+from calib.measurement.columns import filled, numbers, refuse_unknown, require
+from calib.measurement.from_table import ALL_READ, Joints
+from calib.measurement.streams.joints import JointStream
+from calib.measurement.table import Table
+from calib.robot.robot import Reading
+
+# What has samples rarer than one a second, or a hundred thousand in it, is no stream of joints or points.
+SLOWEST, FASTEST = 1.0, 1e-5
+# Encoders at rest jitter by less, in rad or m.
+_AT_REST = 1e-4
+# A cubic needs as many samples.
+_FEWEST = 4
+
+
+def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: Joints = ALL_READ) -> JointStream:
+    """Return the joint readings of a table with ``time``; a ``gap`` in s, or a longer one, is not bridged.
+
+    ``joints``: which of the URDF's are needed. Raises MeasurementError when a column is missing, when time runs
+    backwards or is in another unit than it says, and when no joint moves.
+    """
+    dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
+    absent = tuple(name for name in joints.spare if name in dimensions and name not in table.columns)
+    require(table, [name for name in dimensions if name not in absent], "of a joint")
+    refuse_unknown(table, dimensions, joints.unread, joints.idle)
+    times, values = times_of(table), filled(table, dimensions)
+    keep = np.concatenate([[True], np.diff(times) > 0.0])
+    doubled = np.flatnonzero(~keep)
+    if len(doubled) and np.any(values[doubled] != values[doubled - 1]):
+        row = int(doubled[np.any(values[doubled] != values[doubled - 1], axis=1)][0])
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: has the time of the row before and other readings; a joint is in one "
+            "place at a time."
+        )
+    times, values = times[keep], values[keep]
+    refuse_no_stream(times, table.where)
+    if np.ptp(values, axis=0).max(initial=0.0) <= _AT_REST:
+        raise MeasurementError(
+            f"{table.where}: no joint moves by more than {_AT_REST:g} rad or m; a clock shows only while the arm moves."
+        )
+    ends = np.flatnonzero(np.diff(times) >= gap)
+    runs = [
+        (a, b) for a, b in zip(np.append(0, ends + 1), np.append(ends + 1, len(times)), strict=True) if b - a >= _FEWEST
+    ]
+    if not runs:
+        raise MeasurementError(
+            f"{table.where}: no {_FEWEST} samples follow each other within {gap:g} s; allow longer gaps, or give a "
+            "denser stream."
+        )
+    return JointStream(
+        tuple(dimensions),
+        tuple(make_interp_spline(times[a:b], values[a:b], k=3) for a, b in runs),
+        read_only([times[a] for a, _ in runs]),
+        read_only([times[b - 1] for _, b in runs]),
+        table.where,
+        absent,
+    )
+
+
+def times_of(table: Table) -> Array:
+    """Return the column ``time`` (N,) in s. Raises MeasurementError where it is missing or runs backwards."""
+    require(table, ("time",), "of a stream")
+    times = numbers(table, "time", "time")
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: the time {times[row]:.6f} s is before that of the row above, "
+            f"{times[row - 1]:.6f} s; the rows of a stream are in order of time."
+        )
+    return read_only_view(times)
+
+
+def refuse_no_stream(times: Array, where: str) -> None:
+    """Raise MeasurementError when the rows are too few or too far apart for a stream, as with a wrong unit of time."""
+    if len(times) < _FEWEST:
+        raise MeasurementError(f"{where}: has {len(times)} samples, and a stream needs {_FEWEST}.")
+    step = float(np.median(np.diff(times)))
+    if not FASTEST <= step <= SLOWEST:
+        raise MeasurementError(
+            f"{where}: half of its rows are {step:.4g} s apart or more; in a stream it is {FASTEST:g} to {SLOWEST:g} "
+            "s: is the unit of 'time' right?"
+        )

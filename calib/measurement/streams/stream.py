@@ -1,0 +1,89 @@
+"""Rows of a stream: when each was measured, and where the joints were then, as far as clocks are known."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import numpy as np
+
+from calib.foundations.arguments import refuse_fields
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.brief import brief
+from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
+from calib.measurement.streams.joints import JointStream
+
+ClockFreedom = Literal["free", "given"]
+# What unknown numbers are to the rows of a stream.
+OFFSET, SKEW = SHIFTS = ("clock offset", "clock skew")
+# Longer gaps in a stream are not bridged, in s.
+GAP = 0.1
+ONLY_CLOCK = "clock"
+NO_SHIFTS: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """What is known of an instrument's clock beside that of the controller.
+
+    ``kind``: "free", its offset and skew are found with the machine, or "given", both are one clock. ``latency``: of a
+    given clock, whether readings come late by an unknown time; of a free one that is part of the offset. ``gap``: in
+    s, from which on a gap in a stream is not bridged. ``name``: of its parameters, ``clock.offset``; streams of one
+    name share a clock.
+
+    Raises JobError for a number out of range, and for a latency that no data tell.
+    """
+
+    kind: ClockFreedom = "free"
+    latency: bool = False
+    gap: float = GAP
+    name: str = ONLY_CLOCK
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        if self.kind not in get_args(ClockFreedom):
+            raise JobError(f"clock: {self.kind!r} is not one of {', '.join(get_args(ClockFreedom))}.")
+        refuse_beyond(self.gap, "gap", "clock: gap")
+        if self.latency and self.kind == "free":
+            raise JobError(
+                "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; "
+                'write clock = "given", or leave it out.'
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """When rows were measured: ``since`` (N,) s after ``middle``, in s, by the instrument's clock.
+
+    ``joints``: what the controller recorded meanwhile. Its clock shows ``u = t - offset + skew (t - middle)`` when the
+    instrument's shows t: the offset is that in the middle of the stream, where it does not depend on the skew.
+    """
+
+    __repr__ = brief
+
+    joints: JointStream
+    since: Array
+    middle: float
+
+    def times(self, shifts: Mapping[str, float] = NO_SHIFTS, rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return what the controller's clock showed (n,) in s; ``shifts``: offset and skew, 0 where not given."""
+        since = self.since[rows]
+        return np.asarray((self.middle - shifts.get(OFFSET, 0.0)) + since * (1.0 + shifts.get(SKEW, 0.0)))
+
+    def readings(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return the readings (n, k) of some rows."""
+        return self.joints.at(self.times(shifts, rows))
+
+    def rates(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return how fast the readings change (n, k), per s of the controller's clock."""
+        return self.joints.rates(self.times(shifts, rows))
+
+    def by_shift(self, role: str, rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return how the controller's time (n,) follows one unit of the offset, or of the skew."""
+        since = self.since[rows]
+        return since if role == SKEW else np.full(len(since), -1.0)
+
+    def subset(self, rows: IntArray | BoolArray) -> "Stream":
+        """Return the stream of some rows; the offset stays that in the middle of all."""
+        return replace(self, since=read_only_view(self.since[rows]))

@@ -1,0 +1,139 @@
+"""Hand-eye in words of others, and which cause is blamed, for cameras and boards of a known truth."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.assessment.blame import blame
+from calib.assessment.hand_eye import HandEye, hand_eyes
+from calib.assessment.judged import JudgedSet
+from calib.identification.identify import residuals_of
+from calib.measurement.boards import Board, shape_modes
+from calib.measurement.lens import NAMES
+from calib.measurement.optics import seen_by
+from calib.presentation.hand_eye import (
+    blame_section,
+    camera_info,
+    hand_eye_section,
+    matrix,
+    static_transform,
+    urdf_joint,
+)
+from tests.support import cameras, machines
+from tests.support.cameras import BENT, BOARD, TIP, UR5, Array, Scene, eye, scene
+
+ROBOT, NOMINAL = machines.load(UR5, TIP), machines.arm(UR5, TIP)
+SIGMA = 0.1
+
+
+def judged(true: Scene, model: calib.ErrorModel, camera: calib.measuring.Camera, board: Board):
+    data = cameras.photographed(ROBOT, true, 24, camera, board, np.random.default_rng(8), SIGMA)
+    kept, held_out = calib.hold_out(data, 0.25)
+    fit = calib.identify(model, kept)
+    sets = [
+        JudgedSet(use, use, some, *(residuals_of(fit, [some], at)[0] for at in (fit.nominal, fit.machine)))
+        for use, some in (("identification", kept), ("validation", held_out))
+    ]
+    return fit, sets
+
+
+@pytest.fixture(scope="module", params=["tip", "floor"])
+def found(request: pytest.FixtureRequest) -> tuple[HandEye, Scene]:
+    true = scene(np.random.default_rng(3), NOMINAL, request.param, sigma=SIGMA)
+    camera = replace(eye(request.param, SIGMA), free=NAMES[:9], size=(1280, 1024))
+    fit, sets = judged(true, calib.error_model(ROBOT, tool="pose"), camera, Board())
+    (one,) = hand_eyes(fit, sets)
+    assert hand_eye_section((one,)) is not None
+    return one, true
+
+
+def test_the_camera_is_where_it_is_and_its_errors_are_told_in_pixels_and_metres(found: tuple[HandEye, Scene]) -> None:
+    one, true = found
+    assert (one.parent, one.on_tip) == (("tool0", True) if true.camera.camera_on == "tip" else (ROBOT.base, False))
+    pose = true.tool if one.on_tip else true.target
+    np.testing.assert_allclose(one.pose, pose, atol=2e-3)
+    assert one.pixels == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.25)
+    assert one.across == pytest.approx(one.pixels * one.distance / one.lens.fx, rel=0.4)
+    for name in ("fx", "cy", "k1"):
+        k = NAMES.index(name)
+        assert abs(one.lens[k] - BENT[name]) < 4.0 * one.sigmas[k]
+    assert not one.sigmas[9:].any()
+
+
+def test_all_words_say_the_same_pose(found: tuple[HandEye, Scene]) -> None:
+    one, _ = found
+    np.testing.assert_allclose(np.array(matrix(one).split(), dtype=float).reshape(4, 4), one.pose, atol=1e-8)
+    words = static_transform(one).split()
+    told = {key: float(words[words.index(f"--{key}") + 1]) for key in ("x", "y", "z", "qx", "qy", "qz", "qw")}
+    np.testing.assert_allclose([told[key] for key in "xyz"], one.pose[:3, 3], atol=1e-7)
+    turn = Rotation.from_quat([told[f"q{key}"] for key in "xyzw"])
+    np.testing.assert_allclose(turn.as_matrix(), one.pose[:3, :3], atol=1e-8)
+    assert words[words.index("--frame-id") + 1] == one.parent
+    joint = ET.fromstring(f"<robot>{urdf_joint(one)}</robot>").find("joint")  # noqa: S314 - our own
+    origin = joint.find("origin")
+    np.testing.assert_allclose(np.array(origin.get("xyz").split(), dtype=float), one.pose[:3, 3], atol=1e-9)
+    rpy = np.array(origin.get("rpy").split(), dtype=float)
+    np.testing.assert_allclose(Rotation.from_euler("xyz", rpy).as_matrix(), one.pose[:3, :3], atol=1e-8)
+    info = yaml.safe_load(camera_info(one))
+    assert (info["image_width"], info["distortion_model"]) == (1280, "plumb_bob")
+    assert info["camera_matrix"]["data"][:3] == pytest.approx([one.lens.fx, 0.0, one.lens.cx])
+    assert info["distortion_coefficients"]["data"] == pytest.approx(list(one.lens[4:9]))
+
+
+def test_eight_numbers_are_those_of_the_rational_model(found: tuple[HandEye, Scene]) -> None:
+    one = replace(found[0], lens=found[0].lens._replace(k5=0.1))
+    info = yaml.safe_load(camera_info(one))
+    assert info["distortion_model"] == "rational_polynomial"
+    assert len(info["distortion_coefficients"]["data"]) == 8
+
+
+def planted(cause: str) -> tuple[calib.Fit, list[JudgedSet]]:
+    rng = np.random.default_rng(6)
+    zeros = {"elbow_joint": 0.01} if cause == "arm" else {}
+    true = scene(rng, NOMINAL.with_errors(np.zeros((len(NOMINAL.joints), 6)), zeros), "tip", sigma=SIGMA)
+    given = replace(eye("tip", SIGMA), free=NAMES[:9])
+    places: Array = BOARD
+    if cause == "lens":
+        given = replace(given, fx=BENT["fx"] * 1.02, fy=BENT["fy"] * 1.02, k1=0.0)
+    elif cause == "scale":
+        places = 1.015 * BOARD
+    elif cause == "shape":
+        places = BOARD + shape_modes(BOARD, "quadratic") @ np.array([1e-3, -8e-4, 1e-3, 0.0, 0.0])
+    model = calib.error_model(ROBOT, offsets=["elbow_joint", "wrist_1_joint"], base="fixed", tool="pose")
+    return judged(replace(true, places=places), model, given, Board(marks=BOARD, shape="quadratic"))
+
+
+@pytest.mark.parametrize("cause", ["lens", "scale", "shape", "arm", "corners"])
+def test_the_planted_cause_is_named(cause: str) -> None:
+    fit, sets = planted(cause)
+    found = blame(fit, sets)
+    assert found is not None
+    assert found.named == cause
+    assert found.left == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.2)
+    section = blame_section(found)
+    assert [row.strong for row in section.blocks[1].rows].count(True) == (cause != "corners")
+    shares = {one.name: one.tool for one in found.causes}
+    assert max(shares.values()) <= found.tool
+
+
+def test_without_a_board_nobody_is_blamed() -> None:
+    true = scene(np.random.default_rng(3), NOMINAL, "tip", np.zeros((1, 3)))
+    data = true.measure(ROBOT, true.draw(np.random.default_rng(1), 40))
+    fit = calib.identify(calib.error_model(ROBOT, tool="pose"), data)
+    assert blame(fit, [JudgedSet("identification", "", data, fit.nominal_residuals[0], fit.residuals[0])]) is None
+
+
+def test_a_given_lens_beside_free_placements_is_a_doubt_that_can_be_answered() -> None:
+    true = scene(np.random.default_rng(3), NOMINAL, "tip", sigma=SIGMA)
+    data = true.measure(ROBOT, true.draw(np.random.default_rng(1), 24), np.random.default_rng(2), SIGMA)
+    model = calib.error_model(ROBOT, placements=["wrist_*"], base="fixed", tool="pose")
+    given = calib.assess(calib.identify(model, data))
+    assert any("The lens of 'camera' is taken as given and placements are free" in doubt for doubt in given.doubts)
+    assert not any("lens" in doubt for doubt in given.accepting(["lens"]).doubts)
+    free = seen_by(data, replace(data.camera, free=NAMES[:9]), data.board)
+    assert not any("lens" in doubt for doubt in calib.assess(calib.identify(model, free)).doubts)

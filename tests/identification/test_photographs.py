@@ -1,0 +1,105 @@
+"""Photographs alone: lens and board of a known truth, and how many numbers the photographs ask for."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.identification import photographs as bundle
+from calib.identification.photographs import Photograph
+from calib.measurement.boards import Board, shape_modes
+from calib.measurement.lens import BENT, CENTRE, FOCAL, Lens
+from tests.support.cameras import BENT as TRUE
+from tests.support.cameras import eye, see
+
+MARKS = np.array([(0.03 * i, 0.03 * j, 0.0) for j in range(4) for i in range(6)])
+SIZE = (1280, 1024)
+FIVE = (*FOCAL, *CENTRE, *BENT)
+GUESS = Lens(1280.0, 1280.0, 639.5, 511.5)
+
+
+def photographs(
+    shape: str = "flat", sigma: float = 0.1, n: int = 24, values: np.ndarray | None = None
+) -> list[Photograph]:
+    """Photographs of a board with modes of a shape, made by another projection."""
+    rng = np.random.default_rng(5)
+    modes = shape_modes(MARKS, shape)
+    at = MARKS if values is None else MARKS + shape_modes(MARKS, "quadratic") @ values
+    found = []
+    while len(found) < n:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_rotvec(rng.normal(scale=0.45, size=3)).as_matrix()
+        T[:3, 3] = (*rng.uniform(-0.12, 0.12, 2), rng.uniform(0.2, 0.5))
+        T[:3, 3] -= T[:3, :3] @ MARKS.mean(axis=0)
+        Y = at @ T[:3, :3].T + T[:3, 3]
+        pixels = see(eye("tip"), Y)
+        if (pixels > 0).all() and (pixels < SIZE).all():
+            pixels = pixels + rng.normal(scale=sigma, size=pixels.shape)
+            found.append(Photograph(pixels, MARKS, modes, np.ones((24, 2))))
+    return found
+
+
+def test_without_noise_the_lens_is_the_true_one() -> None:
+    found = bundle.found_optics(photographs(sigma=0.0), FIVE, GUESS)
+    assert found is not None and found.rms < 1e-6
+    for name, value in TRUE.items():
+        assert getattr(found.optics.lens, name) == pytest.approx(value, rel=1e-6, abs=1e-7), name
+
+
+def test_homographies_alone_give_the_focal_length() -> None:
+    assert bundle.first_lens(photographs(), GUESS).fx == pytest.approx(1200.0, rel=0.1)
+
+
+def test_a_grossly_wrong_mark_hardly_moves_the_lens() -> None:
+    some = photographs()
+    some[3].pixels[5] += 80.0
+    found = bundle.found_optics(some, FIVE, GUESS)
+    assert found is not None and found.optics.lens.fx == pytest.approx(TRUE["fx"], rel=4e-3)
+
+
+def test_photographs_held_out_ask_for_the_shape_that_a_board_has_and_for_no_more() -> None:
+    bent = np.array([4e-4, -2e-4, 3e-4, 1e-4, -1e-4])
+    for values, wins in ((None, False), (bent, True)):
+        squares = []
+        for shape in ("flat", "quadratic", "free"):
+            some = photographs(shape, values=values)
+            found = bundle.found_optics(some, FIVE, GUESS)
+            assert found is not None
+            squares.append(bundle.held_out(some, FIVE, found))
+            if shape == "quadratic" and values is not None:
+                np.testing.assert_allclose(found.optics.shape, values, atol=3e-5)
+        assert bundle.clearly_better(squares[0], squares[1]) is wins
+        assert not bundle.clearly_better(squares[1], squares[2])
+
+
+def test_too_few_marks_tell_nothing() -> None:
+    some = photographs()
+    poor = some[0]._replace(**{k: getattr(some[0], k)[:3] for k in Photograph._fields})
+    assert bundle.found_optics([*some[1:], poor], FIVE, GUESS) is None
+
+
+@pytest.mark.skipif("CALIB_DATASETS" not in os.environ, reason="CALIB_DATASETS does not say where the datasets are")
+def test_real_photographs_of_a_print_that_is_not_flat() -> None:
+    pytest.importorskip("cv2")
+    from calib.measurement.formats.images import detector, read_image
+    from calib.measurement.prints import Print
+
+    squares = {}
+    folder = Path(os.environ["CALIB_DATASETS"]) / "board_photos"
+    print_ = Print("charuco", (7, 5), 0.03, 0.022, "DICT_4X4_50")
+    detect = detector(print_)
+    seen = [detect(read_image(file)) for file in sorted(folder.glob("*.jpg"))]
+    for shape in ("flat", "quadratic", "free"):
+        board = Board(marks=print_.marks, shape=shape)
+        some = [
+            Photograph(s.pixels, board.marks[s.marks], board.modes[s.marks], np.repeat(s.sigma[:, None], 2, axis=1))
+            for s in seen
+        ]
+        found = bundle.found_optics(some, FIVE, Lens(1280.0, 1280.0, 639.5, 359.5))
+        assert found is not None
+        squares[shape] = np.sqrt(np.average(bundle.held_out(some, FIVE, found), weights=[len(s.marks) for s in seen]))
+    assert squares["flat"] < 0.68
+    assert squares["quadratic"] < 0.42
+    assert squares["free"] < 0.20

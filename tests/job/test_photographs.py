@@ -1,0 +1,226 @@
+"""From photographs to a calibrated arm by commands: board, import, calibrate; and photographs that are of no use."""
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+cv2 = pytest.importorskip("cv2")
+
+from calib.job.read import read_board  # noqa: E402
+from scripts.simulate import photographs as simulation  # noqa: E402
+from tests.support.cases import run  # noqa: E402
+
+UR5 = simulation.UR5
+SEED, IMAGES = 3, 10
+
+
+@pytest.fixture(scope="module")
+def session() -> simulation.Session:
+    some = simulation.session(SEED, IMAGES)
+    lens = simulation.Lens(fx=452.0, fy=451.0, cx=322.0, cy=177.0, size=(640, 360))
+    return simulation.Session(some.arm, lens, some.sheet, some.look, some.camera, some.board, some.readings)
+
+
+@pytest.fixture(scope="module")
+def rendered(session: simulation.Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photographs")
+    simulation.write(folder, session, SEED)
+    return folder
+
+
+@pytest.fixture
+def folder(rendered: Path, tmp_path: Path) -> Path:
+    shutil.copytree(rendered, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def imported(folder: Path, readings: str = "readings.csv", *more: str):
+    return run(
+        *("import", "images", folder / "photographs", "--board", folder / "board.toml"),
+        *("--readings", folder / readings, "-o", folder / "marks.csv", *more),
+    )
+
+
+def test_two_commands_lead_from_photographs_to_a_calibrated_arm(folder: Path, session: simulation.Session) -> None:
+    said = imported(folder, "readings.csv", "--robot", UR5, "--tip", "tool0")
+    assert (said.code, said.err) == (0, "")
+    assert f"corners of {IMAGES} of {IMAGES} photographs" in said.out.replace("\n", " ")
+    page = (folder / "marks_photographs.html").read_text()
+    assert page.count("<figure") == IMAGES and "<script" not in page
+    with (folder / "marks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {float(row["sigma [px]"]) < 0.1 for row in rows} == {True}
+    assert run("calibrate", folder / "marks.toml", "-o", folder / "out").code in (0, 3)
+    result = json.loads((folder / "out" / "result.json").read_text())
+    found = {one["name"]: (one["value"], one["sigma"]) for one in result["parameters"]}
+    for name, true in (("fx", 452.0), ("cy", 177.0)):
+        value, sigma = found[f"lens.{name}"]
+        assert abs(value - true) < 4.0 * sigma
+    value, sigma = found["board.scale"]
+    assert abs(value - session.sheet.scale) < 3.0 * sigma
+    assert result["metrics"]["validation"]["after"]["pixels"]["rms"] < 0.1
+    assert [choice["chosen"] for choice in result["optics"]] == [1]
+
+
+def test_poses_of_the_flange_alone_give_hand_eye(folder: Path, session: simulation.Session) -> None:
+    assert imported(folder, "flange.csv").code == 0
+    assert 'placements = "none"' in (folder / "marks.toml").read_text()
+    assert run("calibrate", folder / "marks.toml", "-o", folder / "out").code in (0, 3)
+    result = json.loads((folder / "out" / "result.json").read_text())
+    np.testing.assert_allclose(result["tools"]["tool"]["position"], session.camera[:3, 3], atol=3e-4)
+    found = {one["name"]: one for one in result["parameters"]}
+    # The flange's motion is the ruler: the scale of the print shows.
+    assert found["board.scale"]["value"] == pytest.approx(session.sheet.scale, abs=5e-4)
+
+
+def test_poses_of_the_flange_and_a_urdf_give_readings(folder: Path, session: simulation.Session) -> None:
+    """A nominal arm whose controller states the pose has these readings, or those of another configuration."""
+    nominal = [session.arm.tip(q, nominal=True) for q in session.readings]
+    rows = list(csv.reader((folder / "flange.csv").open()))
+    for row, T in zip(rows[1:], nominal, strict=True):
+        x, y, z, w = simulation.Rotation.from_matrix(T[:3, :3]).as_quat()
+        row[1:] = [f"{v:.9f}" for v in (*(1e3 * T[:3, 3]), w, x, y, z)]
+    with (folder / "flange.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    said = imported(folder, "flange.csv", "--robot", UR5, "--tip", "tool0", "--json")
+    assert said.code == 0
+    assert "readings are those with which the robot of the URDF is there" in json.loads(said.out)["remarks"][0]
+    with (folder / "marks.csv").open() as file:
+        by_image = {row["group"]: [float(row[f"{n} [rad]"]) for n in session.arm.names] for row in csv.DictReader(file)}
+    for name, T in zip((row[0] for row in rows[1:]), nominal, strict=True):
+        np.testing.assert_allclose(session.arm.tip(np.array(by_image[name]), nominal=True), T, atol=1e-6)
+
+
+def test_photographs_of_no_use_are_named_and_left_out(folder: Path) -> None:
+    photographs = folder / "photographs"
+    image = cv2.imread(str(photographs / "image_001.png"), 0)
+    cv2.imwrite(str(photographs / "image_001.png"), cv2.GaussianBlur(image, (0, 0), 5.0))
+    cv2.imwrite(str(photographs / "image_002.png"), np.full_like(image, 128))
+    cv2.imwrite(str(photographs / "image_003.png"), cv2.resize(image, (1280, 720)))
+    (photographs / "image_004.png").write_bytes(b"no image")
+    shutil.copyfile(photographs / "image_000.png", photographs / "other.png")
+    (photographs / "image_005.png").unlink()
+    said = imported(folder, "readings.csv", "--json")
+    assert said.code == 0
+    told = json.loads(said.out)
+    why = {one["image"]: one["why"] for one in told["left_out"]}
+    assert re.fullmatch(r"is blurred over .* px, and 4 are allowed|no board is found|only .*", why["image_001.png"])
+    assert why["image_002.png"] == "no board is found"
+    assert why["image_003.png"] == "has 1280 x 720 pixels, and most have 640 x 360"
+    assert why["image_004.png"] == "is not an image that OpenCV reads"
+    assert why["other.png"] == "has no row in the readings"
+    assert any("there is no photograph 'image_005.png'" in remark for remark in told["remarks"])
+
+
+def spoil(name: str, *change: tuple[str, str]):
+    def apply(folder: Path) -> None:
+        text = (folder / name).read_text()
+        for old, new in change:
+            assert old in text
+            text = text.replace(old, new)
+        (folder / name).write_text(text)
+
+    return apply
+
+
+def emptied(folder: Path) -> None:
+    for file in (folder / "photographs").iterdir():
+        file.unlink()
+
+
+def two_left(folder: Path) -> None:
+    for file in sorted((folder / "photographs").iterdir())[2:]:
+        file.unlink()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (spoil("readings.csv", ("image,", "picture,")), "there is no column 'image'; the columns are 'picture'"),
+        (spoil("readings.csv", ("image_001", "image_000")), "the image 'image_000.png' has two rows"),
+        (spoil("board.toml", ("charuco", "circles")), "kind: 'circles' is not allowed"),
+        (spoil("board.toml", ("DICT_4X4_50", "DICT_4")), "dictionary: 'DICT_4' is none of OpenCV's"),
+        (spoil("board.toml", ("[7, 5]", "[7, 5.5]")), "squares: [7, 5.5] is not a list of two whole numbers"),
+        (spoil("board.toml", ("30 mm", "30 m")), "square: '30 m' is out of range; allowed is 0.0001 to 10 m"),
+        (spoil("board.toml", ("22 mm", "30 mm")), "has no white around it in a square of 0.03 m"),
+        (spoil("board.toml", ("squares", "square_count")), "square_count: is not a known key"),
+        (emptied, "holds no photographs; they end with .png"),
+        (two_left, "2 of 2 photographs can be used, and 3 are the fewest that tell anything"),
+        (lambda folder: shutil.rmtree(folder / "photographs"), "cannot be read (No such file or directory)"),
+    ],
+)
+def test_one_sentence_and_nothing_written(folder: Path, wrong, says: str) -> None:
+    wrong(folder)
+    before = sorted(folder.iterdir())
+    code, out, err = imported(folder)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert says in err
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_pose_that_the_arm_does_not_reach_is_named(folder: Path) -> None:
+    text = (folder / "flange.csv").read_text().splitlines()
+    cells = text[2].split(",")
+    text[2] = ",".join([cells[0], "5000", *cells[2:]])
+    (folder / "flange.csv").write_text("\n".join(text) + "\n")
+    said = imported(folder, "flange.csv", "--robot", UR5, "--tip", "tool0")
+    assert said.code == 1
+    assert "the robot does not reach the pose of 'image_001.png'" in said.err
+
+
+def test_a_board_is_written_as_it_is_read(tmp_path: Path) -> None:
+    out = tmp_path / "board"
+    assert run("board", "-o", out, "--squares", "9x6", "--square", "1 inch", "--marker", "18 mm").code == 0
+    assert sorted(file.name for file in out.iterdir()) == ["board.pdf", "board.svg", "board.toml"]
+    print_ = read_board(out / "board.toml")
+    assert (print_.squares, print_.square, print_.marker) == ((9, 6), pytest.approx(0.0254), pytest.approx(0.018))
+    assert (print_.square_sigma, print_.shape) == (0.005, "auto")
+    pdf = (out / "board.pdf").read_bytes()
+    width = float(re.search(rb"MediaBox \[0 0 ([\d.]+) ", pdf)[1])
+    # 9 x 6 inches and white: 72 points an inch.
+    assert width == pytest.approx(9 * 72 + 20 / 25.4 * 72, abs=0.01)
+    assert pdf.startswith(b"%PDF-1.4") and pdf.endswith(b"%%EOF\n")
+    start = int(re.search(rb"startxref\n(\d+)", pdf)[1])
+    assert pdf[start : start + 4] == b"xref"
+
+
+def test_what_is_drawn_is_what_opencv_draws(tmp_path: Path) -> None:
+    out = tmp_path / "board"
+    assert run("board", "-o", out).code == 0
+    svg = (out / "board.svg").read_text()
+    drawn = np.full((5 * 60 + 40, 7 * 60 + 40), 255, dtype=np.uint8)
+    boxes = re.findall(r"M([\d.]+) ([\d.]+)h([\d.]+)v([\d.]+)h", svg)
+    y, x = (np.indices(drawn.shape) + 0.5) / 2.0
+    for left, top, width, height in (map(float, box) for box in boxes):
+        if top + height < 161.0:  # above the ruler
+            drawn[(x > left) & (x < left + width) & (y > top) & (y < top + height)] = 0
+    of = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    theirs = cv2.aruco.CharucoBoard((7, 5), 0.03, 0.022, of).generateImage((420, 300))
+    assert np.mean(drawn[20:320, 20:440] != theirs) < 0.02
+
+
+def test_a_chessboard_needs_no_opencv(tmp_path: Path) -> None:
+    out = tmp_path / "board"
+    assert run("board", "-o", out, "--kind", "chessboard", "--squares", "8x5").code == 0
+    assert (out / "board.svg").read_text().count("h30v30h") == 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--squares", "7"), "--squares: '7' is not two whole numbers, like 7x5"),
+        (("--square", "30"), "--square: '30' has no unit"),
+        (("--kind", "circles"), "--kind: 'circles' is not charuco or chessboard"),
+        (("--kind", "chessboard"), "of 7 x 5 squares looks the same upside down"),
+        (("--squares", "12x12"), "need 72 markers, and DICT_4X4_50 has 50"),
+    ],
+)
+def test_boards_that_cannot_be_are_refused(tmp_path: Path, arguments: tuple[str, ...], says: str) -> None:
+    said = run("board", "-o", tmp_path / "board", *arguments)
+    assert (said.code, says in said.err) == (1, True), said.err
+    assert not (tmp_path / "board").exists()

@@ -1,0 +1,107 @@
+"""Corners of rendered photographs: where they are without bias, with sigmas that hold; and photographs of no use."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+cv2 = pytest.importorskip("cv2")
+
+from calib.foundations.errors import JobError, MeasurementError  # noqa: E402
+from calib.measurement.formats.images import detector, marker_bits, read_image  # noqa: E402
+from calib.measurement.prints import Print  # noqa: E402
+from scripts.simulate.photographs import Lens, Look, Renderer, Sheet, pose  # noqa: E402
+
+PRINT = Print("charuco", (7, 5), 0.030, 0.022, "DICT_4X4_50")
+LENS = Lens(fx=600.0, fy=602.0, cx=322.0, cy=238.0, k=(-0.1, 0.05, 5e-4, -3e-4, 0.0), size=(640, 480))
+SHEET = Sheet(bend=(0.1, -0.05, 0.2))
+# The middle of the sheet before the camera: nearly square on, and tilted.
+POSES = [
+    pose(np.array([0.01, -0.01, 0.30]), Rotation.from_euler("xyz", tilt, degrees=True).as_rotvec())
+    for tilt in ((8.0, -5.0, 12.0), (-32.0, 14.0, -70.0))
+]
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.2])
+def test_corners_have_no_bias_and_their_sigmas_hold(blur: float) -> None:
+    renderer, rng, detect = Renderer(LENS, SHEET, Look(blur=blur, noise=3.0)), np.random.default_rng(1), detector(PRINT)
+    biases, whitened = [], []
+    for T in POSES:
+        light, true = renderer.light(T), renderer.corners(T)
+        errors = np.full((12, 24, 2), np.nan)
+        for k in range(len(errors)):
+            found = detect(renderer.exposed(light, rng))
+            errors[k, found.marks] = found.pixels - true[found.marks]
+            whitened.append((errors[k, found.marks] / found.sigma[:, None]).ravel())
+        always = ~np.isnan(errors).any(axis=(0, 2))
+        assert always.sum() >= 16
+        biases.append(errors[:, always].mean(axis=0))
+    assert np.sqrt(np.mean(np.concatenate(biases) ** 2)) < 0.02
+    inside = np.abs(np.concatenate(whitened)) < 1.96
+    assert 0.90 < inside.mean() < 0.99
+
+
+def test_a_corner_is_where_blur_in_one_direction_leaves_it() -> None:
+    renderer = Renderer(LENS, SHEET, Look(blur=0.5, noise=1.0))
+    light = cv2.blur(renderer.light(POSES[1]), (5, 1))
+    found = detector(PRINT)(renderer.exposed(light, np.random.default_rng(2)))
+    error = found.pixels - renderer.corners(POSES[1])[found.marks]
+    assert np.abs(error.mean(axis=0)).max() < 0.03
+
+
+def test_a_chessboard_is_found_the_right_way_round() -> None:
+    """Upside down its corners are numbered from the same one on."""
+    board = Print("chessboard", (8, 5), 0.03)
+    cells = (np.indices((5, 8)).sum(axis=0) % 2) * 200 + 20
+    image = np.full((5 * 40 + 120, 8 * 40 + 120), 220, dtype=np.uint8)
+    image[60:-60, 60:-60] = np.kron(cells, np.ones((40, 40))).astype(np.uint8)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    true = 60.0 - 0.5 + board.marks[:, :2] / 0.03 * 40
+    detect = detector(board)
+    upright, turned = detect(image), detect(np.ascontiguousarray(image[::-1, ::-1]))
+    np.testing.assert_allclose(upright.pixels, true[upright.marks], atol=0.02)
+    size = np.array(image.shape[::-1]) - 1.0
+    np.testing.assert_allclose(turned.pixels, size - true[turned.marks], atol=0.02)
+
+
+def test_an_image_without_a_board_shows_none() -> None:
+    grey = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    assert len(detector(PRINT)(grey).marks) == 0
+
+
+@pytest.mark.parametrize(("data", "says"), [(b"", "is not an image"), (b"\x89PNG\r\n\x1a\nspoilt", "is not an image")])
+def test_what_is_no_image_is_refused(tmp_path: Path, data: bytes, says: str) -> None:
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(MeasurementError, match=says):
+        read_image(tmp_path / "a.png")
+
+
+def test_a_tiny_image_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 30), dtype=np.uint8))
+    with pytest.raises(MeasurementError, match="has 30 x 8 pixels; the smallest side allowed is 16"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (("charuco", (2, 5), 0.03, 0.02, "DICT_4X4_50"), "has 2 squares; allowed are 3 to 100"),
+        (("charuco", (7, 5), 0.03, 0.03, "DICT_4X4_50"), "has no white around it"),
+        (("charuco", (7, 5), 0.03, 0.02), "dictionary is missing"),
+        (("charuco", (7, 5), 20.0, 0.02, "DICT_4X4_50"), "square is 20 m; allowed is 0.0001 to 10 m"),
+        (("chessboard", (7, 5), 0.03), "of 7 x 5 squares looks the same upside down"),
+        (("chessboard", (8, 5), 0.03, 0.02), "a chessboard has no markers"),
+        (("circles", (8, 5), 0.03), "kind is 'circles'"),
+    ],
+)
+def test_prints_that_cannot_be_are_refused(given: tuple[object, ...], says: str) -> None:
+    with pytest.raises(JobError, match=says):
+        Print(*given)
+
+
+def test_dictionaries_that_are_unknown_or_too_small_are_refused() -> None:
+    with pytest.raises(JobError, match="'DICT_9X9' is none of OpenCV's"):
+        marker_bits(Print("charuco", (7, 5), 0.03, 0.02, "DICT_9X9"))
+    with pytest.raises(JobError, match="12 x 12 squares need 72 markers, and DICT_4X4_50 has 50"):
+        marker_bits(Print("charuco", (12, 12), 0.03, 0.02, "DICT_4X4_50"))

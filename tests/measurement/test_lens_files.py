@@ -1,0 +1,78 @@
+"""Lenses as OpenCV, ROS and Kalibr write them, and files that hold none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.foundations.errors import JobError
+from calib.measurement.formats.lens_files import read_lens
+from calib.measurement.lens import Lens
+
+LENS = Lens(900.5, 901.5, 640.25, 360.75, -0.1, 0.02, 1e-4, -2e-4, 0.003)
+ROS = """
+image_width: 1280
+image_height: 720
+camera_name: eye
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.1, 0.02, 0.0001, -0.0002, 0.003]
+"""
+KALIBR = """
+cam0:
+  camera_model: pinhole
+  intrinsics: [900.5, 901.5, 640.25, 360.75]
+  distortion_model: radtan
+  distortion_coeffs: [-0.1, 0.02, 0.0001, -0.0002]
+  resolution: [1280, 720]
+"""
+
+
+def read(folder: Path, text: str) -> tuple[Lens, tuple[int, int] | None]:
+    (folder / "lens.yaml").write_text(text)
+    return read_lens(folder / "lens.yaml")
+
+
+def test_ros(tmp_path: Path) -> None:
+    assert read(tmp_path, ROS) == (LENS, (1280, 720))
+
+
+def test_kalibr(tmp_path: Path) -> None:
+    assert read(tmp_path, KALIBR) == (LENS._replace(k3=0.0), (1280, 720))
+
+
+def test_opencv(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    storage = cv2.FileStorage(str(tmp_path / "own.yaml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", np.array([[900.5, 0, 640.25], [0, 901.5, 360.75], [0, 0, 1]]))
+    storage.write("distortion_coefficients", np.array([[*LENS[4:9], 0.1, 0.2, 0.3]]))
+    storage.release()
+    lens, size = read_lens(tmp_path / "own.yaml")
+    assert size is None
+    np.testing.assert_allclose(lens, [*LENS[:9], 0.1, 0.2, 0.3], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "it is no mapping of names"),
+        ("a: 1", "neither camera_matrix of OpenCV or ROS, nor cam0 of Kalibr"),
+        ("a: [", "is no YAML that can be read"),
+        ("a: &x 1", "has anchors, which are not read"),
+        (ROS.replace("plumb_bob", "equidistant"), "'equidistant' is not one of plumb_bob"),
+        (ROS.replace("0, 0, 1]", "0, 1]"), "the camera matrix has 8 numbers"),
+        (ROS.replace("-0.0002", "x"), "the distortion is not a list of numbers"),
+        (KALIBR.replace("radtan", "equidistant"), "cam0 is of the models 'pinhole' and 'equidistant'"),
+        (KALIBR.replace("900.5, ", ""), "intrinsics has 3 numbers"),
+        (KALIBR.replace("0.0001,", "0.0001, 0, 0, 1,"), "the distortion has 7 numbers; read are k1, k2, p1, p2"),
+    ],
+)
+def test_what_is_no_lens_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(JobError, match=says):
+        read(tmp_path, text)

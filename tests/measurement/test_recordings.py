@@ -1,0 +1,198 @@
+"""Recordings of ROS 1, ROS 2 and MCAP, written here, and logs of others, as tables."""
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.foundations.errors import MeasurementError
+from calib.measurement.formats.recordings import read_topic, topics
+from calib.measurement.formats.sheet import Sheet, read_sheet
+from tests.support.cases import run
+
+rosbags = pytest.importorskip("rosbags", reason="needs rosbags: pip install 'urdf-calib[bags]'")
+KINDS = ("ros1", "ros2", "mcap")
+BEGIN = 1_700_000_000_000_000_000
+
+
+def messages(store: Any, ros1: bool) -> Iterator[tuple[str, str, int, Any]]:
+    """Joints at 100 Hz with a gap, poses at 50 Hz, transforms of two frames, and a text; stamps are 2 ms older."""
+    T = store.types
+    header, stamp = T["std_msgs/msg/Header"], T["builtin_interfaces/msg/Time"]
+    none = np.zeros(0)
+
+    def head(t: int) -> Any:
+        made = stamp(sec=t // 10**9, nanosec=t % 10**9)
+        return header(seq=0, stamp=made, frame_id="world") if ros1 else header(stamp=made, frame_id="world")
+
+    def point(kind: str, k: int) -> Any:
+        return T[f"geometry_msgs/msg/{kind}"](x=0.1 * k, y=2.0, z=-3.0)
+
+    turn = T["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8)
+    for k in range(40):
+        t = BEGIN + k * 10_000_000
+        if not 10 <= k < 20:
+            joints = T["sensor_msgs/msg/JointState"]
+            yield (
+                "/joint_states",
+                joints.__msgtype__,
+                t,
+                joints(
+                    header=head(t - 2_000_000),
+                    name=["a", "b"],
+                    position=np.array([0.1 * k, -1.0]),
+                    velocity=none,
+                    effort=none,
+                ),
+            )
+        if k % 2 == 0:
+            pose = T["geometry_msgs/msg/PoseStamped"]
+            inside = T["geometry_msgs/msg/Pose"](position=point("Point", k), orientation=turn)
+            yield "/tracker", pose.__msgtype__, t, pose(header=head(t - 2_000_000), pose=inside)
+            bare = T["geometry_msgs/msg/Point"]
+            yield "/ball", bare.__msgtype__, t, point("Point", k)
+            transforms = [
+                T["geometry_msgs/msg/TransformStamped"](
+                    header=head(t),
+                    child_frame_id=name,
+                    transform=T["geometry_msgs/msg/Transform"](translation=point("Vector3", k), rotation=turn),
+                )
+                for name in ("flange", "camera")
+            ]
+            many = T["tf2_msgs/msg/TFMessage"]
+            yield "/tf", many.__msgtype__, t, many(transforms=transforms)
+    text = T["std_msgs/msg/String"]
+    yield "/told", text.__msgtype__, BEGIN, text(data="hello")
+
+
+def recording(folder: Path, kind: str) -> Path:
+    """A recording of a kind, written by rosbags."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import get_types_from_msg as types_of
+
+    ros1 = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if "tf2_msgs/msg/TFMessage" not in store.types:
+        store.register(types_of("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    path = folder / ("one.bag" if ros1 else kind)
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        known: dict[str, Any] = {}
+        for topic, type_, time, message in messages(store, ros1):
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, type_, typestore=store)
+            raw = store.serialize_ros1(message, type_) if ros1 else store.serialize_cdr(message, type_)
+            writer.write(known[topic], time, raw)
+    return path
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recording(tmp_path_factory.mktemp(request.param), request.param)
+
+
+def numbers(sheet: Sheet) -> np.ndarray:
+    return np.array(sheet.rows, dtype=float)
+
+
+def test_topics_are_listed_with_rates_and_gaps(recorded: Path) -> None:
+    found = {topic.name: topic for topic in topics(recorded)}
+    assert {name: topic.of for name, topic in found.items()} == {
+        "/ball": "point",
+        "/joint_states": "joints",
+        "/tf:camera": "pose",
+        "/tf:flange": "pose",
+        "/told": "",
+        "/tracker": "pose",
+    }
+    joints = found["/joint_states"]
+    assert joints.messages == 30
+    assert joints.rate == pytest.approx(29 / 0.39)
+    assert joints.gap == pytest.approx(0.11)
+    assert found["/tracker"].rate == pytest.approx(50.0)
+
+
+def test_joints_and_poses_become_tables_with_one_zero(recorded: Path) -> None:
+    joints, tracker = (read_topic(recorded, name) for name in ("/joint_states", "/tracker"))
+    assert joints.titles == ("time [s]", "a [rad]", "b [rad]")
+    k = np.array([k for k in range(40) if not 10 <= k < 20])
+    np.testing.assert_allclose(numbers(joints), np.column_stack([0.01 * k - 0.002, 0.1 * k, -1.0 + 0 * k]), atol=1e-9)
+    assert tracker.titles == ("time [s]", "x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz")
+    np.testing.assert_allclose(numbers(tracker)[:, 0], 0.02 * np.arange(20) - 0.002, atol=1e-9)
+    np.testing.assert_allclose(numbers(tracker)[1], [0.018, 0.2, 2.0, -3.0, 0.8, 0.0, 0.0, 0.6])
+
+
+def test_points_and_transforms_become_tables_too(recorded: Path) -> None:
+    ball, flange = read_topic(recorded, "/ball"), read_topic(recorded, "/tf:flange")
+    assert ball.titles == ("time [s]", "x [m]", "y [m]", "z [m]")
+    np.testing.assert_allclose(numbers(ball)[2], [0.04, 0.4, 2.0, -3.0], atol=1e-9)
+    np.testing.assert_allclose(numbers(flange)[2], [0.04, 0.4, 2.0, -3.0, 0.8, 0.0, 0.0, 0.6], atol=1e-9)
+
+
+def test_other_topics_and_damaged_files_are_refused(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match=r"there is no topic '/trackr'; near is '/tracker'; there are"):
+        read_topic(recorded, "/trackr")
+    with pytest.raises(MeasurementError, match="neither joints nor points"):
+        read_topic(recorded, "/told")
+    for name in ("bad.bag", "bad.mcap", "bad.db3"):
+        (tmp_path / name).write_bytes(b"not a recording")
+        with pytest.raises(MeasurementError, match="is no recording that can be read"):
+            topics(tmp_path / name)
+    with pytest.raises(MeasurementError, match="no such file or folder"):
+        topics(tmp_path / "none.bag")
+
+
+def test_the_command_lists_and_writes(tmp_path: Path) -> None:
+    path = recording(tmp_path, "mcap")
+    said = run("import", path, "--json")
+    assert said.code == 0
+    assert [topic["name"] for topic in json.loads(said.out)["topics"]][:2] == ["/ball", "/joint_states"]
+    out = tmp_path / "joints.csv"
+    assert run("import", path, "--topic", "/joint_states", "-o", out).code == 0
+    rows = list(csv.reader(io.StringIO(out.read_text())))
+    assert rows[0] == ["time [s]", "a [rad]", "b [rad]"]
+    assert len(rows) == 31
+    assert run("import", path, "--topic", "/joint_states").code == 2
+
+
+def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
+    titles = ["timestamp", *(f"target_q_{k}" for k in range(6)), *(f"actual_q_{k}" for k in range(6)), "runtime_state"]
+    rows = [[str(x) for x in (100.0 + 0.008 * n, *[9.0] * 6, *(0.1 * k + n for k in range(6)), 1)] for n in range(5)]
+    path = tmp_path / "robot_data.csv"
+    path.write_text("\n".join(" ".join(row) for row in [titles, *rows]) + "\n")
+    sheet = read_sheet(path)
+    assert sheet.titles[:2] == ("time [s]", "shoulder_pan_joint [rad]")
+    np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+
+
+MOTIVE = """Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
+
+,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker
+,Name,tool,tool,tool,tool,tool,tool,tool,tool,m1,m1,m1
+,ID,1,1,1,1,1,1,1,1,2,2,2
+,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Error Per Marker,Position,Position,Position
+Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z
+0,0.000000,0,0,0.6,0.8,1.0,2.0,3.0,0.0001,0,0,0
+1,0.008333,,,,,,,,,0,0,0
+2,0.016667,0,0,0.6,0.8,1.1,2.0,3.0,0.0001,0,0,0
+"""
+
+
+def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
+    path = tmp_path / "take.csv"
+    path.write_text(MOTIVE)
+    sheet = read_sheet(path)
+    assert sheet.titles == ("time [s]", "x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz")
+    expected = [[0.0, 1.0, 2.0, 3.0, 0.8, 0, 0, 0.6], [0.016667, 1.1, 2.0, 3.0, 0.8, 0, 0, 0.6]]
+    np.testing.assert_allclose(numbers(sheet), expected)
+    assert sheet.remarks == ("the rigid body 'tool' of Motive; 1 frames that lost it are left out",)
+    with pytest.raises(MeasurementError, match="has no rigid body 'probe'; there are 'tool'"):
+        read_sheet(path, "probe")

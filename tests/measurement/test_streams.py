@@ -1,0 +1,182 @@
+"""Streams: joint readings between samples, gaps, clocks without a guess, poses at rest, and what is refused."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib
+from calib.foundations.errors import CalibError
+from calib.measurement.streams.samples import joint_stream
+from calib.measurement.table import table_from_arrays
+from calib.measuring import Clock, at_rest
+from tests.support import machines, streams
+from tests.support.streams import Streams
+
+
+@pytest.fixture(scope="module")
+def made() -> Streams:
+    return streams.streams(3, seconds=40.0, lost=0.01, jitter=2e-4)
+
+
+def test_readings_between_samples_follow_a_cubic_and_rates_are_their_derivative(made: Streams) -> None:
+    t = np.arange(0.0, 20.0, 1.0 / 60.0)
+    arm = machines.arm(*streams.UR10)
+    table = {"time [s]": t} | {f"{n} [rad]": made.motion.at(t)[:, k] for k, n in enumerate(arm.ranges)}
+    joints = joint_stream(table_from_arrays(table), made.robot.readings, 0.1)
+    at = np.random.default_rng(1).uniform(1.0, 19.0, 500)
+    np.testing.assert_allclose(joints.at(at), made.motion.at(at), atol=2e-8)
+    h = 1e-5
+    np.testing.assert_allclose(joints.rates(at), (joints.at(at + h) - joints.at(at - h)) / (2 * h), atol=1e-8)
+
+
+def test_longer_gaps_are_not_bridged_and_shorter_ones_are(made: Streams) -> None:
+    t = made.joints["time [s]"]
+    without = {name: x[(t < 15.0) | (t > 15.5)] for name, x in made.joints.items()}
+    bridged = calib.measuring.read_stream(made.seen, made.robot, without, clock=Clock(gap=0.6))
+    whole = streams.read(made)
+    apart = calib.measuring.read_stream(made.seen, made.robot, without)
+    assert len(bridged) == len(whole)
+    assert 25 <= len(whole) - len(apart) <= 35
+    assert apart.stream is not None
+    u = apart.stream.times(apart.shifts(np.array([one.start for one in apart.scalars])))
+    assert not np.any((u > 15.0) & (u < 15.5))
+    np.testing.assert_allclose(apart.readings, made.motion.at(u), atol=1e-3)
+
+
+@pytest.mark.parametrize(("seed", "offset", "skew"), [(0, 0.0, 0.0), (1, 60.0, 2e-3), (2, -31.4, -2e-3)])
+def test_the_start_needs_no_guess(seed: int, offset: float, skew: float) -> None:
+    made = streams.streams(seed, seconds=60.0, offset=offset, skew=skew, jitter=1e-3, lost=0.02, memories=(0.05, 0.5))
+    data = streams.read(made)
+    assert data.stream is not None
+    found = {one.name: one.start for one in data.scalars}
+    assert found["clock.offset"] == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
+    assert found["clock.skew"] == pytest.approx(skew, abs=1e-4)
+
+
+def test_an_hour_with_a_skew_needs_no_guess() -> None:
+    # One correlation over all of it would fail: its ends are 7 s apart.
+    made = streams.streams(4, seconds=3600.0, offset=20.0, skew=2e-3, rates=(25.0, 12.0))
+    data = streams.read(made)
+    assert data.stream is not None
+    assert data.scalars[0].start == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
+    assert data.scalars[1].start == pytest.approx(2e-3, abs=1e-5)
+
+
+def test_an_arm_that_goes_and_stops_in_turn_is_told_by_positions() -> None:
+    seen, joints, robot, poses = stops(12)
+    data = calib.measuring.read_stream(seen, robot, joints)
+    assert data.scalars[0].start == pytest.approx(5.0, abs=5e-3)
+    rests = at_rest(data, least=0.5)
+    assert len(rests) == 13
+    np.testing.assert_allclose(rests.readings, poses, atol=1e-6)
+    # 20 um a row, about 70 of them.
+    assert np.all((rests.sigma > 1e-6) & (rests.sigma < 6e-6))
+
+
+def stops(moves: int) -> tuple[dict[str, Any], dict[str, Any], calib.Robot, np.ndarray]:
+    """Streams of an arm that moves for 2 s and rests for 2 s; the tracker is 5 s ahead."""
+    rng = np.random.default_rng(11)
+    robot, arm = machines.load(*streams.UR10), machines.arm(*streams.UR10)
+    poses = np.array([0.3, -0.8, 1.0, 0.2, 0.5, 0.1]) + rng.uniform(-0.3, 0.3, (moves + 1, 6))
+    u = np.arange(0.0, 4.0 * moves + 2.0, 0.008)
+    k = np.minimum((u // 4.0).astype(int), moves)
+    share = np.clip((u - 4.0 * k - 2.0) / 2.0, 0.0, 1.0)
+    s = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    q = poses[k] + s[:, None] * (poses[np.minimum(k + 1, moves)] - poses[k])
+    machine = machines.Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.0, 0.05, 0.1))})
+    x = machine.see(q[::2])[:, :3, 3] + 2e-5 * rng.normal(size=(len(u[::2]), 3))
+    seen = {"time [s]": u[::2] + 5.0} | {f"{axis} [m]": x[:, j] for j, axis in enumerate("xyz")}
+    return seen, {"time [s]": u} | {f"{n} [rad]": q[:, j] for j, n in enumerate(arm.ranges)}, robot, poses
+
+
+def refused(made: Streams, seen: dict[str, Any], joints: dict[str, Any], clock: str | Clock = "free") -> str:
+    with pytest.raises(CalibError) as caught:
+        calib.measuring.read_stream(seen, made.robot, joints, clock=clock)  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
+    seen, joints = made.seen, made.joints
+    back = dict(seen) | {"time [s]": np.concatenate([seen["time [s]"][:50], seen["time [s]"][:-50]])}
+    assert refused(made, back, joints) == (
+        f"arrays:50: the time {back['time [s]'][50]:.6f} s is before that of the row above, "
+        f"{back['time [s]'][49]:.6f} s; the rows of a stream are in order of time."
+    )
+    back = dict(joints) | {"time [s]": joints["time [s]"][::-1]}
+    assert "is before that of the row above" in refused(made, seen, back)
+    slow = dict(seen) | {"time [s]": 1e3 * seen["time [s]"]}
+    assert refused(made, slow, joints).endswith(
+        "s apart or more; in a stream it is 1e-05 to 1 s: is the unit of 'time' right?"
+    )
+    rest = {name: x if name == "time [s]" else np.full_like(x, x[0]) for name, x in joints.items()}
+    assert (
+        refused(made, seen, rest)
+        == "arrays: no joint moves by more than 0.0001 rad or m; a clock shows only while the arm moves."
+    )
+    still = dict(seen) | {f"{axis} [m]": np.full(len(seen["time [s]"]), 1.0) for axis in "xyz"}
+    assert "what was measured hardly moves, by 0 mm/s; clocks are told apart by motion" in refused(made, still, joints)
+    later = dict(seen) | {"time [s]": seen["time [s]"] + 100.0}
+    assert refused(made, later, joints, "given").startswith("arrays: 0 of its")
+    assert refused(made, later, joints, "given").endswith("s; the clocks do not overlap.")
+    other = streams.streams(77, seconds=40.0)
+    assert refused(made, other.seen, joints).endswith("do the two recordings overlap, and are they of this robot?")
+    both = dict(seen) | {"elbow_joint [rad]": np.zeros(len(seen["time [s]"]))}
+    assert refused(made, both, joints).startswith("arrays: column 'elbow_joint' is of a joint, and another file")
+    untimed = {name: x for name, x in seen.items() if name != "time [s]"}
+    assert refused(made, untimed, joints) == (
+        "arrays: there is no column 'time' of a stream; the columns are 'x', 'y', 'z'."
+    )
+    twice = {name: np.insert(x, 10, x[10] + (name != "time [s]") * 0.01) for name, x in joints.items()}
+    assert refused(made, seen, twice) == (
+        "arrays:11: has the time of the row before and other readings; a joint is in one place at a time."
+    )
+
+
+def test_a_motion_that_repeats_itself_is_refused() -> None:
+    robot, arm = machines.load(*streams.UR10), machines.arm(*streams.UR10)
+    u = np.arange(0.0, 60.0, 0.008)
+    q = 0.3 + 0.2 * np.sin(2.0 * np.pi * u[:, None] / np.array([5.0, 2.5, 5.0, 1.25, 2.5, 5.0]) + np.arange(6.0))
+    x = machines.Machine(arm, np.eye(4), {"tool": np.eye(4)}).see(q)[1000:5000:2, :3, 3]
+    joints = {"time [s]": u} | {f"{n} [rad]": q[:, j] for j, n in enumerate(arm.ranges)}
+    seen = {"time [s]": u[1000:5000:2]} | {f"{axis} [m]": x[:, j] for j, axis in enumerate("xyz")}
+    with pytest.raises(CalibError, match=r"at two lags alike.*a motion that does not repeat itself"):
+        calib.measuring.read_stream(seen, robot, joints)
+
+
+def test_options_of_clocks_are_checked() -> None:
+    with pytest.raises(CalibError, match="nothing tells them apart"):
+        Clock("free", latency=True)
+    with pytest.raises(CalibError, match=r"allowed is 0\.001 to 10 s"):
+        Clock(gap=100.0)
+    with pytest.raises(CalibError, match="is not one of free, given"):
+        Clock("loose")  # type: ignore[arg-type]
+
+
+def test_a_latency_is_found_where_the_clock_is_given() -> None:
+    made = streams.streams(12, seconds=30.0, offset=0.012, skew=0.0)
+    data = calib.measuring.read_stream(
+        made.seen, made.robot, made.joints, clock=Clock("given", latency=True), sigma=1e-4
+    )
+    fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), data)
+    assert [p.name for p in fit.parameters][-1] == "clock.latency"
+    assert fit.value("clock.latency") == pytest.approx(0.012, abs=5.0 * fit.sigmas[-1])
+    assert fit.sigmas[-1] < 1e-4
+
+
+def test_a_subset_keeps_the_clock_of_the_whole(made: Streams) -> None:
+    data = streams.read(made)
+    half = data.subset(np.arange(len(data) // 2))
+    at = np.array([one.start for one in data.scalars])
+    np.testing.assert_array_equal(half.readings_at(at), data.readings_at(at)[: len(half)])
+
+
+def test_stretches_of_a_stream_are_held_out_whole(made: Streams) -> None:
+    data = streams.read(made)
+    some, rest = calib.hold_out(data, 0.3)
+    assert len(some) + len(rest) == len(data)
+    assert some.stream is not None
+    assert rest.stream is not None
+    of_some, of_rest = (set(np.floor(part.stream.since / 5.0)) for part in (some, rest) if part.stream is not None)
+    assert of_some.isdisjoint(of_rest)
+    assert 0.2 < len(rest) / len(data) < 0.4
