@@ -65,7 +65,7 @@ def sensitivity(
         assumed = errors is not None and errors.suffix.lower() == ".csv"
         if errors is not None and not assumed:
             calibrated = load_machine(errors).robot
-            if differs := other_machine(model.robot, calibrated):
+            if differs := other_machine(model.urdf_robot, calibrated):
                 raise JobError(f"{errors}: is no result of this job: {differs}.")
             if inputs.job.error_model.terms == "auto":
                 model = with_terms(model, calibrated.terms)  # those that were chosen

@@ -255,4 +255,7 @@ def _said(m: Measurements) -> Array:
     none = np.zeros((len(m), 0))
     position = none if m.position is None else m.position
     orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
-    return np.hstack([m.readings, position, orientation, m.value, none if m.other is None else m.other.readings])
+    points = none if m.points is None else m.points
+    mark = none if m.mark is None else m.mark[:, None]
+    other = none if m.other is None else m.other.readings
+    return np.hstack([m.readings, position, orientation, m.value, points, mark, other])

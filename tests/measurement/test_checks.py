@@ -209,5 +209,12 @@ def test_a_table_twice_is_no_second_table() -> None:
     assert copied_tables([measurements().subset(range(10, N)), few]) == ()
 
 
+def test_points_of_one_scan_are_no_copies() -> None:
+    """A scanner sees many points from one pose, which differ in where they are in its own frame alone."""
+    scan = replace(measurements().subset([0] * N), points=sound_positions())
+    assert "repeated" not in "".join(code for _, code, _ in found(scan))
+    assert copied_tables([scan, replace(scan, points=scan.points + 1e-3)]) == ()
+
+
 def test_findings_are_plain_values() -> None:
     assert Finding("error", "a", "b") == Finding("error", "a", "b")
