@@ -11,7 +11,6 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
-from calib.foundations.ranges import MOST_TARGETS
 from calib.foundations.units import Dimension
 from calib.measurement.columns import numbers, stacked
 from calib.measurement.conditions import conditions
@@ -34,6 +33,8 @@ _SIZES: Mapping[TestKind, tuple[str, ...]] = {
     "sphere": ("diameter", "ball"),
     "articulations": ("diameter", "ball"),
 }
+# Of cones and spheres: a test takes three or so, and all are sought at once.
+_MOST_PLACES = 100
 _PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
 
 
@@ -98,8 +99,8 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     said = {name: cast(tuple[str, ...], columns[name].values) for name in words}
     # What belongs to a name is sought: the place of a cone, a sphere. Lengths are only counted.
     for name in ("target", "group") if kind != "length" else ():
-        if (count := len(set(said.get(name, ())))) > MOST_TARGETS:
-            raise MeasurementError(f"{table.where}: column {name!r} has {count} names; allowed are {MOST_TARGETS}.")
+        if (count := len(set(said.get(name, ())))) > _MOST_PLACES:
+            raise MeasurementError(f"{table.where}: column {name!r} has {count} names; allowed are {_MOST_PLACES}.")
     return Touches(
         kind,
         stacked(table, joints),
