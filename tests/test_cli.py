@@ -153,6 +153,26 @@ def doubled(folder: Path) -> None:
 DOUBLED = f"{TABLE}: 1 of 61 rows repeat an earlier one to the last digit, at line 66."
 
 
+def test_the_same_table_twice_is_refused(folder: Path) -> None:
+    """By its own name, and as a copy of another: no job is written, and none is calibrated."""
+    for name in (TABLE, "copy.csv"):
+        (folder / name).write_bytes((folder / TABLE).read_bytes())
+        said = run("init", folder / "arm_cmm.urdf", folder / TABLE, folder / name, "-o", folder / "n.toml", "--yes")
+        assert (said.code, (folder / "n.toml").exists()) == (1, False)
+        assert said.err.rstrip().endswith("; leave out the copies."), said.err
+
+
+def test_errors_of_another_machine_are_refused(folder: Path) -> None:
+    """Joints of the same names are not enough; nor is it this job when the URDF was changed after the calibration."""
+    assert run("calibrate", JOB, "-o", "out", "-q").code in (0, 3)
+    assert run("sensitivity", JOB, "--errors", "out", "-q").code == 0
+    urdf = folder / "arm_cmm.urdf"
+    other = re.sub(r'(<joint name="joint_3".*?<origin xyz=")\S+', r"\g<1>0.123", urdf.read_text(), flags=re.DOTALL)
+    urdf.write_text(other)
+    said = run("sensitivity", JOB, "--errors", "out", "-q")
+    assert (said.code, said.err) == (1, "Error: out: is no result of this job: their nominal URDFs differ.\n")
+
+
 def test_duplicate_rows_warn(folder: Path) -> None:
     doubled(folder)
     said = run("calibrate", JOB, "-o", "out")

@@ -7,7 +7,7 @@ from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import undetermined
 from calib.identification.sanity import signatures
-from calib.measurement.checks import Finding
+from calib.measurement.checks import Finding, copied_tables
 from calib.measurement.checks import table_findings as check_table
 from calib.measurement.measurements import Measurements
 
@@ -31,7 +31,7 @@ def looks_wrong(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Findin
     """Return what looks wrong with measurements, and nothing of what they cannot show."""
     robot = model.urdf_robot
     of_tables = tuple(finding for data in sets for finding in check_table(data, robot.readings, robot.reach))
-    return _and(of_tables, lambda: signatures(model, sets))
+    return _and((*of_tables, *copied_tables(sets)), lambda: signatures(model, sets))
 
 
 def _and(found: tuple[Finding, ...], more: Callable[[], Sequence[Finding]]) -> tuple[Finding, ...]:

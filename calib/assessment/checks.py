@@ -65,6 +65,7 @@ COUNTED = (
     "radians-as-degrees",
     "metres-as-millimetres",
     "not-held-out",
+    "copied-rows",
 )
 
 

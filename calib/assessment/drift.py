@@ -100,12 +100,8 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     Raises MeasurementError when they are of different ones, or the uncertainty of one is not known.
     """
     robot = old.robot
-    if [reading.name for reading in robot.readings] != [reading.name for reading in new.robot.readings]:
-        raise MeasurementError("the two calibrations are not of one machine: they have readings of other joints.")
-    if _joints(robot) != _joints(new.robot) or not np.allclose(
-        [joint.placement for joint in robot.chain], [joint.placement for joint in new.robot.chain], atol=1e-9
-    ):
-        raise MeasurementError("the two calibrations are not of one machine: their nominal URDFs differ.")
+    if differs := other_machine(robot, new.robot):
+        raise MeasurementError(f"the two calibrations are not of one machine: {differs}.")
     if set(old.tools).isdisjoint(new.tools):
         both = " and ".join(str(tuple(machine.tools)) for machine in (old, new))
         raise MeasurementError(f"the two calibrations have no tool in common: {both}.")
@@ -153,6 +149,17 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         float(errors.max()),
         float(np.sqrt(stated)),
     )
+
+
+def other_machine(one: Robot, other: Robot) -> str:
+    """Return in words how two nominal robots are not the same, "" where they are."""
+    if [reading.name for reading in one.readings] != [reading.name for reading in other.readings]:
+        return "they have readings of other joints"
+    if _joints(one) != _joints(other) or not np.allclose(
+        [joint.placement for joint in one.chain], [joint.placement for joint in other.chain], atol=1e-9
+    ):
+        return "their nominal URDFs differ"
+    return ""
 
 
 def _joints(robot: Robot) -> tuple[tuple[str, str], ...]:

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from calib.assessment.gain import ONE_POSE
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
@@ -242,7 +243,8 @@ def before_and_after(
     touches are the better choice, because the tests' own cones would lose three degrees of freedom to the probe.
     Without any cone, both arms use the first tool of the calibrated arm.
 
-    Raises MeasurementError when a test cannot be evaluated, or lacks what a joint term of the arm needs.
+    Raises MeasurementError when a test cannot be evaluated, as of a cone touched in one pose, or lacks what a joint
+    term of the arm needs.
     """
     for test in (*tests, *(() if probe is None else (probe,))):
         refuse_lacking(machine.robot, test.conditions, test.where)
@@ -268,7 +270,7 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
         frames = np.concatenate([_placed(tips, cone) for cone in cones])
         # The same name in two tables is not the same cone.
         names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
-        point = probe_point(frames, names, guess)
+        point = _probe(frames, names, guess, ", ".join(cone.where for cone in cones))
     results: list[Result] = []
     for test in tests:
         frames = _placed(tips, test)
@@ -276,12 +278,33 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
     return Performance(read_only(point), tuple(results))
 
 
+def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> Array:
+    """Return the probe point, found from touches that leave something to be judged once it and the cones are known."""
+    found = pivot(tips, cones, guess=guess)
+    unknown = 3 * len(found.targets) + 3
+    if 3 * len(tips) <= unknown:
+        raise MeasurementError(
+            f"{where}: {3 * len(tips)} numbers were touched, and the places of cones and probe take {unknown}; touch "
+            "more, in many articulations."
+        )
+    return found.tool_point
+
+
+def _articulated(test: Touches, points: Array, rows: IntArray, place: str) -> Articulation:
+    if len(rows) > 1 and float(np.ptp(test.readings[rows], axis=0).max()) <= ONE_POSE:
+        raise MeasurementError(
+            f"cone {place!r}: all {len(rows)} touches are in one pose; the test takes articulations as different as "
+            "can be."
+        )
+    return single_point_articulation(points[rows], place)
+
+
 def _results(test: Touches, points: Array) -> list[Result]:
     places = rows_by_word(test.words["target"])
     try:
         match test.kind:
             case "cone":
-                return [single_point_articulation(points[rows], place) for place, rows in places.items()]
+                return [_articulated(test, points, rows, place) for place, rows in places.items()]
             case "length":
                 return [_lengths(test, points)]
             case "sphere":

@@ -31,6 +31,8 @@ _TRIED = {
 }
 # Of more rows a trial costs more than it is worth to those who did not ask.
 _MOST_ROWS = 1000
+# Nor of a fit that was long in coming: each trial is as long.
+_MOST_EVALUATIONS = 60
 _OPTIONS = {"harmonic_orders": (1, 2)}
 _SURELY = 0.999
 _BY = 0.9
@@ -39,11 +41,13 @@ _BY = 0.9
 def suggestions(fit: Fit, held_out: Sequence[Measurements]) -> tuple[str, ...]:
     """Return a sentence for the kind of joint terms that would make held-out errors smallest; nothing where none does.
 
-    Nothing is tried where the instrument explains what remains, where no rows were held out, or of very many rows.
+    Nothing is tried where the instrument explains what remains, where no rows were held out, of very many rows, or
+    where the fit itself was long in coming.
     """
     rows = sum(map(len, fit.measurements))
     explained = all(noise.model == 0.0 for noise in fit.noise)
-    if not held_out or explained or not fit.converged or rows > _MOST_ROWS:
+    costly = rows > _MOST_ROWS or fit.evaluations > _MOST_EVALUATIONS
+    if not held_out or explained or not fit.converged or costly:
         return ()
     # Of several quantities the first is judged.
     quantity = QUANTITIES[held_out[0].kind][0].name

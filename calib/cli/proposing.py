@@ -51,6 +51,13 @@ def answers(
     column: Sequence[str] | None,
 ) -> dict[str, Any]:
     """Return what options answer, as :func:`calib.propose` takes it."""
+    columns = renamed(column)
+    given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
+    return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})
+
+
+def renamed(column: Sequence[str] | None) -> dict[str, str]:
+    """Return our names for columns of options like 'x=X2', by our name."""
     from calib.foundations.errors import JobError
 
     columns = {}
@@ -59,8 +66,7 @@ def answers(
         if not mark or not ours.strip() or not theirs.strip():
             raise JobError(f"--column: {pair!r} is not like 'x=X2': our name, and the title in the file.")
         columns[ours.strip()] = theirs.strip()
-    given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
-    return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})
+    return columns
 
 
 def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask: bool) -> "Proposal":

@@ -41,6 +41,7 @@ def sensitivity(
     with loading():
         import numpy as np
 
+        from calib.assessment.drift import other_machine
         from calib.assessment.sensitivity import group_study
         from calib.assessment.sensitivity import sensitivity as sensitivity_of
         from calib.foundations.errors import JobError
@@ -62,8 +63,12 @@ def sensitivity(
         readings = np.concatenate([end.readings for data in inputs.identify for end in data.ends])
         model = inputs.model
         assumed = errors is not None and errors.suffix.lower() == ".csv"
-        if errors is not None and not assumed and inputs.job.error_model.terms == "auto":
-            model = with_terms(model, load_machine(errors).robot.terms)  # those that were chosen
+        if errors is not None and not assumed:
+            calibrated = load_machine(errors).robot
+            if differs := other_machine(model.urdf_robot, calibrated):
+                raise JobError(f"{errors}: is no result of this job: {differs}.")
+            if inputs.job.error_model.terms == "auto":
+                model = with_terms(model, calibrated.terms)  # those that were chosen
         found = sensitivity_of(model, readings)
         study = None
         if errors is not None:

@@ -7,6 +7,7 @@ import typer
 
 from calib.cli.application import JUDGE, NOT_TRUSTED, Telling, command
 from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.proposing import ColumnNames, OrientationName, renamed
 from calib.foundations.choices import Observed
 from calib_start import loading
 
@@ -28,6 +29,12 @@ def verify(
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Rows are in the order of measurement, which tells the side of approach.")
     ] = False,
+    orientation: OrientationName = None,
+    column: ColumnNames = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option("--ignore", metavar="TITLE", help="A column to pass over; repeatable.", show_default=False),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -43,6 +50,7 @@ def verify(
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
+        from calib.measurement.table import Columns
         from calib.presentation.acceptance_tables import verification_lines, verification_table
         from calib.presentation.console import warning
     telling = Telling(as_json, quiet)
@@ -56,6 +64,7 @@ def verify(
             observes,
             sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
             in_order=in_order,
+            columns=Columns(renamed(column), tuple(ignore or ()), orientation),
         ).named(tool=tool, setup=setup)
         say("judging")
         found = judged(

@@ -12,6 +12,10 @@ class NotJsonError(ValueError):
     """What is wrong with a text: the end of a sentence."""
 
 
+class TwiceError(NotJsonError):
+    """A name that comes twice in one object: the end of a sentence."""
+
+
 def document(contents: Mapping[str, Any]) -> str:
     """Return plain data as a JSON document of ours, schema 1: strict, which knows neither nan nor infinity."""
     return json.dumps({"schema": 1, **contents}, indent=2, allow_nan=False) + "\n"
@@ -25,8 +29,13 @@ def parse_json(source: bytes) -> Any:
     """
     try:
         return json.loads(
-            source.decode("utf-8-sig"), parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_object
+            source.decode("utf-8-sig"),
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            object_pairs_hook=unique_names,
         )
+    except TwiceError as e:
+        raise NotJsonError(f"is not JSON that can be read: {e}") from e
     except NotJsonError:
         raise
     except RecursionError as e:
@@ -46,10 +55,11 @@ def _finite(number: str) -> float:
     return value
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def unique_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON, as ``object_pairs_hook`` takes it. Raises TwiceError."""
     found = dict(pairs)
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise NotJsonError(f"is not JSON that can be read: it has {shown(twice)} twice in one object")
+        raise TwiceError(f"it has {shown(twice)} twice in one object")
     return found

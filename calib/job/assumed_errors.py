@@ -26,24 +26,24 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
     Raises JobError for a parameter that is not free or comes twice, and for a quantity of another dimension.
     """
     units = {parameter.name: parameter.unit for parameter in model.parameters()}
-    rows = [row for row in csv.reader(_lines(path)) if row and not row[0].lstrip().startswith("#")]
-    if not rows or [cell.strip() for cell in rows[0]] != ["parameter", "error"]:
+    reader = csv.reader(_lines(path))
+    rows = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
+    if not rows or [cell.strip() for cell in rows[0][1]] != ["parameter", "error"]:
         raise JobError(f"{path}: begins with the columns 'parameter,error', and has a row for every assumed error.")
     found: dict[str, float] = {}
-    for n, row in enumerate(rows[1:], 1):
+    for line, row in rows[1:]:
+        at = f"{path}:{line}"
         if len(row) != 2:
-            raise JobError(f"{path}: row {n} has {len(row)} cells, and two are needed: parameter, error.")
+            raise JobError(f"{at}: has {len(row)} cells, and two are needed: parameter, error.")
         name, error = (cell.strip() for cell in row)
         if name not in units:
-            raise JobError(
-                f"{path}: row {n}: {shown(name)} is not a free parameter of the model{nearest(name, units)}."
-            )
+            raise JobError(f"{at}: {shown(name)} is not a free parameter of the model{nearest(name, units)}.")
         if name in found:
-            raise JobError(f"{path}: row {n}: {name!r} appears twice.")
+            raise JobError(f"{at}: {name!r} appears twice.")
         dimension = _DIMENSIONS.get(units[name])
         if dimension is None:
-            raise JobError(f"{path}: row {n}: {name!r} has the unit {units[name]}; errors are lengths and angles.")
-        found[name] = parse_within(error, OF_DIMENSION[dimension], f"{path}: row {n}: {name}")
+            raise JobError(f"{at}: {name!r} has the unit {units[name]}; errors are lengths and angles.")
+        found[name] = parse_within(error, OF_DIMENSION[dimension], f"{at}: {name}")
     return found
 
 

@@ -43,7 +43,7 @@ from calib.job.schema import (
     TargetSection,
 )
 from calib.machine.touching import touched
-from calib.measurement.checks import Finding, table_findings
+from calib.measurement.checks import Finding, copied_tables, table_findings
 from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
 from calib.measurement.kinds import QUANTITIES
@@ -155,6 +155,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     doubts += _weighed_at_zero(model, sets)
     doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
+    findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]

@@ -9,6 +9,7 @@ from calib.foundations.errors import MeasurementError
 
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
+_ARCHIVE = b"PK\x03\x04"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
@@ -55,6 +56,8 @@ def beginning(data: bytes, where: str) -> list[Line]:
 
 
 def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
+    if data.startswith(_ARCHIVE):
+        raise MeasurementError(f"{where}: is a workbook, and no text; calib import {where} -o table.csv makes a table.")
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
     start, number = len(b"\xef\xbb\xbf") if data.startswith(b"\xef\xbb\xbf") else 0, 1

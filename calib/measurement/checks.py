@@ -4,6 +4,7 @@ An error says that a fit would be meaningless; a warning, that a look is worth i
 below with their reasons; all are far from what real data show.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -31,6 +32,9 @@ _AT_REST = 1e-4
 # Below this much of motion (0.2 rad, 0.2 m) the positions of a sound table may be narrow.
 _IN_MOTION = 0.2
 _LISTED = 10
+# Of a table whose rows are there once more by chance, or by a repeated click, few are.
+_COPIED = 0.5
+_DIGITS = 9
 
 _UNITS = {"angle": "rad", "length": "m"}
 
@@ -197,26 +201,61 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
 
 
 def _repeated(m: Measurements) -> Iterable[Finding]:
-    none = np.zeros((len(m), 0))
-    position = none if m.position is None else m.position
-    orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
-    other = none if m.other is None else np.hstack([m.other.readings, m.other.tool[:, None]])
-    rows = np.hstack(
-        [
-            m.readings,
-            position,
-            orientation,
-            m.value,
-            other,
-            *(number[:, None] for number in (m.tool, m.setup, m.target)),
-        ]
-    )
+    numbers = [m.tool, m.setup, m.target, *([] if m.other is None else [m.other.tool])]
+    rows = np.hstack([_said(m), *(number[:, None] for number in numbers)])
     _, first = np.unique(rows, axis=0, return_index=True)
     again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
     if again.size:
         listed = ", ".join(map(str, again[:_LISTED])) + (", ..." if again.size > _LISTED else "")
+        many = again.size >= _COPIED * len(m)
         yield Finding(
             "warning",
-            "repeated-row",
-            f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {listed}.",
+            "copied-rows" if many else "repeated-row",
+            f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {listed}"
+            + (": copies count as if they had been measured." if many else "."),
         )
+
+
+def copied_tables(sets: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return an error for every table of which another has the rows, in any order: they were measured only once.
+
+    Of the same table by itself :func:`table_findings` tells.
+    """
+    found: list[Finding] = []
+    first: dict[object, int] = {}
+    for k, data in enumerate(sets):
+        rows = _row_keys(data)
+        there = Counter(first[row] for row in rows if row in first)
+        for other, many in there.items():
+            if many >= _COPIED * min(len(data), len(sets[other])):
+                name = sets[other].where
+                said = "an earlier table of the same name" if name == data.where else name
+                sentence = f"{data.where}: {many} of its {len(data)} rows are rows of {said}; leave out the copies."
+                found.append(Finding("error", "copied-table", sentence))
+                break
+        first |= dict.fromkeys((row for row in rows if row not in first), k)
+    return tuple(found)
+
+
+def _row_keys(m: Measurements) -> set[object]:
+    """Return what tells rows apart, over all tables: numbers to a nanometre, or nanoradian, and names."""
+    numbers = np.round(_said(m), _DIGITS) + 0.0  # no -0.0
+    others = m.tool if m.other is None else m.other.tool
+    named = zip(m.tool, others, m.setup, m.target, strict=True)
+    names = [
+        (m.tools[tool], m.tools[other], m.setups[setup], m.targets[target] if m.targets else "")
+        for tool, other, setup, target in named
+    ]
+    of_table = (m.kind, m.tip, m.reading_names)
+    return {(of_table, name, row.tobytes()) for name, row in zip(names, numbers, strict=True)}
+
+
+def _said(m: Measurements) -> Array:
+    """Return all numbers of rows (N, n): readings, and what was measured."""
+    none = np.zeros((len(m), 0))
+    position = none if m.position is None else m.position
+    orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
+    points = none if m.points is None else m.points
+    mark = none if m.mark is None else m.mark[:, None]
+    other = none if m.other is None else m.other.readings
+    return np.hstack([m.readings, position, orientation, m.value, points, mark, other])

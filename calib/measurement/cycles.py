@@ -20,6 +20,8 @@ _POSITION = ("x", "y", "z")
 _COMMAND = ("command_x", "command_y", "command_z")
 _COMMAND_TURN = ("command_qw", "command_qx", "command_qy", "command_qz")
 _WORDS = ("target", "direction")
+# The standard takes five poses and three directions; between every two poses there are figures.
+_MOST_POSES, _MOST_WAYS = 100, 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,8 @@ def cycles(table: Table) -> Cycles:
     """Return the cycles of a table: target, x, y, z; optionally qw to qz, command_x to command_z (and command_qw ...).
 
     With ``direction`` (words): from where each pose was approached; with ``time``: drift. Raises MeasurementError when
-    a column is missing, not known or in a unit of another dimension, or when a target has several commands.
+    a column is missing, not known or in a unit of another dimension, when a target has several commands, or when there
+    are very many targets or directions.
     """
     columns, where = table.columns, table.where
     known = {*_POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
@@ -71,6 +74,8 @@ def cycles(table: Table) -> Cycles:
         dimensions: dict[str, Dimension] = dict.fromkeys(_COMMAND_TURN, "number")
         commanded_turn = read_only(rigid.rotation_of_quaternion(stacked(table, dimensions)))
     target = cast(tuple[str, ...], columns["target"].values)
+    direction = cast(tuple[str, ...], columns["direction"].values) if "direction" in columns else None
+    _refuse_many(target, direction, where)
     for place, rows in rows_by_word(target).items():
         for given in (commanded, commanded_turn):
             if given is not None and np.abs(given[rows] - given[rows[0]]).max() > 1e-9:
@@ -81,7 +86,18 @@ def cycles(table: Table) -> Cycles:
         commanded,
         commanded_turn,
         target,
-        cast(tuple[str, ...], columns["direction"].values) if "direction" in columns else None,
+        direction,
         stacked(table, {"time": "time"})[:, 0] if "time" in columns else None,
         where,
     )
+
+
+def _refuse_many(target: Sequence[str], direction: Sequence[str] | None, where: str) -> None:
+    poses = len(set(target))
+    if poses > _MOST_POSES:
+        raise MeasurementError(f"{where}: column 'target' has {poses} names; allowed are {_MOST_POSES}.")
+    ways = poses if direction is None else len(set(zip(target, direction, strict=True)))
+    if ways > _MOST_WAYS:
+        raise MeasurementError(
+            f"{where}: the poses are approached from {ways} directions together; allowed are {_MOST_WAYS}."
+        )

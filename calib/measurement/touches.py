@@ -33,6 +33,8 @@ _SIZES: Mapping[TestKind, tuple[str, ...]] = {
     "sphere": ("diameter", "ball"),
     "articulations": ("diameter", "ball"),
 }
+# Of cones and spheres: a test takes three or so, and all are sought at once.
+_MOST_PLACES = 100
 _PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
 
 
@@ -69,7 +71,8 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     in one or several places (``target``), touched with a probe whose ball has the diameter ``ball``; with ``group``,
     in several articulations. With neither: cones (``target``), each touched in many articulations.
 
-    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension.
+    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension, and for very many
+    targets.
     """
     columns = table.columns
     kind: TestKind = "cone"
@@ -93,10 +96,15 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
         if (values <= 0.0).any():
             row = int(np.argmin(values))
             raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
+    said = {name: cast(tuple[str, ...], columns[name].values) for name in words}
+    # What belongs to a name is sought: the place of a cone, a sphere. Lengths are only counted.
+    for name in ("target", "group") if kind != "length" else ():
+        if (count := len(set(said.get(name, ())))) > _MOST_PLACES:
+            raise MeasurementError(f"{table.where}: column {name!r} has {count} names; allowed are {_MOST_PLACES}.")
     return Touches(
         kind,
         stacked(table, joints),
-        {name: cast(tuple[str, ...], columns[name].values) for name in words},
+        said,
         of_shapes,
         table.where,
         table.lines,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 from rich import box
 from rich.table import Table
 
@@ -9,9 +10,10 @@ from calib.assessment.performance import Performance
 from calib.foundations.units import MM
 
 CAPTION = (
-    "After the methods of ASME B89.4.22 and ISO 10360-12; no certificate. "
-    "before: nominal arm, after: calibrated arm, the probe found anew for both."
+    "After the methods of ASME B89.4.22 and ISO 10360-12; no certificate. before: nominal arm, after: calibrated arm, "
 )
+_FOUND = "the probe found anew for both."
+_GIVEN = "the probe is the tool of the results; of another ball, --probe says where it is."
 _WHAT = ("test", "place", "n", "figure")
 
 
@@ -20,7 +22,7 @@ def performance_table(before: Performance, after: Performance) -> Table:
     arms = {"before": before, "after": after}
     out = Table(
         title="Acceptance figures [mm]",
-        caption=CAPTION,
+        caption=CAPTION + (_GIVEN if np.array_equal(before.probe, after.probe) else _FOUND),
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,

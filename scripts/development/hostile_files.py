@@ -501,6 +501,13 @@ def _far_positions(folder: Path, size: int) -> None:
     )
 
 
+def _cycles(row: Callable[[int], str], header: str = "target,x [mm],y [mm],z [mm]") -> Hostile:
+    def write(folder: Path, size: int) -> None:
+        (folder / "cycles.csv").write_text(f"{header}\n{repeated(row, size)}", encoding="utf-8")
+
+    return Hostile(write, ("iso9283", "cycles.csv"))
+
+
 _ZEROS = ",".join("0" * 6)
 _UNDER = "".join("-" for _ in range(1))
 
@@ -510,6 +517,11 @@ def _observed(kind: str) -> tuple[tuple[str, str], ...]:
 
 
 HOSTILE: dict[str, Hostile] = {
+    "cycles of many poses": _cycles(lambda k: f"P{k // 2},0,0,{k % 2}\n"),
+    "cycles of a hundred poses": _cycles(lambda k: f"P{k % 100},0,0,{k % 7}\n"),
+    "cycles from many directions": _cycles(
+        lambda k: f"P{k % 3},d{k // 6},0,0,{k % 2}\n", "target,direction,x [mm],y [mm],z [mm]"
+    ),
     "spheres": _shape('sphere radius=".1"'),
     "boxes": _shape('box size=".1 .1 .1"'),
     "cylinders": _shape('cylinder radius=".1" length=".1"'),

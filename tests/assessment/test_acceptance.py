@@ -293,6 +293,27 @@ def test_verify_passes_and_fails(case: Path) -> None:
     assert (wrong.code, wrong.out) == (1, "")
 
 
+def test_tables_of_other_programs_are_verified(case: Path, tmp_path: Path) -> None:
+    """Columns by other names, without units, to be passed over, or of three angles: as a job reads them."""
+    out, table = case / "out", case / "validation.csv"
+    head, *rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    titles = [title.strip() for title in head.split(",")]
+    theirs = [{"x [mm]": "X2"}.get(title, title) for title in titles]
+    (tmp_path / "theirs.csv").write_text(
+        "\n".join(
+            [",".join([*theirs, "who", "rx [deg]", "ry [deg]", "rz [deg]"]), *(f"{row},me,1,2,3" for row in rows)]
+        )
+    )
+    options = ("--column", "x [mm]=X2", "--ignore", "who", "--orientation", "rpy")
+    assert run("verify", out, tmp_path / "theirs.csv", *options, "--json") == run("verify", out, table, "--json")
+    assert "give orientation" not in run("verify", out, tmp_path / "theirs.csv", *options, "--observes", "pose").err
+    wrong = run("verify", out, tmp_path / "theirs.csv", "--column", "X2")
+    assert (wrong.code, wrong.err) == (
+        1,
+        "Error: --column: 'X2' is not like 'x=X2': our name, and the title in the file.\n",
+    )
+
+
 def shifted(folder: Path, by: float) -> Path:
     path = folder / f"shifted_{by}.csv"
     lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()

@@ -124,6 +124,21 @@ def test_a_table_with_everything() -> None:
     assert by_name(found, "P1")["drift of the mean"] == pytest.approx(4e-4, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("target", "direction", "said"),
+    [
+        ([f"P{k // 2}" for k in range(202)], None, "column 'target' has 101 names; allowed are 100."),
+        (["A"] * 1002, [f"d{k // 2}" for k in range(1002)], "from 501 directions together; allowed are 500."),
+    ],
+)
+def test_very_many_poses_are_refused(target: list[str], direction: list[str] | None, said: str) -> None:
+    """Between every two of them there would be figures: minutes from a few kilobytes."""
+    table = columns(position=cloud(len(target)), target=target, **({"direction": direction} if direction else {}))
+    with pytest.raises(MeasurementError) as caught:
+        cycles(table_from_arrays(table))
+    assert str(caught.value).endswith(said)
+
+
 def test_without_commands_only_repeatability_is_told() -> None:
     found = figures(cycles(table_from_arrays(columns(position=cloud(), target=["A"] * 30))))
     assert [f.name for f in found] == ["RP_l"]

@@ -174,6 +174,34 @@ def test_tests_that_cannot_be_evaluated(robot: calib.Robot, columns: dict[str, A
         performance(tips, [made(robot, columns)], None, np.zeros(3))
 
 
+def test_a_cone_in_one_pose_shows_no_articulation(robot: calib.Robot) -> None:
+    columns = JOINTS | {name: [values[0]] * 4 for name, values in JOINTS.items()} | CONE
+    same = touches(table_from_arrays(columns), robot.readings)
+    with pytest.raises(MeasurementError, match=r"cone '.*': all \d touches are in one pose; the test takes"):
+        performance(robot.tips, [same], made(robot, CONE | {"target": ["a"] * 4}), np.zeros(3))
+
+
+def test_touches_that_only_find_the_probe_judge_nothing(robot: calib.Robot) -> None:
+    """Two touches of a cone are six numbers: its place and the probe take them all, and the figures would be zero."""
+    rng = np.random.default_rng(0)
+    columns = {name: rng.uniform(-90.0, 90.0, 2) for name in JOINTS}
+    two = touches(table_from_arrays(columns | {"target": ["a"] * 2}), robot.readings)
+    said = "arrays: 6 numbers were touched, and the places of cones and probe take 6; touch more"
+    with pytest.raises(MeasurementError, match=said):
+        performance(robot.tips, [two], None, np.zeros(3))
+
+
+def test_very_many_cones_and_spheres_are_refused(robot: calib.Robot) -> None:
+    columns = {name: np.arange(202.0) for name in JOINTS} | {"target": [f"c{k // 2}" for k in range(202)]}
+    with pytest.raises(MeasurementError, match="column 'target' has 101 names; allowed are 100"):
+        touches(table_from_arrays(columns), robot.readings)
+
+
+def test_the_table_says_whose_probe_it_is(robot: calib.Robot) -> None:
+    given = performance(robot.tips, [made(robot, LENGTH)], None, np.zeros(3))
+    assert "the probe is the tool of the results" in " ".join(plain(performance_table(given, given)).split())
+
+
 def test_the_probe_is_found_from_cones_only(robot: calib.Robot) -> None:
     with pytest.raises(MeasurementError, match="the probe is found from touches of a cone"):
         performance(robot.tips, [made(robot, CONE)], made(robot, LENGTH), np.zeros(3))

@@ -227,9 +227,9 @@ def test_assumed_errors_are_read_with_their_units(tmp_path: Path) -> None:
     [
         (["elbow_joint.offset,0.06 mm"], "parameter,error", "unit 'mm' is not a unit of"),
         (["elbow_joint.offset,0.06"], "parameter,error", "has no unit"),
-        (["elbow.offset,0.06 deg"], "parameter,error", "row 1: 'elbow.offset' is not a free parameter of the model"),
-        (["elbow_joint.offset,0.06 deg"] * 2, "parameter,error", "row 2: 'elbow_joint.offset' appears twice"),
-        (["elbow_joint.offset"], "parameter,error", "row 1 has 1 cells"),
+        (["elbow.offset,0.06 deg"], "parameter,error", ":3: 'elbow.offset' is not a free parameter of the model"),
+        (["elbow_joint.offset,0.06 deg"] * 2, "parameter,error", ":4: 'elbow_joint.offset' appears twice"),
+        (["elbow_joint.offset"], "parameter,error", ":3: has 1 cells"),
         ([], "name,value", "begins with the columns 'parameter,error'"),
     ],
 )

@@ -93,6 +93,13 @@ def test_the_verdict_is_the_conjunction_of_the_checks(cell: Cell, fit: calib.Fit
     assert harmless.trusted
 
 
+def test_rows_that_are_copies_are_not_trusted(cell: Cell) -> None:
+    """Twice the rows that were measured would make every sigma too small by the root of two."""
+    data, held_out = cell.measured(cell.draw(40)), cell.measured(cell.draw(20))
+    for copied in ([data, data], data.subset([*range(40), *range(40)])):
+        assert failed(calib.assess(calib.identify(cell.model, copied), held_out)) == {"input"}
+
+
 @pytest.mark.parametrize(
     ("rows", "name"),
     [

@@ -126,7 +126,7 @@ def test_write_urdf_writes_the_same(fit: Fit, out: Path, tmp_path: Path) -> None
     assert (tmp_path / "arm.urdf").read_bytes() == (out / "calibrated.urdf").read_bytes()
 
 
-@pytest.mark.parametrize("to", ["dh", "ur"])
+@pytest.mark.parametrize("to", ["dh", "ur", "xacro"])
 def test_controllers_that_take_geometry_are_given_the_best(to: str, found: Calibration, lab: Lab) -> None:
     """What a file loses is what remains between the best geometry and the whole, and less than without a fit."""
     whole = found.machine

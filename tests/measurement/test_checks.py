@@ -1,10 +1,12 @@
 """Every signature in one exact sentence, and nothing said of sound tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.foundations.arrays import Array
-from calib.measurement.checks import Finding, table_findings
+from calib.measurement.checks import Finding, copied_tables, table_findings
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import table_from_arrays
@@ -188,6 +190,30 @@ def test_repeated_rows() -> None:
     assert found(m.subset([*range(N), *range(11)]))[0][2] == (
         "t: 11 of 51 rows repeat an earlier one to the last digit, at line 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...."
     )
+    assert found(m.subset([*range(N), *range(N)]))[0][:2] == ("warning", "copied-rows")
+
+
+def test_a_table_twice_is_no_second_table() -> None:
+    """Under another name, in another order, in part, and with digits lost in other units; new rows are none."""
+    m, rng = measurements(), np.random.default_rng(1)
+    shuffled = replace(m.subset(rng.permutation(N)), where="u")
+    part = replace(m.subset(range(0, N, 2)), where="u", readings=m.readings[::2] * (1.0 + 1e-15))
+    for other in (shuffled, part):
+        (finding,) = copied_tables([m, other])
+        assert (finding.severity, finding.code) == ("error", "copied-table")
+        assert finding.sentence == f"u: {len(other)} of its {len(other)} rows are rows of t; leave out the copies."
+    assert "an earlier table of the same name" in copied_tables([m, m])[0].sentence
+    again = replace(m, position=m.position + rng.normal(scale=1e-6, size=(N, 3)))
+    assert copied_tables([m, again, replace(m, tools=("other",))]) == ()
+    few = replace(m.subset(range(3)), where="few")
+    assert copied_tables([measurements().subset(range(10, N)), few]) == ()
+
+
+def test_points_of_one_scan_are_no_copies() -> None:
+    """A scanner sees many points from one pose, which differ in where they are in its own frame alone."""
+    scan = replace(measurements().subset([0] * N), points=sound_positions())
+    assert "repeated" not in "".join(code for _, code, _ in found(scan))
+    assert copied_tables([scan, replace(scan, points=scan.points + 1e-3)]) == ()
 
 
 def test_findings_are_plain_values() -> None:

@@ -143,6 +143,11 @@ def test_a_workbook(folder: Path) -> None:
         ("a.xlsx", "no", "a.xlsx: is no workbook that can be read."),
         ("a.yaml", "a: [1", "a.yaml: is no YAML that can be read."),
         ("a.yaml", "a: &x [1]\nb: *x\n", "a.yaml: has anchors and aliases, which are not read."),
+        ("a.yaml", "- {a: 1, a: 2}", "a.yaml: is no YAML that can be read: it has 'a' twice in one object."),
+        ("a.json", '[{"a":1,"a":2}]', "a.json: is not JSON that can be read: it has 'a' twice in one object."),
+        ("a.json", '[{"c.d":3,"c":{"d":4}}]', "a.json: record 1 has two values of the name 'c.d'."),
+        ("a.json", "{}", "a.json: has no rows."),
+        ("arm.urdf", '<robot name="a">\n</robot>\n', "arm.urdf: is XML, and no table."),
     ],
 )
 def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: str) -> None:
@@ -152,6 +157,30 @@ def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: s
     with pytest.raises(calib.MeasurementError) as caught:
         read_sheet(name)
     assert str(caught.value) == sentence
+
+
+def test_numbers_of_yaml_are_as_written(folder: Path) -> None:
+    """By YAML 1.1 they would be 15, 90 and 1000; what is no number of ours is refused where it is used."""
+    pytest.importorskip("yaml")
+    (folder / "a.yaml").write_text("- {a: 017, b: 1:30, c: 1_000, d: -2.50, e: null, f: .nan}\n")
+    assert read_sheet("a.yaml").rows == (("017", "1:30", "1_000", "-2.50", "", "nan"),)
+
+
+def test_a_formula_that_was_never_computed_is_no_empty_cell(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["a", "b"], [1.0, 2.0], [3.0, "=A2+1"]):
+        book.active.append(row)
+    book.save(folder / "a.xlsx")
+    with pytest.raises(calib.MeasurementError, match=r"^a.xlsx: cell B3 has a formula that was never computed; save"):
+        read_sheet("a.xlsx")
+
+
+def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> None:
+    (folder / "m.xlsx").write_bytes(b"PK\x03\x04" + bytes(100))
+    said = run("init", UR10, "m.xlsx")
+    expected = "Error: m.xlsx: is a workbook, and no text; calib import m.xlsx -o table.csv makes a table.\n"
+    assert (said.code, said.err) == (1, expected)
 
 
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="CALIB_DATASETS names no folder with peoples_files")

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, judged_export, judged_readings, plain_tips
+from calib.compensation.controllers.export import Export, Part, judged_export, judged_readings, plain_tips
 from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -26,13 +26,15 @@ _COMMENTS = """\
 
 @checked
 def export_xacro(model: CalibratedMachine) -> Export:
-    """Return YAML with the calibrated ``<origin>`` of every joint of the arm, offsets folded in as in calibrated.urdf.
+    """Return YAML with the calibrated ``<origin>`` of every joint of the arm, as calibrated.urdf has them.
+
+    Offsets are folded in; geometry that leans on joint terms or loops is replaced by the best one without them.
 
     ``origins``: by the joint's name, ``xyz`` in m and ``rpy`` in rad, as texts that xacro puts in as they are. Raises
     OutputError for a joint whose name is no plain word.
     """
-    robot = model.robot
-    document = parse_urdf(calibrated_urdf(robot, model.deviations), "the calibrated URDF")
+    robot = model.geometry.robot
+    document = parse_urdf(calibrated_urdf(robot, model.geometry.deviations), "the calibrated URDF")
     origins: dict[str, Mapping[str, Node]] = {}
     for chained in robot.chain:
         if _NAME.fullmatch(chained.name) is None:
@@ -49,7 +51,8 @@ def export_xacro(model: CalibratedMachine) -> Export:
         return with_document(robot, again).tips(readings)
 
     expected = plain_tips(model, judged_readings(model))
-    return judged_export(model, text, read_back, expected, frozenset({"placements", "closed loops and couplings"}))
+    holds: set[Part] = {"placements"} if robot is not model.robot else {"placements", "closed loops and couplings"}
+    return judged_export(model, text, read_back, expected, frozenset(holds))
 
 
 def _three(numbers: Array) -> str:

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from calib.foundations.errors import MeasurementError
+from calib.foundations.json_text import TwiceError, unique_names
+from calib.foundations.words import shown
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
@@ -45,10 +47,30 @@ def from_yaml(data: bytes, where: str) -> _Rows:
     if _ANCHOR.search(text) and _ALIAS.search(text):
         raise MeasurementError(f"{where}: has anchors and aliases, which are not read.")
     try:
-        documents = [found for found in yaml.load_all(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)) if found]
+        nodes = list(yaml.compose_all(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
+        documents = [found for node in nodes if node is not None and (found := _written(node, set(), where))]
     except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
-        raise MeasurementError(f"{where}: is no YAML that can be read.") from e
+        twice = f": {e}" if isinstance(e, TwiceError) else ""
+        raise MeasurementError(f"{where}: is no YAML that can be read{twice}.") from e
     return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
+
+
+def _written(node: Any, seen: set[int], where: str) -> Any:
+    """Return what stands at a node of YAML, scalars as they are written: 017 is neither 15 nor a number of ours."""
+    if id(node) in seen:
+        raise MeasurementError(f"{where}: has anchors and aliases, which are not read.")
+    seen.add(id(node))
+    if node.id == "sequence":
+        return [_written(item, seen, where) for item in node.value]
+    if node.id == "mapping":
+        return unique_names(
+            [(str(_written(key, seen, where)), _written(value, seen, where)) for key, value in node.value]
+        )
+    kind = node.tag.rpartition(":")[2]
+    if kind == "null":
+        return None
+    # YAML has a point in front of what is no number.
+    return node.value.replace(".", "") if kind == "float" and node.value[-1:].isalpha() else node.value
 
 
 def _text(data: bytes, where: str) -> str:
@@ -60,7 +82,9 @@ def _text(data: bytes, where: str) -> str:
 
 def _loaded(text: str, where: str) -> Any:
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=unique_names)
+    except TwiceError as e:
+        raise MeasurementError(f"{where}: is not JSON that can be read: {e}.") from e
     except (ValueError, RecursionError) as e:
         raise MeasurementError(f"{where}: is not JSON.") from e
 
@@ -87,6 +111,8 @@ def _rows(found: Sequence[Any], where: str) -> _Rows:
             raise MeasurementError(f"{where}: record {number} is no mapping of names to values.")
         row: dict[str, str] = {}
         for name, cell in _flat(record, "", 0, where):
+            if name in row:
+                raise MeasurementError(f"{where}: record {number} has two values of the name {shown(name)}.")
             row[name] = cell
             count += 1
             if count > _MOST_CELLS:

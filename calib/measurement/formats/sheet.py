@@ -18,6 +18,7 @@ _MOST_COLUMNS = 1000
 _LARGEST = 200_000_000
 # Columns that may name rows: no sheet names its rows so often.
 _MOST_NAMING = 100
+_XML = (b"<?xml", b"<!--", b"<robot")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     if reader is None:
         return _of_log(data, where, part) or _with_names_of_log(_of_text(data, where))
     titles, rows = reader(data, where)
-    if not rows:
+    if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
     if len(titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{where}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
@@ -85,6 +86,8 @@ def _with_names_of_log(sheet: Sheet) -> Sheet:
 
 def _of_text(data: bytes, where: str) -> Sheet:
     data = in_bytes(data, where)
+    if data.lstrip().startswith(_XML):
+        raise MeasurementError(f"{where}: is XML, and no table.")
     form = layout(data, where)
     titles = [
         f"{title} [{unit}]" if unit and "[" not in title else title
