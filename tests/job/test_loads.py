@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import calib
-from tests.identification.test_loads import BALL, CENTRE, SOFT, WALL, arm, two_arms
 from tests.support import machines
 from tests.support.cases import run
 from tests.support.gears import UR10
 from tests.support.machines import Array
-from tests.support.sagging import DOWN, Sagging
+from tests.support.sagging import BALL, CENTRE, DOWN, SOFT, WALL, Sagging, arm, two_arms
 
 SIGMA = 3e-5
 JOB = f"""

@@ -6,9 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.support import machines
+from tests.support.gears import UR10
 from tests.support.machines import Array, pose
 
 DOWN = (0.0, 0.0, -9.80665)
+WALL = (9.80665, 0.0, 0.0)
+CENTRE = (0.0, 0.08, 0.12)
+SOFT = {"shoulder_lift_joint": 9e-6, "elbow_joint": 1.4e-5, "wrist_1_joint": 3e-5}
+BALL = pose((0.05, 0.02, 0.15))
 
 
 @dataclass(frozen=True)
@@ -75,3 +80,31 @@ class Sagging:
                 T = T @ pose(rotvec=joint.axis * at.get(joint.name, 0.0))
             found[joint.child] = T
         return found
+
+
+def arm(rng: np.random.Generator) -> Sagging:
+    names = ["shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint"]
+    origins = {name: pose(rng.normal(scale=5e-4, size=3), rng.normal(scale=1e-3, size=3)) for name in names}
+    return Sagging(UR10[0], SOFT, origins)
+
+
+def two_arms() -> str:
+    """Two arms of two joints on one torso that leans, all of them heavy."""
+    links = ["base", "torso", *(f"{side}_{part}" for side in ("left", "right") for part in ("upper", "lower", "hand"))]
+    mass = '<inertial><origin xyz="0.1 0.02 0.1"/><mass value="{}"/></inertial>'
+    elements = [f'<link name="{name}">{mass.format(3 + k)}</link>' for k, name in enumerate(links)]
+
+    def joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> str:
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>{machines.LIMIT.get(kind, "")}</joint>'
+        )
+
+    elements.append(joint("lean", "revolute", "base", "torso", "0 0 0.5", "0 1 0"))
+    for side, y in (("left", 0.3), ("right", -0.3)):
+        elements += [
+            joint(f"{side}_lift", "revolute", "torso", f"{side}_upper", f"0 {y} 0.6", "0 1 0"),
+            joint(f"{side}_bend", "revolute", f"{side}_upper", f"{side}_lower", "0.4 0 0.05", "0 0.6 0.8"),
+            joint(f"{side}_mount", "fixed", f"{side}_lower", f"{side}_hand", "0.3 0 0", "0 0 0"),
+        ]
+    return f'<robot name="two_arms">{"".join(elements)}</robot>'
