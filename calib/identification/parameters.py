@@ -3,14 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray
-from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
 
@@ -29,16 +27,6 @@ PLACEMENT_WIDTH = 0.01
 UNSHOWN_TOOL_WIDTH = 0.03
 FRAME_WIDTH = 10.0
 TERM_WIDTH = 10.0
-# By the field of Priors.
-_RANGES = MappingProxyType(
-    {
-        "length": "prior.length",
-        "angle": "prior.angle",
-        "harmonics": "prior.harmonics",
-        "elastic": "prior.elastic",
-        "elastic_sliding": "prior.elastic of readings that slide",
-    }
-)
 # An ordinary distance of a tool point from its link, in m.
 TOOL = 0.3
 
@@ -52,8 +40,6 @@ class Priors:
     that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
     rotations, all joint offsets, the harmonics of one reading, all compliances - then share one standard deviation, the
     most likely one.
-
-    Raises JobError for one that is out of range.
     """
 
     length: Prior | None = None
@@ -64,11 +50,6 @@ class Priors:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        for field, name in _RANGES.items():
-            width = getattr(self, field)
-            # Other words, and what is not above zero, the error model refuses, which knows of what the prior is.
-            if isinstance(width, float | int) and width > 0.0:
-                refuse_beyond(width, name, f"Priors: {field}")
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""

@@ -16,7 +16,6 @@ from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
-from calib.foundations.ranges import OF_DIMENSION
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -34,6 +33,9 @@ from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, s
 from calib.robot.terms import JointTerm
 from calib.robot.transmission import Flexures, Transmission, flexures
 from calib.robot.urdf import Urdf
+
+# In rad and m. Degrees taken for radians, and millimetres for metres, are still within.
+LARGEST_READING = 1e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,8 +324,8 @@ class Robot:
     def own(self, readings: Array) -> Array:
         """Return readings (N, nr) as they are.
 
-        Raises RobotError when they have not a column for each of this robot's, or one is not a number within the range
-        of angles or lengths.
+        Raises RobotError when they have not a column for each of this robot's, or one is not a number up to
+        ``LARGEST_READING``.
         """
         if readings.ndim != 2 or readings.shape[1] != len(self.readings):
             names = ", ".join(reading.name for reading in self.readings)
@@ -331,14 +333,13 @@ class Robot:
                 f"readings of shape {readings.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
             )
         for k, reading in enumerate(self.readings):
-            allowed = OF_DIMENSION[reading.dimension]
-            low, high = allowed.ends
             # A comparison with nan is false.
-            within = (readings[:, k] >= low) & (readings[:, k] <= high)
+            within = np.abs(readings[:, k]) <= LARGEST_READING
             if not within.all():
-                row = int(np.argmin(within))
+                row, unit = int(np.argmin(within)), "rad" if reading.dimension == "angle" else "m"
                 raise RobotError(
-                    f"readings: row {row + 1} of {reading.name!r} is {readings[row, k]:g}; allowed is {allowed}."
+                    f"readings: row {row + 1} of {reading.name!r} is {readings[row, k]:g}; allowed is "
+                    f"{-LARGEST_READING:g} to {LARGEST_READING:g} {unit}."
                 )
         return readings
 

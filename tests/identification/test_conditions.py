@@ -146,10 +146,10 @@ def test_one_column_may_speak_for_all_joints() -> None:
 
 def test_conditions_of_several_sets_are_joined_where_all_have_them() -> None:
     whole = Conditions(np.ones((2, 3)), np.array([20.0, 21.0]))
-    both = joined([whole, whole])
+    both = joined([(2, whole), (2, whole)])
     assert both.approach is not None
     assert both.approach.shape == (4, 3)
-    assert joined([whole, Conditions(temperature=np.zeros(1))]).approach is None
+    assert joined([(2, whole), (1, Conditions(temperature=np.zeros(1)))]).approach is None
     assert joined([]).temperature is None
 
 
