@@ -488,6 +488,8 @@ def pixels(seed: int) -> Case:
     columns |= {"target": ["board"] * (n * m)}
     camera = calib.measuring.Camera("tip" if on_tip else "floor", **LENS, sigma=sigma if stated else 0.0)
     data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
+    # The independent search takes board and lens as known.
+    data = calib.measuring.seen_by(data, camera, calib.measuring.Board(scale_sigma=0.0))
     parameters = [*placements, *(f"{name}.offset" for name in found.ranges)]
     parameters += [*(f"tool.{c}" for c in POSE), *(f"target.board.{c}" for c in POSE)]
     nominal = nominal_of(true)

@@ -1,6 +1,7 @@
 """Nested models by held-out error: what is there is recommended and no more, and nobody sees what he is judged by."""
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, hel
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
-from calib.presentation.comparison_tables import comparison_sheet
+from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
 from calib.robot.terms.harmonic import harmonic
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching
@@ -87,6 +88,9 @@ def test_a_machine_with_an_uneven_gear_asks_for_joint_terms() -> None:
     assert {term.name for term in harmonic("shoulder_lift_joint", 3)} <= set(found.recommended.terms)
     assert found.recommended.model.terms == found.recommended.terms
     assert not next(judged for judged in found.models if judged.name == PLACEMENTS).no_worse
+    first, *_ = comparison_sentences(found)
+    assert re.match(r"\d+ joint terms are chosen with all rows: ", first)
+    assert found.recommended.terms[0] in first
 
 
 def test_dh_parameters_stand_where_the_model_has_them() -> None:

@@ -46,11 +46,13 @@ def test_the_document_tells_every_model(folder: Path) -> None:
     assert models["placements"]["held_out"] < 1e-4 < models["offsets"]["held_out"]
 
 
-def test_chosen_terms_are_named() -> None:
+def test_terms_that_would_hardly_help_are_not_chosen() -> None:
+    """An arm whose joints give way a little: errors of rows held out fall by less than they may by chance."""
     code, out, _ = run("models", CASE / "calibration_realistic.toml", "--folds", "3")
     assert code == 0
-    assert re.search(r"\d+ joint terms are chosen with all rows: joint_1\.cos_1,", out)
-    assert "Recommended: joint terms" in out
+    figures = dict(re.findall(r"^  (placements|joint terms) +\d+ +\d+ +(\S+)", out, re.M))
+    assert figures["placements"] == figures["joint terms"]
+    assert "Recommended: placements" in out
 
 
 def test_each_group_by_itself_and_quiet(folder: Path) -> None:

@@ -165,7 +165,7 @@ def test_a_camera_on_the_head_sees_a_mark_on_the_hand(cell: tuple[Path, Tree]) -
     u, v = (800.0 * x[good, :2] / x[good, 2:] + 500.0 + rng.normal(scale=0.05, size=(len(good), 2))).T
     write_table(folder / "pixels.csv", made.columns(q[good], TIPS[1:]) | {"u [px]": u, "v [px]": v})
     job, out = folder / "eye.toml", folder / "eye"
-    accepting = JOB.replace("schema = 1", "schema = 1\naccept = [\"lens\"]")
+    accepting = JOB.replace("schema = 1", 'schema = 1\naccept = ["lens"]')
     job.write_text(accepting + EYE.replace("{}", '{ link = "head" }') + LEFT, encoding="utf-8")
     said = run("calibrate", job, "-o", out)
     assert said.code == 0, said
