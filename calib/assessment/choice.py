@@ -57,6 +57,8 @@ from calib.robot.terms import KINDS, JointTerm, kind_of
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 # Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
+# By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
+_FORETOLD = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +181,9 @@ def choose_terms(
             progress("choosing joint terms: judging away from what was measured")
             fold = folds(place, count)
             away, _ = system.judged(fold, place, system.grams(fold), most)
-            most = largest_unharmed(away)
+            # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
+            if away[0].rms <= _FORETOLD * figures[0].rms:
+                most = largest_unharmed(away)
         entered = system.way(np.sum(grams, axis=0)).order
     steps = tuple(
         Step(

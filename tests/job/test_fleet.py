@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import psutil
@@ -205,17 +206,15 @@ def test_a_process_that_dies_costs_no_job(folder: Path) -> None:
 
 
 def test_a_job_whose_process_dies_is_told_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Died(Exception):  # noqa: N818
-        pass
-
     def together(tasks):  # type: ignore[no-untyped-def]
         for _, (job, _), _ in list(tasks):
             if job.name == "b":
-                raise Died
+                raise BrokenProcessPool
             yield Done(job)
 
     chosen = [FleetJob(Path(name), name, Path(name)) for name in "abcd"]
-    found = {done.job.name: done.failure for done in fleets._run(fleets._Crew(together, (Died,)), chosen)}
+    monkeypatch.setattr(fleets, "_together", together)
+    found = {done.job.name: done.failure for done in fleets._run(chosen)}
     assert found == {"a": None, "b": "b: its process died; the memory may not suffice.", "c": None, "d": None}
 
 
