@@ -204,8 +204,7 @@ def test_results_that_cannot_be_looked_for_are_refused_in_a_sentence(
 
         monkeypatch.setattr(os, "stat", looked_at)
     for command in (("compare", name, name), ("view", name), ("sensitivity", JOB, "--errors", name)):
-        file = "result.json" if command[0] == "sensitivity" else "model.json"
-        assert run(*command) == (1, "", f"Error: {name}/{file}: cannot be read ({why}).\n")
+        assert run(*command) == (1, "", f"Error: {name}/model.json: cannot be read ({why}).\n")
 
 
 # Every command, with what is there in the place of all its files and folders.
