@@ -29,6 +29,8 @@ class Payload:
     """What a link carries: ``mass`` in kg, its centre ``position`` in m in the link's frame.
 
     ``link``: one of those that the robot was loaded with; "" is its tip.
+
+    Raises RobotError when a number is out of range.
     """
 
     mass: float
@@ -37,6 +39,8 @@ class Payload:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(self.mass, "mass", "payload: mass", RobotError)
+        refuse_beyond(self.position, "position, station, point", "payload: position", RobotError)
 
     @property
     def moments(self) -> tuple[float, float, float, float]:
@@ -57,6 +61,7 @@ class Load:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(self.gravity, "gravity", "load: gravity", RobotError)
 
 
 def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float, float]:
@@ -69,15 +74,12 @@ def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float,
 
 
 def checked_payload(payload: Payload | None, links: Sequence[str], where: str) -> Payload | None:
-    """Return a payload as it is. Raises RobotError where it is out of range, or on none of the ``links``."""
-    if payload is not None:
-        refuse_beyond(payload.mass, "mass", f"{where}: the payload's mass", RobotError)
-        refuse_beyond(payload.position, "position, station, point", f"{where}: the payload", RobotError)
-        if payload.link and payload.link not in links:
-            raise RobotError(
-                f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
-                f"with: {', '.join(map(repr, links))}."
-            )
+    """Return a payload as it is. Raises RobotError where it is on none of the ``links``."""
+    if payload is not None and payload.link and payload.link not in links:
+        raise RobotError(
+            f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
+            f"with: {', '.join(map(repr, links))}."
+        )
     return payload
 
 

@@ -16,6 +16,7 @@ from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -61,6 +62,10 @@ class Coupling:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(list(self.drivers.values()), "coupling.drivers", f"coupling of {self.joint!r}", RobotError)
+        # Whether it is an angle or a length, the joint says; that of a length has the wider range.
+        key = "coupling.offset of what slides"
+        refuse_beyond(self.offset, key, f"coupling of {self.joint!r}: offset", RobotError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,8 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        if alien := next((word for word in self.closes if word not in ("x", "y", "z")), None):
+            raise RobotError(f"loop {self.name!r}: closes {alien!r}; allowed are 'x', 'y' and 'z'.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +118,8 @@ class Deviations:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
+            refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
 
 
 class TipMotion(NamedTuple):
@@ -355,7 +364,7 @@ class TipModel:
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
         d, nominal = deviations or robot.no_deviations(), nominal or Nominal(robot)
-        _refuse_shapes(robot, d)
+        refuse_other_deviations(robot, d)
         m = nominal.mechanism
         s = skeleton(m.segments, m.deviations(d.placements))
         end = int(m.carrying[robot.tip_joint])
@@ -463,7 +472,7 @@ class Nominals(dict[Robot, Nominal]):
         return self[robot]
 
 
-def _refuse_shapes(robot: Robot, d: Deviations) -> None:
+def refuse_other_deviations(robot: Robot, d: Deviations) -> None:
     """Raise RobotError for deviations of another arm: there is one for each of what this one has."""
     for name, found, needed in (
         ("placements", d.placements.shape, (len(robot.chain), 6)),
