@@ -68,7 +68,7 @@ GOOD: Mapping[str, Callable[[], dict[str, Any]]] = {
     "Priors": lambda: {"length": 1e-3, "angle": 1e-3, "harmonics": 1e-4, "elastic": 1e-5, "elastic_sliding": 1e-7},
     "Relation": lambda: {"kind": "distance", "targets": ("a", "b"), "value": 1.0, "sigma": 1e-5},
     "SetUp": lambda: {"pose": np.eye(4), "length": 1e-3, "angle": 1e-3},
-    "Setup": dict,
+    "PlannedMeasurement": dict,
     "Sight": dict,
     "Target": lambda: {"pose": np.eye(4)},
     "TouchingArm": lambda: {"machine": machine(), "point": np.zeros(3), "sigma": 1e-5},
