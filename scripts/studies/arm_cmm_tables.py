@@ -26,7 +26,7 @@ from rich.table import Table
 import calib
 from calib.assessment.sensitivity import (
     Sensitivity,
-    coefficients,
+    error_coefficients,
     exact_error,
     group_study,
     predicted_error,
@@ -263,7 +263,7 @@ def simulations(paper: dict[str, Any], of: Arm) -> list[Simulation]:
         data = of.touched(q, points)
         rounded = total_differential(of.model, data, stop=paper["stop"] * MM, rounding=paper["rounding"])
         exact = total_differential(of.model, data, stop=0.0)
-        condition = float(np.linalg.cond(coefficients(of.model, np.radians(q)).matrix.reshape(-1, 6)))
+        condition = float(np.linalg.cond(error_coefficients(of.model, np.radians(q)).matrix.reshape(-1, 6)))
         found.append(Simulation(k, printed, q, points, of.misses(q, np.zeros(6)), rounded, exact, condition))
     return found
 
