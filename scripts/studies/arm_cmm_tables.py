@@ -554,7 +554,7 @@ def error_model(paper: dict[str, Any]) -> list[Block]:
         Heading(2, "Error model of a multi-joint CMM"),
         """Ye Dong, Huang Qingcheng, Che Rensheng. The error of the probe as a total differential, dP = J dx, in 25
         parameters: a, alpha and theta of six rows and d of seven. Here `calib.assessment.sensitivity` has J
-        analytically (`coefficients`), the linear error (`predicted_error`) and the true one (`exact_error`); the
+        analytically (`error_coefficients`), the linear error (`predicted_error`) and the true one (`exact_error`); the
         machine is `robots/arm_cmm/arm_cmm.urdf`.""",
         Heading(3, "Nominal positions [mm]"),
         "A star marks a misprint, named below the next table. Row 9 is computed with theta_1 = 0.",
