@@ -83,7 +83,7 @@ class Regressor:
             else:
                 found[some, :, :3] = 0.0
             _along(about, self.axes, found[some, :, 3:])
-        return found.reshape(len(rows), 6 * len(self.way), -1)
+        return found.reshape(len(rows), 6 * len(self.way), rows.shape[2])
 
     def by_joint(self, types: Sequence[MovingType], joints: Sequence[int]) -> Array:
         """Return the local twists (N, 6, k) of the frame for the positions of some joints.
@@ -177,20 +177,22 @@ class Kinematics:
         for q_n in np.ascontiguousarray(q):
             walk(model, data, q_n)
             found += left
-        by_row = np.frombuffer(found).reshape(len(q), 12 * (model.njoints - 1))
-        return np.ascontiguousarray(by_row.T).reshape(-1, 4, 3, len(q))
+        joints = model.njoints - 1
+        by_row = np.frombuffer(found).reshape(len(q), 12 * joints)
+        return np.ascontiguousarray(by_row.T).reshape(joints, 4, 3, len(q))
 
     def _placed(self, behind: Array) -> tuple[Array, ...]:
         """Return placements (N, 4, 4) of the frames, where joints are as :meth:`_behind` has them."""
-        found = tuple(np.zeros((behind.shape[3], 4, 4)) for _ in self._frames)
+        n = behind.shape[3]
+        found = tuple(np.zeros((n, 4, 4)) for _ in self._frames)
         for to, (joint, placement) in zip(found, self._frames, strict=True):
             to[:, 3, 3] = 1.0
             if joint < 0:
                 to[:] = placement
             else:
-                axes = behind[joint, 1:].reshape(3, -1)
-                to[:, :3, :3] = (placement[:3, :3].T @ axes).reshape(3, 3, -1).T
-                to[:, :3, 3] = (behind[joint, 0] + (placement[:3, 3] @ axes).reshape(3, -1)).T
+                axes = behind[joint, 1:].reshape(3, 3 * n)
+                to[:, :3, :3] = (placement[:3, :3].T @ axes).reshape(3, 3, n).T
+                to[:, :3, 3] = (behind[joint, 0] + (placement[:3, 3] @ axes).reshape(3, n)).T
         return found
 
 
