@@ -278,7 +278,9 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
                     base[own] = rigid.inverse(links[link].tips(readings[own], data.conditions.subset(rows).subset(own)))
-            placed = base @ tips @ _shifted(at.frames.tools[data.tool[rows]], data.points, rows)
+            # In the order of operations in which the Jacobian's rows are made: both give the same bits.
+            placed = base @ (tips @ at.frames.tools[data.tool[rows]])
+            placed = _shifted(placed, data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
         found.append(residual)
     return tuple(found)
