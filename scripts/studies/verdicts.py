@@ -43,13 +43,13 @@ How the thresholds were chosen: what counts as sound was written down before it 
 of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and the
 verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Two thresholds
 were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound sessions, and
-"explained" to what poor arms need, a twentieth of what random numbers leave. Three checks were made to find what
-sessions had been trusted: "one machine" after the first ten later situations, and its search for three and four machines,
-"axes" and "resolution" after the ten that followed. Their thresholds come from sound sessions and poor arms alone.
+"explained" to what poor arms need, a twentieth of what random numbers leave. Three checks were made for sessions that
+had been trusted: "one machine" after the first ten later situations, and its search for three and four machines, "axes"
+and "resolution" after the ten that followed. Their thresholds come from sound sessions and poor arms alone.
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
-such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session counts
-as right where at least nine of ten are inside their stated 95 % regions.
+such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
+counts as right where at least nine of ten are inside their stated 95 % regions.
 """
 
 TAIL = """## What it cannot find
@@ -132,13 +132,14 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
             "last",
             "And ten after that",
             "Written down before any was judged, with that check in place and on one more robot "
-            f"({LAST_ROBOT}). Six of the twenty sessions were trusted before three checks were made for what these were.",
+            f"({LAST_ROBOT}). Six of the twenty sessions were trusted before "
+            "checks were made for what these were.",
         ),
         (
             "next",
             "Streams, photographs, two tools, two set-ups",
-            f"Ten more, written down before any was judged, with all checks in place and on one more robot ({NEXT_ROBOT}, "
-            "its left arm); shown as they came out.",
+            f"Ten more, written down before any was judged, with all checks in place and on one more robot "
+            f"({NEXT_ROBOT}, its left arm); shown as they came out.",
         ),
     ):
         own = [line for line in lines if line["set"] == name]
