@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.assessment.effects import Effect, Rounding, Step, Strain, Stretch, memory
+from calib.assessment.effects import NO_EFFECT, Effect, Rounding, Step, Strain, Stretch, Timing, memory
 from calib.assessment.gain import ONE_POSE, gain
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.metrics import error_norms
@@ -380,6 +380,25 @@ def late(found: Effect, step: float = NOTHING) -> Check:
     said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
     cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
     return _check("delay", value, limit, passed, f"{said}." if passed else f"{said}: {cure}.")
+
+
+def timing(found: Timing) -> Check:
+    """Whether readings of a stream are of one time, and of that time alone."""
+    limit = LATE * found.step
+    told = [
+        (abs(one.value), one, f"readings of {name!r} seem to be {abs(one.value) / MS:.2g} ms off those of the others")
+        for name, one in found.by_joint.items()
+    ]
+    width = float(np.sqrt(2.0 * max(found.smoothed.value, 0.0)))
+    told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
+    # Where one joint is late, others seem so with it: the one that explains most is named.
+    sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
+    value, _, what = max(sure, key=lambda one: one[1].size, default=(NOTHING, NO_EFFECT, ""))
+    if not sure:
+        return _check("timing", NOTHING, limit, True, "Readings seem to be of one time.")
+    passed = value <= limit
+    more = "." if passed else ": read all joints at once, and unfiltered."
+    return _check("timing", value, limit, passed, f"In time, {what}{more}")
 
 
 def gear(found: Mapping[str, Effect], fit: Fit) -> Check:

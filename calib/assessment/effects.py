@@ -10,7 +10,7 @@ in all of them -, so that N rows say less than N independent ones: the standard 
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
@@ -38,6 +38,8 @@ _TAKEN = 1e-7
 _MOST_SPLITS = 60
 # Rows with times that are no farther apart, in s, are a motion.
 _STREAM = 1.0
+# Rows of a stream that are farther apart, in steps, are no neighbours.
+_GAP = 2.5
 # A scatter of a nanometre is rounding.
 _ROUNDING = 1e-9
 # Rows on either side of a jump.
@@ -253,6 +255,48 @@ def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
         np.einsum("ndk,nk->nd", part.by_joint, -part.rates * unit) for part, unit in zip(usable, units, strict=True)
     ]
     return effect(usable, moved, C), step
+
+
+class Timing(NamedTuple):
+    """How readings of a stream keep time among themselves.
+
+    ``by_joint``: by how many s what was measured is later than the readings of each joint alone. ``smoothed``, in s^2:
+    half the variance of the times over which readings are means, that of the others alike taken for delay. ``step``: s
+    between rows; nan where not all rows have times, and nothing is said.
+    """
+
+    by_joint: Mapping[str, Effect]
+    smoothed: Effect
+    step: float
+
+
+def timing(parts: Sequence[Stretch], C: Array) -> Timing:
+    """Return whether some joint is late by itself, and whether readings are means over a time, as filters make them.
+
+    To second order a mean over times of variance v is ``q - delay q' + v/2 q''``.
+    """
+    usable = [part for part in parts if part.data.other is None]
+    step = float(np.mean([part.step for part in usable])) if usable else float("nan")
+    if not np.isfinite(step):
+        return Timing({}, NO_EFFECT, step)
+    by_joint = {
+        name: effect(usable, [-part.by_joint[:, :, j] * part.rates[:, None, j] for part in usable], C)
+        for j, name in enumerate(usable[0].joints)
+    }
+    moved = [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part)) for part in usable]
+    return Timing(by_joint, effect(usable, moved, C), step)
+
+
+def _accelerations(part: Stretch) -> Array:
+    """Return how fast the rates (n, k) change, in a second; 0 beside gaps."""
+    assert part.data.times is not None
+    times = part.data.times[part.row.astype(np.intp)]
+    if len(times) < 2:
+        return np.zeros_like(part.rates)
+    steps = np.gradient(times)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.gradient(part.rates, times, axis=0)
+    return np.asarray(np.where((steps > 0.0) & (steps < _GAP * part.step), found.T, 0.0).T)
 
 
 class Score(NamedTuple):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.assessment import checks
-from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, stretches, wandering
+from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, stretches, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
@@ -56,6 +56,7 @@ def verdict(
             checks.jump(steps(parts, C), found),
             checks.drift(wandering(parts, C), fit),
             checks.late(*delay(parts, C)),
+            checks.timing(timing(parts, C)),
             checks.gear(gains(parts, C), fit),
             checks.axes(strains(parts, C)),
             checks.resolution(rounding(parts, fit.model.robot), fit),

@@ -1,9 +1,11 @@
 """Does the verdict say no where it must, and yes where it may? Sound and bad sessions, judged in one process.
 
     python scripts/studies/verdicts.py [--sound 500] [--poor 60] [--moving 60] [--seeds 2]
-        [--only sound|poor|moving|bad|later|last|next] [--minutes 9] [--log verdicts.json] [--out docs/verdicts.md]
+        [--only sound|poor|moving|bad|later|last|next|again] [--minutes 9] [--log verdicts.json]
+        [--out docs/verdicts.md]
 
 With --log what was judged is kept, and what is there already is not judged again; --minutes ends a part of it.
+What is called next is kept as it came out at first; again is the same after repair.
 """
 
 import argparse
@@ -82,6 +84,7 @@ def sessions(args: argparse.Namespace) -> Iterator[tuple[str, int, str, str]]:
         ("later", LATER, (LATER_ROBOT,)),
         ("last", LAST, (LAST_ROBOT,)),
         ("next", NEXT, (NEXT_ROBOT,)),
+        ("again", NEXT, (NEXT_ROBOT,)),
     ):
         if args.only in ("", name):
             yield from ((name, seed, what, which) for what in table for which in robots for seed in range(args.seeds))
@@ -139,7 +142,12 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
             "next",
             "Streams, photographs, two tools, two set-ups",
             f"Ten more, written down before any was judged, with all checks in place and on one more robot "
-            f"({NEXT_ROBOT}, its left arm); shown as they came out.",
+            f"({NEXT_ROBOT}, its left arm); shown as they came out, before anything was changed.",
+        ),
+        (
+            "again",
+            "The same once more",
+            'After the check "timing" was made for streams, whose threshold comes from the sound sessions in motion.',
         ),
     ):
         own = [line for line in lines if line["set"] == name]
@@ -259,7 +267,7 @@ def main() -> int:
     parser.add_argument("--moving", type=int, default=60)
     parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--only", default="", choices=("", *SOUND, "bad", "later", "last", "next"))
+    parser.add_argument("--only", default="", choices=("", *SOUND, "bad", "later", "last", "next", "again"))
     parser.add_argument("--log", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/verdicts.md"))
     args = parser.parse_args()

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment import checks
-from calib.assessment.effects import delay, gains, rounding, steps, strains, stretches, wandering
+from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, stretches, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
@@ -77,7 +77,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 25
+    assert len({check.name for check in found.checks}) == len(found.checks) == 26
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
@@ -175,6 +175,35 @@ def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
     assert step == pytest.approx(0.2)
     assert f"{1e3 * abs(timed.value):.2g} +- " in checks.late(timed, step).sentence
     assert " ms " in checks.late(timed, step).sentence
+
+
+def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) -> None:
+    q, t = cell.path(520), 0.1 * np.arange(500)
+    true = cell.measured(q)
+    rows = slice(10, 510)
+
+    def told(read: Array) -> tuple[Timing, checks.Check]:
+        data = true.subset(range(10, 510))
+        found = timing(*cell.effects(replace(data, readings=read[rows], times=t)))
+        return found, checks.timing(found)
+
+    found, check = told(q)
+    assert check.passed
+    assert np.isnan(check.statistic)
+    read = np.array(q)
+    read[:-2, 2] = q[2:, 2]
+    found, check = told(read)
+    # This joint was read two rows before what was measured.
+    assert found.by_joint["elbow_joint"].value == pytest.approx(0.2, rel=0.1)
+    assert not check.passed
+    assert "readings of 'elbow_joint' seem to be" in check.sentence
+    # Means over eleven rows, about their middle: no delay, but a width.
+    means = np.stack([np.convolve(x, np.ones(11) / 11.0, mode="same") for x in q.T], axis=1)
+    found, check = told(means)
+    assert 2.0 * found.smoothed.value == pytest.approx(np.mean((0.1 * np.arange(-5, 6)) ** 2), rel=0.1)
+    assert not check.passed
+    assert "means over times" in check.sentence
+    assert np.isnan(timing(*cell.effects(true.subset(range(10, 510)))).step)
 
 
 def test_a_gain_comes_back(cell: Cell) -> None:
