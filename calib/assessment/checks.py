@@ -55,7 +55,7 @@ STRAIN = 2e-3
 # Rounding of a share of the reach that is this share of what remains.
 COARSE, ROUNDED = 1e-3, 0.5
 # Times the number of machines: parts of one that changes steadily leave as much less as they are many. Fewer rows than
-# that share are gross errors, which another check judges.
+# that share are outliers, which another check judges.
 MACHINES, MANY = 1.5, 0.15
 GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
 FROZEN = 0.02
@@ -492,7 +492,7 @@ def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
     return _check("one machine", worst.times, allowed, passed, f"{said}{'.' if passed else what}")
 
 
-def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
+def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether many rows lie far from the rest."""
     worst, limit, passed, where = 0.0, GROSS, True, ""
     for one, loss in zip(own, fit.losses, strict=False):
@@ -507,7 +507,7 @@ def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
             passed = passed and share <= allowed
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
     said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
-    return _check("gross errors", worst, limit, passed, said)
+    return _check("outliers", worst, limit, passed, said)
 
 
 def frozen(own: Sequence[JudgedSet]) -> Check:
