@@ -51,7 +51,8 @@ and "resolution" after the ten that followed. Their thresholds come from sound s
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
 such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
-counts as right where at least nine of ten are inside their stated 95 % regions.
+counts as right where at least nine of ten are inside their stated 95 % regions. The truth is that of the arm as it is
+used: with what leans or falls, warm, and in the first of two set-ups.
 """
 
 TAIL = """## What it cannot find
@@ -60,7 +61,8 @@ An error that is the same in all rows, also in the held-out ones, shows in no ro
 row in many ways, or in few of the rows, look like a worse instrument or a worse arm, and so does a base that leans: a
 model that lacks something leaves residuals, and regions and errors of held-out rows are then as large as they really
 are. If no sigma is stated, the verdict cannot tell the difference. State the instrument's sigma. About forty positions
-are needed to split rows between machines.
+are needed to split rows between machines. An arm that grows steadily while it is measured moves the tool by no more
+than a sound instrument drifts; it is trusted, and its regions are too small.
 """
 
 
