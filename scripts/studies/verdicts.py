@@ -45,9 +45,10 @@ How the thresholds were chosen: what counts as sound was written down before it 
 of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and the
 verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Two thresholds
 were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound sessions, and
-"explained" to what poor arms need, a twentieth of what random numbers leave. Three checks were made for sessions that
+"explained" to what poor arms need, a twentieth of what random numbers leave. Checks were made for sessions that
 had been trusted: "one machine" after the first ten later situations, and its search for three and four machines, "axes"
-and "resolution" after the ten that followed. Their thresholds come from sound sessions and poor arms alone.
+and "resolution" after the ten that followed, "timing" after those of streams. Their thresholds come from sound sessions
+and poor arms alone.
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
 such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
@@ -113,7 +114,7 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
     for name in dict.fromkeys(name for line in good for name in line["checks"]):
         found = np.array([line["checks"][name] for line in good if name in line["checks"]], dtype=np.float64)
         x = found[np.isfinite(found[:, 0]), 0]
-        if not len(x) or name == "convergence":
+        if not len(x) or name in ("convergence", "lens"):
             continue
         least = name in LEAST
         cells = [np.quantile(x, q) for q in ((0.5, 0.01, 0.0) if least else (0.5, 0.99, 1.0))]
