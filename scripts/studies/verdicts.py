@@ -47,8 +47,9 @@ verdict said that no improvement was shown. Paths now go several times through 0
 were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound sessions, and
 "explained" to what poor arms need, a twentieth of what random numbers leave. Checks were made for sessions that
 had been trusted: "one machine" after the first ten later situations, and its search for three and four machines, "axes"
-and "resolution" after the ten that followed, "timing" after those of streams. Their thresholds come from sound sessions
-and poor arms alone.
+and "resolution" after the ten that followed, "timing" after those of streams. The limits of size of "axes", of
+"resolution" and of the search for more machines were chosen by judgement; no sound session and no poor arm reaches
+them.
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
 such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
