@@ -94,6 +94,8 @@ def _identify(
     before_fit = residuals(model.robot, sets, nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
     problem, found, learned = solve_learning(problem, x0, variances)
+    if found.freed:
+        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
