@@ -92,11 +92,10 @@ def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
-    choice = question.choices[number - 1].strip("'")
-    if question.option == "--column":
-        ours, _, theirs = choice.partition("=")
-        return {"columns": {**given.get("columns", {}), ours: theirs}}
-    return {question.about: choice}
+    answer = question.answered(question.choices[number - 1])
+    if "columns" in answer:
+        return {"columns": {**given.get("columns", {}), **answer["columns"]}}
+    return answer
 
 
 def tell_check(
