@@ -84,7 +84,7 @@ def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG0
         "findings": seen.findings or [NO_FINDINGS],
         "sound": not seen.findings,
         "determined": seen.sentence,
-        "directions": len(seen.seen.null_space),
+        "directions": len(seen.seen.undetermined),
         "unseen": list(seen.brief),
     }
 

@@ -113,7 +113,7 @@ def tell_check(
             *map(printable, why),
             *(map(warning, findings) if findings else [printable(NO_FINDINGS)]),
             printable(looked.sentence),
-            *null_space_lines(looked.brief, directions=len(seen.null_space)),
+            *null_space_lines(looked.brief, directions=len(seen.undetermined)),
         ]
 
     telling.tell(lambda: looked.contents() | dict(more or {}) | ({"reasons": why} if why else {}), shown)

@@ -44,6 +44,6 @@ def loaded(found: Proposal, path: Path, say: Callable[[str], None]) -> Inputs:
 def looked_at(inputs: Inputs, *, every: bool = False) -> Looked:
     """Look at what is wrong with inputs; ``every``: and at all directions of the null space, one by one."""
     seen = observability(inputs.model, inputs.identify)
-    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
-    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.null_space, advised)
+    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.undetermined)]
+    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.undetermined, advised)
     return Looked([finding.sentence for finding in inputs.findings], seen, advised, brief)
