@@ -55,8 +55,8 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
     reasons: list[str] = []
     if asked["stack"] and tables:
         sheet = stacked([read_sheet(table) for table in tables], "target")
-        reasons += [f"{remark}." for remark in sheet.remarks]
         tables = [_made(_TOUCHED, sheet.csv())]
+        reasons += [f"{tables[0]}: {remark}." for remark in sheet.remarks]
     say("reading the tables")
     found = propose(asked["robot"], tables, **asked["answers"])
     told: dict[str, Any] = {
