@@ -19,7 +19,7 @@ from calib.app.server import serve
 from scripts.development.browser import browser
 from scripts.development.screenshots import PHONE, ROOT, WIDE, save
 
-RECORDINGS = ROOT / "robots" / "panda_sockets" / "recordings" / "front"
+RECORDINGS = ROOT / "robots" / "panda_sockets" / "recordings" / "raised"
 ROBOT = "example:panda_description/urdf/panda.urdf"
 _SETTLED = "state && !state.busy && (state.look || state.sentence)"
 
