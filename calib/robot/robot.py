@@ -17,6 +17,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -166,8 +167,6 @@ class Robot:
     ``setup``: the one in which it stands; :attr:`load` is what bears on it there.
     """
 
-    __repr__ = brief
-
     urdf: Urdf
     base: str
     tip: str
@@ -187,6 +186,13 @@ class Robot:
     links: tuple[str, ...] = ()
     loads: Mapping[str, Load] = field(default_factory=dict)
     setup: str = ""
+
+    def __repr__(self) -> str:
+        beside = [f"{len(self.terms)} joint terms"] if self.terms else []
+        beside += [f"{len(self.loops)} closed loops"] if self.loops else []
+        joints = listed([reading.name for reading in self.readings])
+        said = "; ".join([f"{len(self.readings)} joints {joints}", *beside])
+        return f"<Robot {self.urdf.where} from {self.base!r} to {self.tip!r}: {said}>"
 
     @checked
     def with_loads(self, loads: Mapping[str, Load]) -> "Robot":
