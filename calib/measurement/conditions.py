@@ -19,9 +19,9 @@ _SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
 def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
     """Return what a table says beside readings.
 
-    In columns ``temperature``, ``tau_<joint>``, and ``direction`` or ``direction_<joint>``; ``in_order``: the order of
-    the rows says it instead of the latter. Raises MeasurementError for a word that is no side, a unit of another
-    dimension, and where sides are given twice.
+    In columns ``temperature`` (and ``time``, by which what is slow remembers it), ``tau_<joint>``, and ``direction`` or
+    ``direction_<joint>``; ``in_order``: the order of the rows says it instead of the latter. Raises
+    MeasurementError for a word that is no side, a unit of another dimension, and where sides are given twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
     said = [name for name in ("direction", *own.values()) if name in table.columns]
@@ -45,7 +45,10 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     for k, reading in enumerate(readings):
         if f"{TORQUE}{reading.name}" in table.columns:
             torque[:, k] = numbers(table, f"{TORQUE}{reading.name}", "torque")
-    return Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
+    told = Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
+    if temperature is None or "time" not in table.columns:
+        return told
+    return told.in_time(numbers(table, "time", "time"))
 
 
 def _sides(table: Table, name: str) -> Array:

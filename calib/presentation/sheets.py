@@ -100,7 +100,7 @@ def choice_sheet(choice: Choice) -> Sheet:
         ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
         frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
         tuple(rows),
-        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone{some}",
+        f"one-standard-error rule: {choice.taken} of {choice.offered} candidates; relative to geometry alone{some}",
         brief=True,
     )
 

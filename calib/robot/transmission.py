@@ -1,9 +1,9 @@
-"""What lies between a motor and its joint, and between two joints; each linear in its coefficient.
+"""What lies between a motor and its joint, and between two joints.
 
 A reading u becomes the joint coordinate ``u + sum_t a_t basis_t(row)``, which the coupling then carries on to the
-joints. The bases depend on the row alone and not on what is identified, so that derivatives by the coefficients are
-exact. What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in coordinates of their own
-(:mod:`calib.robot.flexures`), which are zero but for their terms.
+joints. The bases depend on the row and, but for the time constant of a memory, not on what is identified; derivatives
+by the coefficients are exact. What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in
+coordinates of their own (:mod:`calib.robot.flexures`), which are zero but for their terms.
 """
 
 from collections.abc import Iterable, Sequence
@@ -87,7 +87,7 @@ class Transmission:
         # Of flexures, any reading: what they add does not follow it.
         reading = np.where(self._coordinate < len(readings), self._coordinate, 0)
         lengths = np.array([0.0] * len(readings) + [link_length(segments[flexure.joint]) for flexure in moved.every])
-        self._bases_of: list[tuple[slice | IntArray, Basis]] = []
+        self._bases_of: list[tuple[slice | IntArray, tuple[Basis, Basis]]] = []
         self._slopes_of: list[tuple[slice | IntArray, Slope]] = []
         for kind in KINDS:
             those = np.flatnonzero([kind_of(terms[t]) is kind for t in number.tolist()])
@@ -96,17 +96,21 @@ class Transmission:
                 of_kind = tuple(terms[t] for t in number[those].tolist())
                 shares = Shares(of_kind, coordinate, reading[those], lengths[coordinate])
                 columns = _columns(those)
-                self._bases_of.append((columns, kind.basis(shares)))
+                own_coefficients = np.asarray(coefficients)[number[those]]
+                self._bases_of.append((columns, kind.bases(shares, own_coefficients)))
                 if slope := kind.slope(shares):
                     self._slopes_of.append((columns, slope))
 
-    def _bases(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient."""
+    def _bases(self, readings: Array, conditions: Conditions, which: int = 0) -> Array:
+        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient.
+
+        ``which``: 0 for these, 1 for the derivatives of what they add by the coefficients.
+        """
         if missing := lacking(self._terms, self._readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
         rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
-        for columns, basis in self._bases_of:
-            found[:, columns] = basis(rows)
+        for columns, bases in self._bases_of:
+            found[:, columns] = bases[which](rows)
         return found
 
     def moved(self, readings: Array, conditions: Conditions) -> Array:
@@ -126,7 +130,7 @@ class Transmission:
 
         At readings (N, nr). Raises RobotError for a term that needs a condition which the rows do not have.
         """
-        by_share = by_coordinate[:, :, self._coordinate] * self._bases(readings, conditions)[:, None]
+        by_share = by_coordinate[:, :, self._coordinate] * self._bases(readings, conditions, 1)[:, None]
         return by_share if len(self._coordinate) == len(self._terms) else np.asarray(by_share @ self._to_terms)
 
     def slopes(self, readings: Array) -> Array:
