@@ -55,8 +55,8 @@ def main() -> None:
     for name in every[0] if every else ():
         shares = np.array([one[name] for one in every])
         print(
-            f"{name}: off by {100.0 * np.median(shares):.1f} % (median), {100.0 * shares.max():.1f} % (largest); within "
-            f"10 % in {np.sum(shares < 0.1)} of {len(shares)}",
+            f"{name}: off by {100.0 * np.median(shares):.1f} % (median), {100.0 * shares.max():.1f} % (largest), "
+            f"within 10 % in {np.sum(shares < 0.1)} of {len(shares)}",
             flush=True,
         )
     model = calib.error_model(machines.load(*UR10), offsets="all", placements="all")

@@ -141,7 +141,8 @@ def in_cubes(places: int, rows: int, width: float) -> tuple[calib.Measurements, 
 @pytest.mark.parametrize("places", [3, 5, 8])
 def test_places_that_lie_apart_are_not_divided(places: int) -> None:
     data, cube = in_cubes(places, 30, 0.2)
-    found = neighbourhoods([data], groups([data])).number
+    found, apart = neighbourhoods([data], groups([data]))
+    assert apart
     pairs = {(int(a), int(b)) for a, b in zip(cube, found, strict=True)}
     assert len(pairs) == places  # one for one
     order = np.random.default_rng(0).permutation(len(data))
@@ -152,6 +153,7 @@ def test_places_that_lie_apart_are_not_divided(places: int) -> None:
 def test_poses_all_over_are_divided_into_neighbourhoods() -> None:
     _, data = measured(300)
     found, apart = neighbourhoods([data], groups([data]), 10)
+    assert not apart
     assert len(np.unique(found)) == 10
     # Rows are nearer to their own middle than to any other one's.
     middles = np.array([data.readings[found == k].mean(axis=0) for k in range(10)])
