@@ -19,6 +19,7 @@ at some, as many of every group as of the others. Fits, before and after it, tak
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -93,13 +94,54 @@ class Step:
     away: HeldOut | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """Compliance by measured torques against compliance by masses: what either says of rows held out.
+
+    In standard deviations of the noise that the geometric fit shows. ``by_torques``: whether these are taken: where
+    they are better by more than a standard error. Masses need no column where the machine is used.
+    """
+
+    masses: HeldOut
+    torques: HeldOut
+
+    @property
+    def by_torques(self) -> bool:
+        """Whether measured torques are taken."""
+        return self.torques.rms < self.masses.rms - self.masses.standard_error
+
+    @property
+    def sentence(self) -> str:
+        """What was taken, and why."""
+        better, worse = (self.torques, self.masses) if self.by_torques else (self.masses, self.torques)
+        why = f"error of rows held out {better.rms / worse.rms:.3f} of that by"
+        if self.by_torques:
+            return f"compliance by measured torques: {why} masses"
+        if better.rms <= worse.rms:
+            return f"compliance by masses: {why} measured torques"
+        return (
+            f"compliance by masses: by measured torques the error of rows held out is {worse.rms / better.rms:.3f} of "
+            "that, which may be chance, and their columns would be needed wherever the machine is used"
+        )
+
+    def record(self) -> dict[str, object]:
+        """Return it as plain data."""
+        return {
+            "by_masses": self.masses.rms,
+            "by_torques": self.torques.rms,
+            "standard_error": self.masses.standard_error,
+            "taken": "torques" if self.by_torques else "masses",
+            "because": self.sentence,
+        }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
     ``geometric``: the fit without terms from which they start; ``fit``: with those that are taken. ``rows``: how many
     of its rows the choice looked at, and ``offered`` how many candidates. ``taken_back``: how many steps more the data
-    allow, with which no fit converged.
+    allow, with which no fit converged. ``weighed``: how measured torques stood against masses, where rows have torques.
     """
 
     __repr__ = brief
@@ -111,6 +153,7 @@ class Choice:
     rows: int
     offered: int
     taken_back: int = 0
+    weighed: Weighed | None = None
 
     @property
     def model(self) -> ErrorModel:
@@ -181,13 +224,23 @@ def choose_terms(
         progress("choosing joint terms: linearising")
         fold = folds(group, count)
         grams = system.grams(fold)
-        entered = system.way(np.sum(grams, axis=0), most=int(group.max() + 1) // _GROUPS_EACH, lasting=True).order
-        figures, rms = system.judged(fold, group, grams, len(entered), progress)
+        largest = (int(group.max()) + 1) // _GROUPS_EACH
+
+        def selected(among: Sequence[int]) -> _Selected:
+            order = system.way(np.sum(grams, axis=0), among, most=largest, lasting=True).order
+            figures, rms = system.judged(fold, group, grams, among, len(order), progress)
+            return _Selected(tuple(among), order, figures, rms)
+
+        ways = [selected(among) for among in _ways_to_wind_up(chosen_from)]
+        weighed = None
+        if len(ways) > 1:
+            weighed = Weighed(*(way.figures[smallest_unharmed(way.figures)] for way in ways))
+        among, entered, figures, rms = ways[-1 if weighed is not None and weighed.by_torques else 0]
         most, away = smallest_unharmed(figures), list[HeldOut]()
         if most:
             progress("choosing joint terms: judging away from what was measured")
-            fold = folds(place, count)
-            away, _ = system.judged(fold, place, system.grams(fold), most)
+            blocks = folds(place, count)
+            away, _ = system.judged(blocks, place, system.grams(blocks), among, most)
             # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
             if away[0].rms <= _FORETOLD * figures[0].rms:
                 most = largest_unharmed(away, apart=near.apart)
@@ -208,7 +261,9 @@ def choose_terms(
         if fit.converged:
             break
         taken //= 2
-    return Choice(steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken)
+    return Choice(
+        steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken, weighed
+    )
 
 
 def _terms(geometric: Fit, steps: Sequence[Step], taken: int) -> tuple[JointTerm, ...]:
@@ -221,6 +276,27 @@ def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[C
     """Return all candidates for a model: links do not give way in frames of a DH table."""
     every = candidates(model.urdf_robot, measurements)
     return every if model.dh is None else tuple(one for one in every if not kind_of(one.terms[0]).of_link)
+
+
+class _Selected(NamedTuple):
+    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
+
+    among: tuple[int, ...]
+    entered: tuple[int, ...]
+    figures: list[HeldOut]
+    rms: Mapping[str, Array]
+
+
+def _ways_to_wind_up(offered: Sequence[Candidate]) -> list[list[int]]:
+    """Return the candidates to select among: all, or those without measured torques and those without masses.
+
+    Both say what drives hold, so that one of them is taken for all.
+    """
+    of = [kind_of(one.terms[0]).key for one in offered]
+    every = range(len(offered))
+    if "torque" not in of or not {"elastic", "moments"} & set(of):
+        return [list(every)]
+    return [[k for k in every if of[k] != "torque"], [k for k in every if of[k] not in ("elastic", "moments")]]
 
 
 def _costs(offered: Sequence[Candidate], *, apart: bool) -> Array:
@@ -306,33 +382,42 @@ class _System:
         fold: IntArray,
         group: IntArray,
         grams: Array,
+        among: Sequence[int],
         steps: int,
         progress: Callable[[str], None] = lambda _: None,
     ) -> tuple[list[HeldOut], Mapping[str, Array]]:
-        """Return what rows held out say of so many ``steps``, and the rms of every quantity.
+        """Return what rows held out say of so many ``steps`` among candidates, and the rms of every quantity.
 
         ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``grams``: of every fold.
         """
         total, ways = np.sum(grams, axis=0), list[Array]()
         for k, gram in enumerate(grams):
             progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
-            ways.append(self.way(total - gram, steps=steps).values)
+            ways.append(self.way(total - gram, among, steps=steps).values)
         progress("choosing joint terms: judging by what was held out")
         squares, rms = self.squares(fold, np.stack(ways))
         return [held_out(row, group) for row in squares], rms
 
-    def way(self, gram: Array, *, steps: int | None = None, most: int | None = None, lasting: bool = False) -> _Way:
-        """Return the way that rows with this Gram matrix (p + 1, p + 1) go: candidates, the most helpful first.
+    def way(
+        self,
+        gram: Array,
+        among: Sequence[int],
+        *,
+        steps: int | None = None,
+        most: int | None = None,
+        lasting: bool = False,
+    ) -> _Way:
+        """Return the way that rows with this Gram matrix (p + 1, p + 1) go ``among`` candidates, best first.
 
-        At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the candidate that helps
-        most lowers the sum of squares by more than chance would.
+        At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the best
+        lowers the sum of squares by more than chance would.
         """
         p = len(gram) - 1
         tableau = gram[:p] + self._known[:p]
         tableau[range(p), range(p)] += self._priors
         tableau[:, p] += self._priors * self._pull
         _pivot(tableau, self._geometry)
-        left, order = list(range(len(self._columns))), list[int]()
+        left, order = list(among), list[int]()
         entered = list(self._geometry)
         values = np.zeros((1 + (len(left) if steps is None else min(steps, len(left))), p))
         values[0, entered] = -tableau[entered, p]

@@ -1,7 +1,7 @@
 """What a row carries beside its readings, where joints stand differently for the same reading."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -23,7 +23,8 @@ class Conditions:
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     ``payload`` (N, links, 4): what each of the robot's ``links`` carries, its first moment in kg m in the link and its
     mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
-    ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them.
+    ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them. ``torque_sigma`` (N,): the
+    standard deviation of the torques in Nm, None where they are taken as they are.
     """
 
     __repr__ = brief
@@ -34,23 +35,20 @@ class Conditions:
     payload: Array | None = None
     gravity: Array | None = None
     lagged: Array | None = None
+    torque_sigma: Array | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        return Conditions(
-            *(
-                None if told is None else told[rows]
-                for told in (self.approach, self.temperature, self.torque, self.payload, self.gravity, self.lagged)
-            )
-        )
+        told = (getattr(self, field.name) for field in fields(self))
+        return Conditions(*(None if values is None else values[rows] for values in told))
 
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
 
-            calib.Conditions(temperature=celsius).in_time(seconds)
+            calib.measuring.Conditions(temperature=celsius).in_time(seconds)
 
         The rows are all of one session, in any order. Before the first one the machine had its temperature for long.
         Raises RobotError where there is no temperature, or not a time for each.
@@ -102,6 +100,7 @@ def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
         loads([told.payload for _, told in parts]),
         loads([told.gravity for _, told in parts]),
         of_all([told.lagged for _, told in parts]),
+        of_all([told.torque_sigma for _, told in parts]),
     )
 
 

@@ -2,10 +2,10 @@
 
     python scripts/studies/memory.py [--machines 100] [--first 0] [--none 100]
 
-A UR10 works and rests by turns while it is measured in 250 random poses, 0.05 mm of noise: one drive lags behind the
-temperature with a time constant between 5 minutes and 2 hours, three rub by a fifth to a half of their compliances.
-Printed is how far coefficients are off that the job frees; then, of machines with no joint term at all, how many were
-given one by `terms = "auto"`, offered these among all others.
+A UR10 works and rests by turns while it is measured in 400 random poses, 0.05 mm of noise, for four hours: one drive
+lags behind the temperature with a time constant between 5 minutes and an hour, and two rub by a fifth to a half of
+their compliances. Printed is how far coefficients are off that the job frees; then, of machines with no joint term at
+all, how many were given one by `terms = "auto"`, offered these among all others.
 """
 
 import argparse
@@ -29,13 +29,13 @@ Array = NDArray[np.float64]
 def off(seed: int) -> dict[str, float]:
     """How far coefficients of one machine are off, as a share of what they are."""
     rng = np.random.default_rng([seed, 3])
-    warm, tau = slow.LIFT[int(rng.integers(3))], float(np.exp(rng.uniform(np.log(300.0), np.log(7200.0))))
-    winds = dict(zip(slow.LIFT, (9e-6, 1.4e-5, 3e-5), strict=True))
+    warm, tau = slow.LIFT[int(rng.integers(2))], float(np.exp(rng.uniform(np.log(300.0), np.log(3600.0))))
+    winds = dict(zip(slow.LIFT, (9e-6, 1.4e-5), strict=False))
     rubs = {name: compliance * rng.uniform(0.2, 0.5) for name, compliance in winds.items()}
     truth = slow.Slow(seed, {warm: (rng.choice([-1.0, 1.0]) * rng.uniform(6e-5, 1.2e-4), tau)}, rubs, winds)
     terms = {"warming": [warm], "hysteresis": list(rubs), "elastic": list(rubs)}
     model = machines.model(machines.load(*UR10), offsets="all", placements="all", **terms)
-    fit = calib.identify(model, truth.measured()[0])
+    fit = calib.identify(model, truth.measured(400)[0])
     found = {
         "warming": fit.value(f"{warm}.warming_{USUAL}") / truth.warms[warm][0],
         "time constant": USUAL * 10.0 ** fit.value(f"{warm}.warming_time_{USUAL}") / tau,
