@@ -58,6 +58,13 @@ def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Con
     return None
 
 
+class Bases(NamedTuple):
+    """What terms add per unit of their coefficients, and what that changes by each: (N, shares), mostly one."""
+
+    adds: Array
+    changes: Array
+
+
 class Transmission:
     """The terms of a robot with given coefficients (nt,).
 
@@ -101,20 +108,26 @@ class Transmission:
                 if slope := kind.slope(shares):
                     self._slopes_of.append((columns, slope))
 
-    def _bases(self, readings: Array, conditions: Conditions, which: int = 0) -> Array:
-        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient.
+    def bases(self, readings: Array, conditions: Conditions) -> Bases:
+        """Return the bases at readings (N, nr), in rad or m per unit of each coefficient.
 
-        ``which``: 0 for these, 1 for the derivatives of what they add by the coefficients.
+        Raises RobotError for a term that needs a condition which the rows do not have.
         """
         if missing := lacking(self._terms, self._readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
-        rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
-        for columns, bases in self._bases_of:
-            found[:, columns] = bases[which](rows)
-        return found
+        rows, adds = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
+        for columns, (basis, _) in self._bases_of:
+            adds[:, columns] = basis(rows)
+        if all(basis is change for _, (basis, change) in self._bases_of):
+            return Bases(adds, adds)
+        changes = adds.copy()
+        for columns, (basis, change) in self._bases_of:
+            if change is not basis:
+                changes[:, columns] = change(rows)
+        return Bases(adds, changes)
 
-    def moved(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them.
+    def moved(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
+        """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them; ``bases``: those there.
 
         Raises RobotError for a term that needs a condition which the rows do not have, unless all coefficients are
         zero.
@@ -123,14 +136,12 @@ class Transmission:
         straight = np.pad(readings, ((0, 0), (0, flexures))) if flexures else readings
         if not self._coefficients.any():
             return straight
-        return np.asarray(straight + self._bases(readings, conditions) @ self._coefficients)
+        there = self.bases(readings, conditions) if bases is None else bases
+        return np.asarray(straight + there.adds @ self._coefficients)
 
-    def by_terms(self, by_coordinate: Array, readings: Array, conditions: Conditions) -> Array:
-        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c).
-
-        At readings (N, nr). Raises RobotError for a term that needs a condition which the rows do not have.
-        """
-        by_share = by_coordinate[:, :, self._coordinate] * self._bases(readings, conditions, 1)[:, None]
+    def by_terms(self, by_coordinate: Array, bases: Bases) -> Array:
+        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c)."""
+        by_share = by_coordinate[:, :, self._coordinate] * bases.changes[:, None]
         return by_share if len(self._coordinate) == len(self._terms) else np.asarray(by_share @ self._to_terms)
 
     def slopes(self, readings: Array) -> Array:
