@@ -24,7 +24,10 @@ MADE = (
     *("TableError", "Targets", "Touches", "Trace"),
 )
 # Conditions say nothing where they are NaN, and are held against the rows that they are of; sight may have no end.
-LATER = {"Conditions": ("payload", "gravity", "temperature", "torque", "approach"), "Sight": ("nearest", "farthest")}
+LATER = {
+    "Conditions": ("payload", "gravity", "temperature", "torque", "approach", "lagged", "torque_sigma"),
+    "Sight": ("nearest", "farthest"),
+}
 FRONT = (calib, calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner)
 
 
