@@ -42,8 +42,10 @@ class Conditions:
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        told = (getattr(self, field.name) for field in fields(self))
-        return Conditions(*(None if values is None else values[rows] for values in told))
+        every = [getattr(self, field.name) for field in fields(self)]
+        if all(told is None for told in every):
+            return self
+        return Conditions(*(None if told is None else told[rows] for told in every))
 
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
