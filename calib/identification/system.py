@@ -269,13 +269,14 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
         for rows in _blocks(data):
             with _naming(data, rows):
                 readings = data.readings_at(at.frames.scalars, rows)
-                tips = links[data.tip].tips(readings, data.conditions.subset(rows))
+                told = data.conditions_at(at.frames.scalars, rows, moving=robot.weights is not None)
+                tips = links[data.tip].tips(readings, told)
                 others = None
                 if data.other is not None:
                     others = links[data.tip].tips(data.other.readings[rows], data.other.conditions.subset(rows))
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
-                    base[own] = rigid.inverse(links[link].tips(readings[own], data.conditions.subset(rows).subset(own)))
+                    base[own] = rigid.inverse(links[link].tips(readings[own], told.subset(own)))
             placed = base @ tips @ _shifted(at.frames.tools[data.tool[rows]], data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
         found.append(residual)
@@ -433,7 +434,7 @@ class Rates:
         for rows in _blocks(data):
             base, group, others = _bases(frames, data, rows), data.setup[rows], None
             with _naming(data, rows):
-                told = data.conditions.subset(rows)
+                told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:

@@ -1,9 +1,10 @@
 """Samples of a controller and of an instrument, as a table has them: times that grow, and readings of joints."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import MeasurementError
@@ -20,6 +21,8 @@ SLOWEST, FASTEST = 1.0, 1e-5
 _AT_REST = 1e-4
 # A cubic needs as many samples.
 _FEWEST = 4
+# Samples of which the equations of a cubic are in memory at a time, and beside them.
+_PART, _BESIDE = 50_000, 100
 
 
 def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: Joints = ALL_READ) -> JointStream:
@@ -56,14 +59,39 @@ def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: 
             f"{table.where}: no {_FEWEST} samples follow each other within {gap:g} s; allow longer gaps, or give a "
             "denser stream."
         )
-    return JointStream(
+    stream = JointStream(
         tuple(dimensions),
-        tuple(make_interp_spline(times[a:b], values[a:b], k=3) for a, b in runs),
+        tuple(_cubic(times[a:b], values[a:b]) for a, b in runs),
         read_only([times[a] for a, _ in runs]),
         read_only([times[b - 1] for _, b in runs]),
         table.where,
         absent,
     )
+    a, b = max(runs, key=lambda run: run[1] - run[0])
+    b = min(b, a + _PART)
+    if b - a < 2 * _FEWEST:
+        return stream
+    t = times[a:b:2]
+    half = _cubic(t, values[a:b:2])
+    return stream.showing(replace(stream, pieces=(half,), starts=read_only(t[:1]), ends=read_only(t[-1:])))
+
+
+def _cubic(times: Array, values: Array) -> BSpline:
+    """Return the cubic spline through samples (n,), (n, k), part by part where there are many.
+
+    What samples far away change, fades by a factor of 4 from one to the next.
+    """
+    n = len(times)
+    if n <= _PART + 2 * _BESIDE:
+        return make_interp_spline(times, values, k=3)
+    coefficients = np.empty_like(values)
+    for start in range(0, n, _PART):
+        low, high = max(start - _BESIDE, 0), min(start + _PART + _BESIDE, n)
+        own = make_interp_spline(times[low:high], values[low:high], k=3).c
+        coefficients[start : start + _PART] = own[start - low : start - low + _PART]
+    # Knots are the samples but the second and the last but one: not a knot (C. de Boor).
+    knots = np.concatenate([np.repeat(times[0], 4), times[2:-2], np.repeat(times[-1], 4)])
+    return BSpline.construct_fast(knots, coefficients, 3)
 
 
 def times_of(table: Table) -> Array:

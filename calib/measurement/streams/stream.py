@@ -79,6 +79,12 @@ class Stream:
         """Return how fast the readings change (n, k), per s of the controller's clock."""
         return self.joints.rates(self.times(shifts, rows))
 
+    def motion(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return rates and accelerations (n, 2, k) of the readings; zeros of joints whose samples do not show them."""
+        times, shown = self.times(shifts, rows), self.joints.accelerates
+        found = np.stack([self.joints.rates(times), self.joints.accelerations(times)], axis=1)
+        return np.asarray(found * (0.0 if shown is None else shown))
+
     def by_shift(self, role: str, rows: slice | IntArray | BoolArray = slice(None)) -> Array:
         """Return how the controller's time (n,) follows one unit of the offset, or of the skew."""
         since = self.since[rows]
