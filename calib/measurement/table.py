@@ -31,6 +31,8 @@ TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
 TORQUE = "tau_"
+# Where the joint in the name was told to be.
+COMMANDED = "commanded_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 # Numbers that need no unit.
 UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))

@@ -7,6 +7,7 @@ from scipy.interpolate import BSpline
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
+from calib.measurement.streams.following import Following
 
 # Accelerations are means over so much, in s, to both sides: a motion of 1 Hz loses 1 %, and encoders that jitter by
 # 1e-5 rad bring 0.01 rad/s^2.
@@ -22,6 +23,7 @@ class JointStream:
     ``pieces``: one for every run of samples without a gap, with its ``starts`` and ``ends`` (m,) in s by the
     controller's clock. Between pieces nothing is known. ``absent``: joints without a column, which stay at 0;
     ``where``: the file. ``accelerates`` (k,): whether samples show how a joint does.
+    ``following``: of joints whose commanded readings are known as well; ``commanded``: whether nothing else is known.
 
     A cubic misses a motion of the frequency f and the amplitude a by about ``a (2 pi f h)^4 / 400`` for samples h
     apart: 1 Hz at 125 Hz by less than a hundred-thousandth of a per mille (C. de Boor, A Practical Guide to Splines).
@@ -36,6 +38,8 @@ class JointStream:
     where: str
     absent: tuple[str, ...] = ()
     accelerates: BoolArray | None = None
+    following: tuple[Following, ...] = ()
+    commanded: bool = False
 
     def at(self, times: Array) -> Array:
         """Return the readings (N, k) at times (N,) in s; a little beyond its end a piece goes on."""

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.foundations.units import MM
+from calib.foundations.units import DISPLAY_OF, MM, MS
 from calib.identification.fit import Fit
 from calib.identification.memory import Memory
+from calib.measurement.measurements import Measurements
 from calib.presentation.report.charts import Curve, Points, chart, linear
-from calib.presentation.report.document import Block, Picture, Prose, Section
+from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet
 from calib.presentation.report.sections import Judged
 
 # Parts of the time that are drawn, each by its mean; and lags, in s.
@@ -21,7 +22,7 @@ def in_time(fit: Fit, sets: Sequence[Judged]) -> Section | None:
     blocks: list[Block] = []
     for judged in sets:
         if judged.data.stream is not None and judged.data.position is not None and judged.use == "identification":
-            blocks += _over_time(judged)
+            blocks += [*_over_time(judged), *_following(judged.data)]
     for memory in fit.memories:
         data, r = fit.measurements[memory.measurements], fit.residuals[memory.measurements]
         if data.stream is not None:
@@ -61,6 +62,24 @@ def _over_time(judged: Judged) -> list[Block]:
             wide=True,
         ),
     ]
+
+
+def _following(data: Measurements) -> list[Block]:
+    """Return how joints followed what they were commanded to do, where a stream says it."""
+    assert data.stream is not None, "rows of a stream"
+    joints = data.stream.joints
+    if not joints.following:
+        return []
+    rows = []
+    for one in joints.following:
+        factor, unit = DISPLAY_OF[one.dimension]
+        rms, largest, left = (f"{factor * x:.4f} {unit}" for x in (one.rms, one.largest, one.left))
+        rows.append(Row((one.joint, rms, largest, f"{one.late / MS:.2f}", left)))
+    names = ("joint", "rms", "largest", "late [ms]", "rms without it")
+    said = (
+        "Where joints were, less where they were commanded to be. Readings are where they were: nothing of it is lost."
+    )
+    return [Sheet(f"Following error, {joints.where}", names, frozenset(names[1:]), tuple(rows), said)]
 
 
 def _means(t: Array, *values: Array) -> tuple[Array, ...]:
