@@ -110,7 +110,12 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     assert "is before that of the row above" in refused(made, seen, back)
     slow = dict(seen) | {"time [s]": 1e3 * seen["time [s]"]}
     assert refused(made, slow, joints).endswith(
-        "s apart or more; in a stream it is 1e-05 to 1 s: is the unit of 'time' right?"
+        "s apart or more; in a stream it is 0.0001 to 1 s: is the unit of 'time' right?"
+    )
+    quick = dict(seen) | {"time [s]": 1e-3 * seen["time [s]"]}
+    assert refused(made, quick, joints) == (
+        "arrays: half of its rows are 1.667e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
+        "is the unit of 'time' right?"
     )
     rest = {name: x if name == "time [s]" else np.full_like(x, x[0]) for name, x in joints.items()}
     assert (

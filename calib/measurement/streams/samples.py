@@ -16,8 +16,8 @@ from calib.measurement.streams.joints import JointStream
 from calib.measurement.table import APPROACH, COMMANDED, TORQUE, Table
 from calib.robot.robot import Reading
 
-# What has samples rarer than one a second, or a hundred thousand in it, is no stream of joints or points.
-SLOWEST, FASTEST = 1.0, 1e-5
+# What has samples rarer than one a second, or ten thousand in it, is no stream of joints or points.
+SLOWEST, FASTEST = 1.0, 1e-4
 # Encoders at rest jitter by less, in rad or m.
 _AT_REST = 1e-4
 # A cubic needs as many samples.
@@ -134,7 +134,8 @@ def refuse_no_stream(times: Array, where: str) -> None:
         raise MeasurementError(f"{where}: has {len(times)} samples, and a stream needs {_FEWEST}.")
     step = float(np.median(np.diff(times)))
     if not FASTEST <= step <= SLOWEST:
+        than = "more" if step > SLOWEST else "less"
         raise MeasurementError(
-            f"{where}: half of its rows are {step:.4g} s apart or more; in a stream it is {FASTEST:g} to {SLOWEST:g} "
+            f"{where}: half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} "
             "s: is the unit of 'time' right?"
         )
