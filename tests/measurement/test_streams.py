@@ -114,7 +114,7 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     )
     quick = dict(seen) | {"time [s]": 1e-3 * seen["time [s]"]}
     assert refused(made, quick, joints) == (
-        "arrays: half of its rows are 1.667e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
+        "arrays: half of its rows are 1.665e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
         "is the unit of 'time' right?"
     )
     rest = {name: x if name == "time [s]" else np.full_like(x, x[0]) for name, x in joints.items()}
@@ -139,6 +139,15 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     assert refused(made, seen, twice) == (
         "arrays:11: has the time of the row before and other readings; a joint is in one place at a time."
     )
+
+
+@pytest.mark.parametrize("seed", [41, 43, 44])
+def test_recordings_that_do_not_overlap_are_refused_although_their_speeds_go_together(seed: int) -> None:
+    made = streams.streams(seed, seconds=40.0)
+    joints = {name: values[:2500] for name, values in made.joints.items()}
+    seen = {name: values[1080:] for name, values in made.seen.items()}
+    with pytest.raises(CalibError, match="do the two recordings overlap, and are they of this robot"):
+        calib.measuring.read_stream(seen, made.robot, joints)
 
 
 def test_a_motion_that_repeats_itself_is_refused() -> None:
