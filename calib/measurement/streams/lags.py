@@ -105,8 +105,8 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     if not found:
         raise MeasurementError(
             f"{seen.where}: its points move as the nominal tip of {moved.where} only where one clock goes faster than "
-            f"the other by {MOST_SKEW:g} s in a second or more, which none does: do the two recordings overlap, and are "
-            "they of this robot?"
+            f"the other by {MOST_SKEW:g} s in a second, which none does: do the two recordings overlap, and are they "
+            "of this robot?"
         )
     best, others = found[0], [one for one in found[1:] if abs(one.lag.offset - found[0].lag.offset) > _APART]
     spread = float(np.sqrt(np.mean((seen.points - seen.points.mean(axis=0)) ** 2)))
