@@ -31,6 +31,8 @@ ENOUGH = 10.0
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
 
+# Rows whose errors by every cause are in memory at a time.
+_BLOCK = 5000
 # A scatter of a nanometre is rounding, of data without noise.
 ROUNDING = 1e-9
 
@@ -263,7 +265,11 @@ def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slic
     known = machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
     if data.position is None or not known:
         return np.zeros(len(data))
-    return np.asarray(np.sum(common_errors(machine, data)[:, columns] ** 2, axis=(1, 2)))
+    found = np.empty(len(data))
+    for start in range(0, len(data), _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, len(data)))
+        found[rows] = np.sum(common_errors(machine, data.subset(rows))[:, columns] ** 2, axis=(1, 2))
+    return found
 
 
 def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:

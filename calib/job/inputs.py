@@ -137,10 +137,17 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
-    sets = [
-        _shared_out(_measurements(section, job, robot, folder, arms, prints, lenses, doubts), section)
-        for section in sections
-    ]
+    # Rows held out are those of a table above: it is read once.
+    tables: list[tuple[MeasurementsSection, Measurements]] = []
+    sets: list[Measurements] = []
+    for section in sections:
+        own = section.model_copy(update={**_OF_HELD_OUT, "use": "identify"})
+        data = next((read for other, read in tables if other == own), None)
+        if data is None:
+            beside = _of_one_clock(section, tables)
+            data = _measurements(section, job, robot, folder, arms, prints, lenses, doubts, beside)
+            tables.append((own, data))
+        sets.append(_shared_out(data, section))
     sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
@@ -436,10 +443,13 @@ def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None
                 )
 
 
+# What a table says otherwise of those of its rows that are held out.
+_OF_HELD_OUT = {"use": "validate", "model_sigma": None, "model_sigma_angle": None, "loss": "linear"}
+
+
 def _with_held_out(job: Job) -> Job:
     """Return the job in which a table that holds out rows stands a second time, for these, behind all others."""
-    of_these = {"use": "validate", "model_sigma": None, "model_sigma_angle": None, "loss": "linear"}
-    again = [section.model_copy(update=of_these) for section in job.measurements if section.hold_out is not None]
+    again = [section.model_copy(update=_OF_HELD_OUT) for section in job.measurements if section.hold_out is not None]
     return job.model_copy(update={"measurements": (*job.measurements, *again)})
 
 
@@ -590,6 +600,7 @@ def _measurements(
     prints: Mapping[str, Print],
     lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
+    beside: Measurements | None,
 ) -> Measurements:
     clock = _clock(section, job)
     if section.instrument is not None and section.instrument in arms:
@@ -613,7 +624,9 @@ def _measurements(
             data = read_measurements(folder / section.file, seen_from, section.observes, **how)
         else:
             joints = folder / section.readings
-            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
+            data = stream_of(
+                folder / section.file, joints, seen_from, section.observes, clock=clock, beside=beside, **how
+            )
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
@@ -645,7 +658,7 @@ def _under_its_load(data: Measurements, section: MeasurementsSection, robot: Rob
 def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
     """Return what a job says of the clock of a stream, None of other tables."""
     if section.readings is None:
-        for key in ("clock", "latency", "gap"):
+        for key in ("clock", "clock_of", "latency", "gap"):
             if getattr(section, key) is not None:
                 raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
         return None
@@ -655,6 +668,20 @@ def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
     name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
     gap = GAP if section.gap is None else section.gap.si
     return Clock(section.clock or "free", section.latency is not None, gap, name)
+
+
+def _of_one_clock(
+    section: MeasurementsSection, read: Sequence[tuple[MeasurementsSection, Measurements]]
+) -> Measurements | None:
+    """Return the stream by whose clock another one goes, None where it has its own."""
+    if section.clock_of is None or section.readings is None:
+        return None
+    for other, data in read:
+        if other.file == section.clock_of and other.clock_of is None and data.stream is not None:
+            return data
+    raise JobError(
+        f"{section.file}: clock_of: {section.clock_of!r} is not a stream with a clock of its own above this one."
+    )
 
 
 def _columns(section: MeasurementsSection) -> Columns:

@@ -119,6 +119,13 @@ class Measurements:
             return self.readings[rows]
         return self.stream.readings(self.shifts(scalars), rows)
 
+    def conditions_at(self, scalars: Array, rows: slice = slice(None), *, moving: bool = True) -> Conditions:
+        """Return the conditions of rows where scalars (s,) have these values; ``moving``: with how the joints moved."""
+        told = self.conditions.subset(rows)
+        if self.stream is None or not moving:
+            return told
+        return replace(told, motion=self.stream.motion(self.shifts(scalars), rows))
+
     def at_clock(self, scalars: Array) -> "Measurements":
         """Return the rows with the readings that they have where scalars (s,) have these values."""
         if self.stream is None:

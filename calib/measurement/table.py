@@ -32,6 +32,8 @@ TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
 TORQUE = "tau_"
+# Where the joint in the name was told to be.
+COMMANDED = "commanded_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 # Numbers that need no unit.
 UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))
@@ -341,10 +343,13 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
 
 def _no_unit(names: Sequence[str]) -> str:
     one, other = ("deg", "mm") if names[0][-1:].isdigit() else ("mm", "deg")
+    if names[0] == "time":
+        one, other = "s", "ms"
+    like = f"write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
     if len(names) == 1:
-        return f"column {names[0]!r} has no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
+        return f"column {names[0]!r} has no unit; {like}"
     listed = ", ".join(map(repr, names[:_LISTED])) + (", ..." if len(names) > _LISTED else "")
-    return f"columns {listed} have no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
+    return f"columns {listed} have no unit; {like}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -171,7 +171,8 @@ def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
     path.write_text("\n".join(" ".join(row) for row in [titles, *rows]) + "\n")
     sheet = read_sheet(path)
     assert sheet.titles[:2] == ("time [s]", "shoulder_pan_joint [rad]")
-    np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+    assert sheet.titles[7] == "commanded_shoulder_pan_joint [rad]"
+    np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5, *[9.0] * 6])
 
 
 MOTIVE = """Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
