@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from calib.assessment.validation import (
     HeldOut,
@@ -154,6 +155,7 @@ def choose_terms(
     count: int = FOLDS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
+    geometric: Fit | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
@@ -161,11 +163,13 @@ def choose_terms(
     Once of poses at random, and once of neighbourhoods in joint space. Of more than 10 000 rows it looks at as many,
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
-    and MeasurementError when all rows are of one group.
+    and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
+    measurements with these options, where it is known already.
     """
     with one_thread():
-        progress("choosing joint terms: fitting geometry")
-        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
+        if geometric is None:
+            progress("choosing joint terms: fitting geometry")
+            geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         sets = geometric.measurements
         group = row_groups(sets)
         looked_at, place = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
@@ -304,21 +308,32 @@ class _System:
 
         ``most``: how many, all of them when None.
         """
-        p = len(gram) - 1
-        tableau = gram[:p] + self._known[:p]
-        tableau[range(p), range(p)] += self._priors
-        tableau[:, p] += self._priors * self._pull
-        _pivot(tableau, self._geometry)
-        left, order = list(range(len(self._columns))), list[int]()
-        entered = list(self._geometry)
-        values = np.zeros((1 + (len(left) if most is None else min(most, len(left))), p))
-        values[0, entered] = -tableau[entered, p]
-        while left and (most is None or len(order) < most):
-            best = left.pop(int(np.argmax(_gains(tableau, [self._columns[c] for c in left]))))
+        p, geometry = len(gram) - 1, self._geometry
+        normal = gram[:p] + self._known[:p]
+        normal[range(p), range(p)] += self._priors
+        normal[:, p] += self._priors * self._pull
+        of_geometry = np.linalg.solve(normal[np.ix_(geometry, geometry)], normal[geometry])
+        normal -= normal[:, geometry] @ of_geometry
+        steps = len(self._columns) if most is None else min(most, len(self._columns))
+        blocks, order, entered, ends = _Blocks(normal, self._columns), list[int](), list[int](), [0]
+        # Rows of what entered, as they were then, and solved for their own unknowns; no others are ever needed.
+        rows, solved = np.empty((p, p + 1)), np.empty((p, p + 1))
+        for _ in range(steps):
+            best = blocks.best()
             order.append(best)
-            _pivot(tableau, self._columns[best])
-            entered += self._columns[best]
-            values[len(order), entered] = -tableau[entered, p]
+            new, start = self._columns[best], ends[-1]
+            end = start + len(new)
+            row = normal[new] - rows[:start, new].T @ solved[:start]
+            rows[start:end], solved[start:end] = row, np.linalg.solve(row[:, new], row)
+            blocks.eliminate(best, row, solved[start:end])
+            entered += new
+            ends.append(end)
+        # They are triangular: the solution after so many steps is the sum of as many columns of the inverse.
+        inverse = solve_triangular(solved[: len(entered), entered], np.eye(len(entered)), unit_diagonal=True)
+        sums = np.cumsum(inverse * -solved[: len(entered), p], axis=1)
+        values = np.zeros((1 + steps, p))
+        values[1:, entered] = sums[:, np.array(ends[1:], dtype=np.intp) - 1].T
+        values[:, geometry] = -of_geometry[:, p] - values[:, entered] @ of_geometry[:, entered].T
         return _Way(tuple(order), values)
 
     def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
@@ -345,21 +360,31 @@ class _System:
         return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}
 
 
-def _pivot(tableau: Array, block: Sequence[int]) -> None:
-    """Eliminate a block of unknowns from a tableau (p, p + 1) of normal equations, in place."""
-    columns = np.array(block, dtype=np.intp)
-    own = np.linalg.solve(tableau[columns[:, None], columns], tableau[columns])
-    tableau -= tableau[:, columns] @ own
-    tableau[columns] = own
+class _Blocks:
+    """What normal equations say of each block of unknowns by itself, those that entered being eliminated."""
 
+    def __init__(self, normal: Array, columns: Sequence[Sequence[int]]) -> None:
+        """Read the blocks in ``normal`` (p, p + 1); those smaller than the largest are filled up with zeros."""
+        p, size = len(normal), max(map(len, columns), default=0)
+        self._sizes = np.array([len(block) for block in columns])
+        self._columns = np.array([[*block, *[p + 1] * (size - len(block))] for block in columns], dtype=np.intp)
+        self._columns = self._columns.reshape(len(columns), size)
+        filled = np.pad(normal, ((0, 2), (0, 1)))
+        self._C = filled[self._columns[:, :, None], self._columns[:, None, :]]
+        self._C[:, range(size), range(size)] += self._columns > p
+        self._g = filled[self._columns, p]
+        self._left = np.ones(len(columns), dtype=np.bool_)
 
-def _gains(tableau: Array, left: Sequence[Sequence[int]]) -> Array:
-    """Return how much each block (one or two unknowns) would lower the sum of squares, for each of its unknowns."""
-    gains = np.empty(len(left))
-    for size in {len(block) for block in left}:
-        which = [k for k, block in enumerate(left) if len(block) == size]
-        columns = np.array([left[k] for k in which])
-        C = tableau[columns[:, :, None], columns[:, None, :]]
-        g = tableau[columns, -1]
-        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0]) / size
-    return gains
+    def best(self) -> int:
+        """Return which block would lower the sum of squares most for each of its unknowns."""
+        left = np.flatnonzero(self._left)
+        g = self._g[left]
+        gains = np.sum(g * np.linalg.solve(self._C[left], g[:, :, None])[:, :, 0], axis=1) / self._sizes[left]
+        return int(left[np.argmax(gains)])
+
+    def eliminate(self, block: int, row: Array, solved: Array) -> None:
+        """Eliminate a block, given its rows (k, p + 1) and the same solved for its unknowns."""
+        self._left[block] = False
+        ours, theirs = (np.pad(one, ((0, 0), (0, 1)))[:, self._columns] for one in (row, solved))
+        self._C -= np.einsum("kni,knj->nij", ours, theirs)
+        self._g -= np.einsum("kni,k->ni", ours, solved[:, -1])
