@@ -37,6 +37,8 @@ COMMANDED = "commanded_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 # Numbers that need no unit.
 UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))
+# What ``calib compensate`` says of its commands, in words.
+_OF_COMMANDS = ("reached", "reason")
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 _MOST_COLUMNS = 1000
@@ -308,6 +310,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     names: set[str] = set()
     wrong: list[str] = []
     unitless: list[str] = []
+    commands: list[str] = []
     for k, title in enumerate(titles):
         try:
             name, symbol = _split(title)
@@ -326,7 +329,9 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             names.add(name)
             if name == "point":
                 raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
-            if not symbol and not (holds_words(name) or name in UNITLESS):
+            if not symbol and name in _OF_COMMANDS:
+                commands.append(name)
+            elif not symbol and not (holds_words(name) or name in UNITLESS):
                 unitless.append(name)
             else:
                 header.append(_Heading(name, _unit(name, symbol)))
@@ -334,6 +339,11 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             wrong.append(str(e))
     if unitless:
         wrong.insert(0, _no_unit(unitless))
+    if commands:
+        listed = " and ".join(map(repr, commands))
+        wrong.insert(
+            0, f"{listed} are words of commands, as calib compensate writes them; give the table it was made of"
+        )
     wrong += [f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours]
     wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
     if wrong:
