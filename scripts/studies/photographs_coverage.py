@@ -1,6 +1,6 @@
 """Do intervals of hand-eye, lens and tool hold the truth? Simulated jobs of photographs: a table of docs/cameras.md.
 
-    python scripts/studies/photographs_coverage.py --store coverage.jsonl [--jobs 120] [--markdown docs/cameras.md]
+    python scripts/studies/photographs_coverage.py --store coverage.jsonl [--jobs 100] [--markdown docs/cameras.md]
 
 Every job is one line of the store; what is there already is not simulated again. A job is as ``calib import images``
 writes it: a UR5, everything free with priors of 1 mm and 1 mrad, lens and scale and shape of the board unknown. Its
@@ -91,7 +91,7 @@ def table(found: list[dict[str, list[bool]]]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--store", type=Path, required=True)
-    parser.add_argument("--jobs", type=int, default=120)
+    parser.add_argument("--jobs", type=int, default=100)
     parser.add_argument("--first", type=int, default=100, help="the first seed")
     parser.add_argument("--markdown", type=Path, help="the page of the table")
     given = parser.parse_args()
