@@ -37,7 +37,7 @@ def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] 
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class PlannedMeasurement:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
     ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
@@ -64,27 +64,29 @@ class Setup:
                 raise JobError(f"{name}: {value!r} is not a number from {least:g}.")
 
 
-def rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
+def rows(model: ErrorModel, measurement: PlannedMeasurement, readings: Array) -> DesignRows:
     """Return what measuring each of N poses would bring, as rows of 3 numbers for positions and 6 for poses."""
-    sigma = np.repeat([setup.sigma, setup.sigma_angle], 3)[: 6 if setup.observes == "pose" else 3]
-    J, H = _motions(model, setup, readings, setup.observes)
+    sigma = np.repeat([measurement.sigma, measurement.sigma_angle], 3)[: 6 if measurement.observes == "pose" else 3]
+    J, H = _motions(model, measurement, readings, measurement.observes)
     return DesignRows(J / sigma[:, None], H / sigma[:, None])
 
 
-def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
+def working_rows(model: ErrorModel, measurement: PlannedMeasurement, readings: Array) -> DesignRows:
     """Return the motions of the tool's position at N working poses, in m: what an I-optimal design keeps small."""
-    J, H = _motions(model, setup, readings, "position")
+    J, H = _motions(model, measurement, readings, "position")
     return DesignRows(J, H)
 
 
-def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
+def _motions(
+    model: ErrorModel, measurement: PlannedMeasurement, readings: Array, observes: Observed
+) -> tuple[Array, Array]:
     """Return the tool's motions (N, d, p) for the scale of each parameter, and (N, d, h) for effects left out."""
-    robot, frames, parameters = model.robot, setup.frames, model.parameters()
+    robot, frames, parameters = model.robot, measurement.frames, model.parameters()
     at = machine(robot, parameters, frames, values_at(robot, parameters, frames))
     by_state = tool_jacobian(robot, at, readings, ordinary(readings))[:, : 6 if observes == "pose" else 3]
     J = by_state @ (directions(parameters, by_state.shape[2]) * scales(parameters))
     H = np.zeros((*J.shape[:2], 0))
-    if setup.misfit > 0.0:
+    if measurement.misfit > 0.0:
         tips, by_reading = TipModel(robot).driven(readings)
         local = rigid.adjoint(rigid.inverse(frames.tools[0])) @ by_reading
         turned = (frames.base @ tips @ frames.tools[0])[:, :3, :3]
@@ -92,7 +94,7 @@ def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observe
         waves = [wave(k * readings)[:, None] for k in _ORDERS for wave in (np.cos, np.sin)]
         H = np.concatenate([moved * wave for wave in waves], axis=2)
         size = float(np.sqrt(np.mean(np.sum(H[:, :3] ** 2, axis=(1, 2)))))
-        H = H * (setup.misfit / size)
+        H = H * (measurement.misfit / size)
     return J, H
 
 

@@ -21,9 +21,9 @@ from calib.assessment.validation import (
     CrossValidation,
     HeldOut,
     folds,
-    groups,
     held_out,
     predict_held_out,
+    row_groups,
     some_rows,
 )
 from calib.foundations.arguments import checked
@@ -187,9 +187,9 @@ def compare_models(
         raise JobError("models: there is none to judge.")
     if unknown := sorted(set(choose) - set(models)):
         raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
-    group = groups(sets, places=True)
+    group = row_groups(sets, places=True)
     if not group.any():
-        group = groups(sets)
+        group = row_groups(sets)
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
     if not looked_at.all():

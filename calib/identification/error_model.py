@@ -143,17 +143,17 @@ class ErrorModel:
         found: list[Parameter] = []
 
         def free(
-            name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool, setup: SetUp | None = None
+            name: str, kind: ParameterKind, *entries: tuple[int, float], length: bool, setup: SetUp | None = None
         ) -> None:
             priors: Priors | SetUp | None = self.priors if kind in ("offset", "placement") else setup
             prior = None if priors is None else (priors.length if length else priors.angle)
             group = _GROUPS[kind, length] if prior == "learned" else None
             stated = None if prior == "learned" else prior
             unit: Literal["m", "rad"] = "m" if length else "rad"
-            found.append(Parameter(name, unit, kind, direction, stated, group=group, weak=width(kind, unit, reach)))
+            found.append(Parameter(name, unit, kind, entries, stated, group=group, weak_prior=width(kind, unit, reach)))
 
-        for (joint, component), direction in zip(self.placements, self._directions(), strict=True):
-            free(f"{joint}.{component}", "placement", *direction, length=component in ("tx", "ty", "tz", "a", "d"))
+        for (joint, component), entries in zip(self.placements, self._directions(), strict=True):
+            free(f"{joint}.{component}", "placement", *entries, length=component in ("tx", "ty", "tz", "a", "d"))
         for j, i in enumerate(self.robot.moving):
             moving = self.robot.chain[i]
             if moving.name in self.offsets:
@@ -166,8 +166,10 @@ class ErrorModel:
                 prior = self.priors.of_term(term, dimension)
                 group = kind.group(term, dimension) if prior == "learned" else None
                 stated = None if prior == "learned" else prior
-                direction = ((layout.terms + t, 1.0),)
-                found.append(Parameter(term.name, unit, "term", direction, stated, size, group, weak=TERM_WIDTH * size))
+                entries = ((layout.terms + t, 1.0),)
+                found.append(
+                    Parameter(term.name, unit, "term", entries, stated, size, group, weak_prior=TERM_WIDTH * size)
+                )
         for s, setup in enumerate(setups):
             known = self.known_base(setup)
             prefix = "base" if setup == ONLY_SETUP else f"base.{setup}"

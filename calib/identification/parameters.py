@@ -63,22 +63,23 @@ class Parameter:
     """One unknown of the machine.
 
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
-    ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
+    ``entries``: the entries of the state that it moves, and by how much each for one unit of the parameter.
     ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``typical_size``
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
-    the prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
-    none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
-    determine the parameter. ``centre``: about which value the prior is, where that is neither nominal nor the start.
+    the prior is None until then. ``weak_prior``: the standard deviation of the weak prior that takes its place where
+    there is none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever
+    the data determine the parameter. ``centre``: about which value the prior is, where that is neither
+    nominal nor the start.
     """
 
     name: str
     unit: str
     kind: ParameterKind
-    direction: tuple[tuple[int, float], ...]
+    entries: tuple[tuple[int, float], ...]
     prior: float | None = None
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
-    weak: float = math.inf
+    weak_prior: float = math.inf
     centre: float | None = None
 
     @property
@@ -99,7 +100,7 @@ class Parameter:
     @property
     def hold(self) -> float:
         """How strongly the prior, stated or weak, holds: 1 over its standard deviation in units of the scale."""
-        return self.scale / (self.weak if self.prior is None else self.prior)
+        return self.scale / (self.weak_prior if self.prior is None else self.prior)
 
 
 def width(kind: ParameterKind, unit: str, reach: float = 0.0) -> float:
@@ -126,7 +127,7 @@ class Entries(NamedTuple):
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> "Entries":
         """Return those of parameters."""
-        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.direction]
+        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.entries]
         entry, parameter, share = zip(*found, strict=True) if found else ((), (), ())
         return cls(
             np.array(entry, dtype=np.intp), np.array(parameter, dtype=np.intp), np.array(share, dtype=np.float64)

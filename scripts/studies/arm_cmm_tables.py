@@ -576,7 +576,7 @@ def error_model(paper: dict[str, Any]) -> list[Block]:
         Heading(3, "What positions tell apart"),
         f"""Over the 20 poses the 25 parameters have rank {apart.rank}; with the places of base and probe unknown, the
         rank is {in_place.rank} of {len(in_place.parameters)}. Of the 25:""",
-        Points(tuple(map(str, apart.null_space))),
+        Points(tuple(map(str, apart.undetermined))),
         Heading(3, "Sensitivity"),
         """An error of length moves the probe by its own length wherever the arm stands, an error of angle by its lever.
         Motion of the probe over the 20 poses, per mm and per mrad:""",

@@ -69,7 +69,7 @@ def streamed(
             "s" if role == OFFSET else "s/s",
             _SCALES[role],
             start,
-            weak=_WIDTHS[role],
+            weak_prior=_WIDTHS[role],
         )
         for role, start in shifts.items()
     )
