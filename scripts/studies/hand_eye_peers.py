@@ -53,7 +53,7 @@ def by_opencv(folder: Path, some: simulation.Session, python: Path) -> list[tupl
         table = csv.writer(file)
         table.writerow(["image", *(f"m{i}{j}" for i in range(4) for j in range(4))])
         table.writerows([f"image_{k:03d}.png", *T.ravel()] for k, T in enumerate(nominal) if not is_held_out(k))
-    subprocess.run([python, RUNNER, folder, poses, out], check=True)  # noqa: S603 - our own runner
+    subprocess.run([python, RUNNER, folder, poses, out], check=True)
     told = json.loads(out.read_text())
     K, bent = np.array(told["K"]), tuple(told["bent"][:5])
     lens = simulation.Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2], bent, some.lens.size)
@@ -94,9 +94,9 @@ def by_calib(folder: Path, some: simulation.Session) -> tuple[str, float, float]
     table, job, out = made / "marks.csv", made / "marks.toml", made / "out"
     arm = ["--robot", simulation.UR5, "--tip", simulation.TIP]
     given = ["--board", folder / "board.toml", "--readings", folder / "readings.csv", "-o", table]
-    subprocess.run([*start, "import", "images", kept, *given, *arm, "-q"], check=True, cwd=ROOT)  # noqa: S603 - ours
+    subprocess.run([*start, "import", "images", kept, *given, *arm, "-q"], check=True, cwd=ROOT)
     job.write_text(job.read_text().replace("hold_out = 0.25\n", ""))
-    if subprocess.run([*start, "calibrate", job, "-o", out, "-q"], check=False, cwd=ROOT).returncode not in (0, 3):  # noqa: S603 - ours
+    if subprocess.run([*start, "calibrate", job, "-o", out, "-q"], check=False, cwd=ROOT).returncode not in (0, 3):
         raise SystemExit(1)
     machine, result = calib.load_machine(out), json.loads((out / "result.json").read_text())
     value = {one["name"]: one["value"] for one in result["parameters"]}
