@@ -2,16 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
 from calib.assessment.design import DesignRows
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, machine, values_at
@@ -55,13 +57,14 @@ class PlannedMeasurement:
     working: Array | None = None
 
     def __post_init__(self) -> None:
-        for name, value, least in (
-            ("sigma", self.sigma, 1e-9),
-            ("sigma_angle", self.sigma_angle, 1e-9),
-            ("misfit", self.misfit, 0.0),
-        ):
-            if not (np.isfinite(value) and value >= least):
-                raise JobError(f"{name}: {value!r} is not a number from {least:g}.")
+        refuse_fields(self)
+        if self.observes not in get_args(Observed):
+            raise JobError(f"observes: {self.observes!r} is not one of {', '.join(get_args(Observed))}.")
+        if self.working is not None:
+            refuse_shape(self.working, (None, None), "working")
+        refuse_beyond(self.sigma, "sigma", "sigma")
+        refuse_beyond(self.sigma_angle, "sigma_angle", "sigma_angle")
+        refuse_beyond(self.misfit, "model_sigma", "misfit")
 
 
 def rows(model: ErrorModel, measurement: PlannedMeasurement, readings: Array) -> DesignRows:
@@ -117,6 +120,10 @@ class Sight:
     farthest: float = float("inf")
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_beyond(self.station, "position, station, point", "station")
+        if self.facing is not None:
+            refuse_beyond(self.facing, "normal", "facing")
         if self.facing is not None and not np.linalg.norm(self.facing) > 0.0:
             raise JobError(f"facing: {self.facing} has no direction.")
         if not 0.0 < self.acceptance <= np.pi:
@@ -148,6 +155,10 @@ class Candidates:
     readings: Array
     tried: int
     rejected: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_shape(self.readings, (None, None), "candidates: readings")
 
 
 @checked

@@ -9,6 +9,8 @@ import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
 
@@ -16,6 +18,13 @@ ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target",
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
+_RANGES = {
+    "length": "prior.length",
+    "angle": "prior.angle",
+    "harmonics": "prior.harmonics",
+    "elastic": "prior.elastic",
+    "elastic_sliding": "prior.elastic of readings that slide",
+}
 # The parameter scale where no prior gives one: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
 # Standard deviations of the weak priors of parameters that were given none, in m and rad: of joint offsets and of link
@@ -40,6 +49,8 @@ class Priors:
     that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
     rotations, all joint offsets, the harmonics of one reading, all compliances - then share one standard deviation, the
     most likely one.
+
+    Raises JobError for what is neither a standard deviation within its range nor "learned".
     """
 
     length: Prior | None = None
@@ -50,6 +61,15 @@ class Priors:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        for name, key in _RANGES.items():
+            value, what = getattr(self, name), f"prior {name.replace('_', ' ')}"
+            if isinstance(value, str):
+                if value != "learned":
+                    raise JobError(f'{what}: {value!r} is neither a positive number nor "learned".')
+            elif value is not None:
+                if not value > 0.0:
+                    raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
+                refuse_beyond(value, key, what)
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""

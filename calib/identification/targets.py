@@ -11,9 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import refuse_no_placement
 from calib.identification.arrow import Split
 from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter, width
@@ -52,6 +54,10 @@ class Target:
 
     pose: Array
     height_is_known: bool = True
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_no_placement(self.pose, "target: pose")
 
 
 def shape_of(data: Measurements) -> Shape | None:
