@@ -36,12 +36,10 @@ class Conditions:
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        return Conditions(
-            *(
-                None if told is None else told[rows]
-                for told in (self.approach, self.temperature, self.torque, self.payload, self.gravity)
-            )
-        )
+        every = self.approach, self.temperature, self.torque, self.payload, self.gravity
+        if all(told is None for told in every):
+            return self
+        return Conditions(*(None if told is None else told[rows] for told in every))
 
 
 NO_CONDITIONS = Conditions()

@@ -17,7 +17,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
-from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor
+from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor, Weighed
 from calib.robot.loops import Closure, passive_joints
 from calib.robot.skeleton import Skeleton, end_frame, skeleton
 
@@ -111,9 +111,8 @@ class Holding:
         self._closure = Closure(s, m.loops) if m.loops else None
         carried = sorted({joint for _, joint, _ in weights.units})
         self._frames = {joint: k for k, joint in enumerate(carried)}
-        self._kinematics = Kinematics(
-            s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried], _masses(s, weights)
-        )
+        self._kinematics = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried])
+        self._masses = Weighed(s.tree, _masses(s, weights))
         moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
         self._hands = np.array(moved, dtype=np.intp)
         self._at_hands = Kinematics(s.tree, [end_frame(s, int(m.carrying[weights.hands[k]])) for k in moved])
@@ -126,7 +125,7 @@ class Holding:
         """
         q, follow = self._posed(readings)
         gravity = self._gravity(len(q), told)
-        found = _by_virtual_work(self._kinematics.holding(q, gravity), follow)
+        found = _by_virtual_work(self._masses.holding(q, gravity), follow)
         if (other := self._other_payloads(told)) is not None:
             rows, more = other
             found[rows] += self._carried(q[rows], follow[rows] if follow.ndim == 3 else follow, gravity[rows], more)
