@@ -212,7 +212,7 @@ def _with(data: Measurements, freed: Collection[CauseName]) -> Measurements:
         board = replace(board, scale_sigma=0.0)
     if "shape" not in freed:
         board = replace(board, shape="flat")
-    elif board.shape == "flat":
+    elif board.shape == "flat" and can_be_bent(board.marks):
         board = replace(board, shape="quadratic")
     return seen_by(data, camera, board)
 

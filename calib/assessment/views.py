@@ -14,6 +14,7 @@ from calib.assessment.candidates import Candidates, possible
 from calib.assessment.design import DesignRows
 from calib.assessment.hand_eye import lens_of
 from calib.assessment.planning import Plan, planned
+from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
@@ -26,7 +27,7 @@ from calib.identification.machine import values_at
 from calib.identification.observations.pixels import marks_seen
 from calib.identification.parameters import directions, scales
 from calib.identification.system import Problem, jacobian
-from calib.machine.tool_motion import tool_jacobian
+from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.measurements import Measurements
 from calib.measurement.projection import project
 from calib.robot.collision import SelfCollision
@@ -93,13 +94,22 @@ class Views:
         return DesignRows.without_misfit(np.concatenate(found))
 
     def working_rows(self, readings: Array) -> DesignRows:
-        """Return the motions of the tool's position at N readings, in m."""
+        """Return the motions of the tool's position at N readings, in m, but for those of the whole arm on its base.
+
+        Cameras do not see where the base is, so that no photograph would make that part less.
+        """
         by_state = tool_jacobian(
             self.fit.model.robot, self.fit.machine, readings, ordinary(readings), self.working_tool
         )[:, :3]
-        return DesignRows.without_misfit(
-            by_state @ (directions(self.fit.parameters, by_state.shape[2]) * scales(self.fit.parameters))
-        )
+        J = by_state @ (directions(self.fit.parameters, by_state.shape[2]) * scales(self.fit.parameters))
+        points = tool_poses(self.fit.model.robot, self.fit.machine, readings, ordinary(readings), self.working_tool)[
+            :, :3, 3
+        ]
+        turns = -rigid.skew(points - points.mean(axis=0))
+        whole = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+        basis = np.linalg.qr(whole)[0]
+        flat = J.reshape(len(whole), -1)
+        return DesignRows.without_misfit((flat - basis @ (basis.T @ flat)).reshape(J.shape))
 
     def refused(self, readings: Array) -> dict[str, BoolArray]:
         """Return which of N readings give no photograph that is of use, by the reason."""
