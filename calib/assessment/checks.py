@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.assessment.blame import Blame
 from calib.assessment.effects import NO_EFFECT, Effect, Rounding, Step, Strain, Stretch, Timing, memory
 from calib.assessment.gain import ONE_POSE, gain
 from calib.assessment.judged import Check, JudgedSet
@@ -665,6 +666,17 @@ def lens(fit: Fit) -> Check:
         'lens was calibrated for this, accept = ["lens"].'
     )
     return _check("lens", len(given), 0.0, False, said)
+
+
+def wrong_lens(blame: Blame) -> Check:
+    """Whether photographs held out contradict a lens that is taken as given; no answer of a user makes it right."""
+    lens = next(cause for cause in blame.causes if cause.name == "lens")
+    without = float(np.hypot(blame.left, lens.beside or 0.0))
+    said = (
+        f"A lens is taken as given, and is another one: with it {without:.2g} px of photographs held out are left, and "
+        f'{blame.left:.2g} px with the lens free. Write lens = "free", and the size of the images.'
+    )
+    return _check("lens", without / blame.left, float(np.sqrt(2.0)), not blame.lens_is_wrong, said)
 
 
 def warnings(findings: Sequence[Finding]) -> Check:
