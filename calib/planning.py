@@ -1,6 +1,6 @@
 """Which poses to measure: :func:`calib.plan`, and the descriptions of the set-up that it takes."""
 
-from calib.assessment.candidates import Candidates, Setup, Sight, possible, random_candidates, roughly
+from calib.assessment.candidates import Candidates, PlannedMeasurement, Sight, possible, random_candidates, roughly
 from calib.assessment.planning import Forecast, Plan, plan
 from calib.assessment.telling import most_telling
 from calib.robot.collision import SelfCollision, self_collision
@@ -9,8 +9,8 @@ __all__ = [
     "Candidates",
     "Forecast",
     "Plan",
+    "PlannedMeasurement",
     "SelfCollision",
-    "Setup",
     "Sight",
     "most_telling",
     "plan",

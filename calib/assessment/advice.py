@@ -23,7 +23,7 @@ from calib.identification.system import Problem, jacobian
 from calib.measurement.measurements import Measurements
 from calib.robot.sampling import random_readings
 
-Kind = Literal["null space", "weak", "correlated"]
+Kind = Literal["null space", "weakly determined", "correlated"]
 
 # A remedy shows a direction when it moves the new residuals by more than this share of what its parameters would move
 # them one by one. Shares of a direction are told to a hundredth, and those of identifiable parameters stay below 0.02.
@@ -68,13 +68,13 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
     factor = {**DISPLAY, "rad": (1.0 / MRAD, "mrad")}
     said = []
-    for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weak, strict=True):
+    for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weakly_determined, strict=True):
         if weak:
             times, unit = factor.get(parameter.unit, (1.0, parameter.unit))
             judged = "its prior" if parameter.hold == 1.0 else "the parameter scale"
             said.append(
                 Advice(
-                    "weak",
+                    "weakly determined",
                     (parameter.name,),
                     f"{parameter.name} is weakly determined: its sigma is {sigma * times:.3g} {unit}, where {judged} "
                     f"is {parameter.scale * times:.3g} {unit}; more or other poses would help, or a prior.",

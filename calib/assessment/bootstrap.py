@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from calib.assessment.validation import groups
+from calib.assessment.validation import row_groups
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
@@ -114,7 +114,7 @@ def bootstrap(
 
 def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
     """Return the rows of every pose: those of one ``group``, or of the same readings."""
-    group = groups([data])
+    group = row_groups([data])
     return tuple(np.flatnonzero(group == k) for k in range(int(group.max(initial=-1)) + 1))
 
 

@@ -2,16 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
 from calib.assessment.design import DesignRows
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, machine, values_at
@@ -37,7 +39,7 @@ def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] 
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class PlannedMeasurement:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
     ``sigma`` and ``sigma_angle``: of one coordinate, in m and rad. ``misfit``: rms in m of the position error that the
@@ -55,36 +57,39 @@ class Setup:
     working: Array | None = None
 
     def __post_init__(self) -> None:
-        for name, value, least in (
-            ("sigma", self.sigma, 1e-9),
-            ("sigma_angle", self.sigma_angle, 1e-9),
-            ("misfit", self.misfit, 0.0),
-        ):
-            if not (np.isfinite(value) and value >= least):
-                raise JobError(f"{name}: {value!r} is not a number from {least:g}.")
+        refuse_fields(self)
+        if self.observes not in get_args(Observed):
+            raise JobError(f"observes: {self.observes!r} is not one of {', '.join(get_args(Observed))}.")
+        if self.working is not None:
+            refuse_shape(self.working, (None, None), "working")
+        refuse_beyond(self.sigma, "sigma", "sigma")
+        refuse_beyond(self.sigma_angle, "sigma_angle", "sigma_angle")
+        refuse_beyond(self.misfit, "model_sigma", "misfit")
 
 
-def rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
+def rows(model: ErrorModel, measurement: PlannedMeasurement, readings: Array) -> DesignRows:
     """Return what measuring each of N poses would bring, as rows of 3 numbers for positions and 6 for poses."""
-    sigma = np.repeat([setup.sigma, setup.sigma_angle], 3)[: 6 if setup.observes == "pose" else 3]
-    J, H = _motions(model, setup, readings, setup.observes)
+    sigma = np.repeat([measurement.sigma, measurement.sigma_angle], 3)[: 6 if measurement.observes == "pose" else 3]
+    J, H = _motions(model, measurement, readings, measurement.observes)
     return DesignRows(J / sigma[:, None], H / sigma[:, None])
 
 
-def working_rows(model: ErrorModel, setup: Setup, readings: Array) -> DesignRows:
+def working_rows(model: ErrorModel, measurement: PlannedMeasurement, readings: Array) -> DesignRows:
     """Return the motions of the tool's position at N working poses, in m: what an I-optimal design keeps small."""
-    J, H = _motions(model, setup, readings, "position")
+    J, H = _motions(model, measurement, readings, "position")
     return DesignRows(J, H)
 
 
-def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observed) -> tuple[Array, Array]:
+def _motions(
+    model: ErrorModel, measurement: PlannedMeasurement, readings: Array, observes: Observed
+) -> tuple[Array, Array]:
     """Return the tool's motions (N, d, p) for the scale of each parameter, and (N, d, h) for effects left out."""
-    robot, frames, parameters = model.robot, setup.frames, model.parameters()
+    robot, frames, parameters = model.robot, measurement.frames, model.parameters()
     at = machine(robot, parameters, frames, values_at(robot, parameters, frames))
     by_state = tool_jacobian(robot, at, readings, ordinary(readings))[:, : 6 if observes == "pose" else 3]
     J = by_state @ (directions(parameters, by_state.shape[2]) * scales(parameters))
     H = np.zeros((*J.shape[:2], 0))
-    if setup.misfit > 0.0:
+    if measurement.misfit > 0.0:
         tips, by_reading = TipModel(robot).driven(readings)
         local = rigid.adjoint(rigid.inverse(frames.tools[0])) @ by_reading
         turned = (frames.base @ tips @ frames.tools[0])[:, :3, :3]
@@ -92,7 +97,7 @@ def _motions(model: ErrorModel, setup: Setup, readings: Array, observes: Observe
         waves = [wave(k * readings)[:, None] for k in _ORDERS for wave in (np.cos, np.sin)]
         H = np.concatenate([moved * wave for wave in waves], axis=2)
         size = float(np.sqrt(np.mean(np.sum(H[:, :3] ** 2, axis=(1, 2)))))
-        H = H * (setup.misfit / size)
+        H = H * (measurement.misfit / size)
     return J, H
 
 
@@ -115,6 +120,10 @@ class Sight:
     farthest: float = float("inf")
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_beyond(self.station, "position, station, point", "station")
+        if self.facing is not None:
+            refuse_beyond(self.facing, "normal", "facing")
         if self.facing is not None and not np.linalg.norm(self.facing) > 0.0:
             raise JobError(f"facing: {self.facing} has no direction.")
         if not 0.0 < self.acceptance <= np.pi:
@@ -146,6 +155,10 @@ class Candidates:
     readings: Array
     tried: int
     rejected: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_shape(self.readings, (None, None), "candidates: readings")
 
 
 @checked

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from calib.foundations.arguments import checked
 from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import ErrorModel
-from calib.identification.observability import undetermined
+from calib.identification.observability import rank_findings
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding, copied_tables
 from calib.measurement.checks import table_findings as check_table
@@ -24,7 +24,7 @@ def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]
     fit would be meaningless.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    return _and(looks_wrong(model, sets), lambda: undetermined(model, sets))
+    return _and(looks_wrong(model, sets), lambda: rank_findings(model, sets))
 
 
 def looks_wrong(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:

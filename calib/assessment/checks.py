@@ -53,7 +53,7 @@ SIZE = 3.0
 WANDERED = 5e-4
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 SEEN_IN_TIME = 0.3
-# Fewer rows than that share are gross errors, which another check judges.
+# Fewer rows than that share are outliers, which another check judges.
 TWO_MACHINES, MANY = 3.0, 0.15
 GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
 FROZEN = 0.02
@@ -445,7 +445,7 @@ def one_machine(found: TwoMachines, fit: Fit) -> Check:
     return _check("one machine", found.times, TWO_MACHINES, passed, f"{said}{'.' if passed else what}")
 
 
-def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
+def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether many rows lie far from the rest."""
     worst, limit, passed, where = 0.0, GROSS, True, ""
     for one, loss in zip(own, fit.losses, strict=False):
@@ -460,7 +460,7 @@ def gross_errors(fit: Fit, own: Sequence[JudgedSet]) -> Check:
             passed = passed and share <= allowed
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
     said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
-    return _check("gross errors", worst, limit, passed, said)
+    return _check("outliers", worst, limit, passed, said)
 
 
 def frozen(own: Sequence[JudgedSet]) -> Check:

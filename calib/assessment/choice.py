@@ -25,10 +25,10 @@ import numpy as np
 from calib.assessment.validation import (
     HeldOut,
     folds,
-    groups,
     held_out,
     largest_unharmed,
     neighbourhoods,
+    row_groups,
     smallest_unharmed,
     some_rows,
 )
@@ -167,7 +167,7 @@ def choose_terms(
         progress("choosing joint terms: fitting geometry")
         geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         sets = geometric.measurements
-        group = groups(sets)
+        group = row_groups(sets)
         looked_at, place = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, place))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)

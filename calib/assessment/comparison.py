@@ -21,9 +21,9 @@ from calib.assessment.validation import (
     CrossValidation,
     HeldOut,
     folds,
-    groups,
     held_out,
     predict_held_out,
+    row_groups,
     some_rows,
 )
 from calib.foundations.arguments import checked
@@ -48,6 +48,8 @@ TERMS, OWN = "joint terms", "as in the job"
 _SOLVED = 1e-6
 # Rows that models are compared by: every one is fitted once for every fold.
 _ENOUGH_ROWS = 2000
+# All rows of all fits of one model, where every group is held out by itself.
+_MOST_FITTED = 100_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +181,8 @@ def compare_models(
     are.
 
     A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
-    JobError when there is no model, ``choose`` names none of them, or the scheme is none; MeasurementError when all
+    JobError when there is no model, ``choose`` names none of them, or the scheme is none, or holds out more than
+    some hundred groups; MeasurementError when all
     rows are of one group or the measurements are not of this robot.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
@@ -187,9 +190,9 @@ def compare_models(
         raise JobError("models: there is none to judge.")
     if unknown := sorted(set(choose) - set(models)):
         raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
-    group = groups(sets, places=True)
+    group = row_groups(sets, places=True)
     if not group.any():
-        group = groups(sets)
+        group = row_groups(sets)
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
     if not looked_at.all():
@@ -224,6 +227,11 @@ def _terms(fit: Fit) -> tuple[str, ...]:
 def _folds(group: IntArray, scheme: Scheme) -> IntArray:
     if scheme == "leave-one-group-out":
         folds(group)  # refuses a single group
+        if (count := int(group.max()) + 1) * len(group) > _MOST_FITTED:
+            raise JobError(
+                f"scheme: {len(group)} rows are of {count} groups, and every model is fitted without each of them: to "
+                f"{count * len(group)} rows in all, and {_MOST_FITTED} are allowed; say a number of folds."
+            )
         return group
     if type(scheme) is not int:
         raise JobError(f'scheme: {scheme!r} is neither a number of folds nor "leave-one-group-out".')

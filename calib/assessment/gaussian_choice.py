@@ -26,7 +26,7 @@ class Bought(NamedTuple):
 def bought(known: GaussianResiduals, readings: Array, errors: Array, group: IntArray) -> Bought:
     """Return what a process brings, by grouped cross-validation of the rows that it was made of.
 
-    ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.groups`.
+    ``readings`` (N, nr), ``errors`` (N, 3), ``group`` (N,): as in :func:`calib.assessment.validation.row_groups`.
     Amplitude, length scales and noise are not learnt anew for every fold: those with which the even folds are judged
     come from the odd ones, and the other way round. Those of all rows would have seen what they are judged by, and
     praise noise.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from calib.assessment import design
-from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
+from calib.assessment.candidates import PlannedMeasurement, random_candidates, rows, working_rows
 from calib.assessment.design import Space
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
@@ -80,7 +80,7 @@ def plan(
     count: int = 40,
     *,
     candidates: int | Array = 1000,
-    setup: Setup | None = None,
+    measurement: PlannedMeasurement | None = None,
     criterion: Criterion = "I",
     measured: Array | None = None,
     target: float | None = None,
@@ -92,14 +92,15 @@ def plan(
         planned.readings  # (40, nr) in rad and m
 
     ``candidates`` (N, nr) in rad and m, or how many to draw at random within the joints' limits; :mod:`calib.planning`
-    makes candidates that a tracker sees and where the arm does not touch itself. ``setup``: how poses are measured, and
-    where the tool must be accurate; by default positions by a tracker. ``measured`` (M, nr): poses measured already,
-    which the new ones complete. ``target`` in m: also find how many poses keep the forecast error below it.
+    makes candidates that a tracker sees and where the arm does not touch itself. ``measurement``: how poses are
+    measured, and where the tool must be accurate; by default positions by a tracker. ``measured`` (M, nr): poses
+    measured already, which the new ones complete. ``target`` in m: also find how many poses keep the forecast
+    error below it.
 
     Raises JobError when there are fewer candidates than ``count``, or when they determine nothing; RobotError for
     candidates that are no readings.
     """
-    how = setup or Setup()
+    how = measurement or PlannedMeasurement()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
     if count < 1:

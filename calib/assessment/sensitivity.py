@@ -33,7 +33,7 @@ from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
 from calib.robot.robot import Robot
 
 
-class Coefficients(NamedTuple):
+class ErrorCoefficients(NamedTuple):
     """Change of the tip point with each parameter: ``matrix`` (N, 3, p) in m per m or m per rad, columns ``names``."""
 
     names: tuple[str, ...]
@@ -46,7 +46,7 @@ class Sensitivity:
 
     ``rms`` and ``largest`` (p,): length of a parameter's coefficient over the ``poses``, in m per m or m per rad, which
     are mm per mm and mm per mrad. ``rank``: how many combinations of the parameters the positions tell apart;
-    ``null_space``: those they do not.
+    ``undetermined``: those they do not.
     """
 
     __repr__ = brief
@@ -56,7 +56,7 @@ class Sensitivity:
     rms: Array
     largest: Array
     rank: int
-    null_space: tuple[NullDirection, ...]
+    undetermined: tuple[NullDirection, ...]
 
     @property
     def order(self) -> IntArray:
@@ -107,13 +107,13 @@ class GroupStudy:
 
 
 @checked
-def coefficients(model: ErrorModel, readings: npt.ArrayLike) -> Coefficients:
+def error_coefficients(model: ErrorModel, readings: npt.ArrayLike) -> ErrorCoefficients:
     """Return the error model's coefficient matrix (N, 3, p) at the nominal robot.
 
     Raises JobError when nothing is free, MeasurementError when the readings are not of this robot.
     """
     poses, x = _at_nominal(model, readings)
-    return Coefficients(tuple(p.name for p in poses.parameters), read_only(poses.jacobian(x)))
+    return ErrorCoefficients(tuple(p.name for p in poses.parameters), read_only(poses.jacobian(x)))
 
 
 @checked
@@ -144,14 +144,14 @@ def sensitivity(model: ErrorModel, readings: npt.ArrayLike) -> Sensitivity:
     size = np.linalg.norm(scaled, axis=0)
     scaled = np.where(size > identifiability.RANK_TOLERANCE * size.max(initial=0.0), scaled, 0.0)
     seen = identifiability.singular_directions(scaled)
-    _, null_space = identifiability.told(Arrow.plain(scaled), seen.rank, parameters)
+    _, undetermined = identifiability.told(Arrow.plain(scaled), seen.rank, parameters)
     return Sensitivity(
         parameters,
         len(J),
         read_only(np.sqrt(np.mean(motion**2, axis=0))),
         read_only(np.max(motion, axis=0)),
         seen.rank,
-        null_space,
+        undetermined,
     )
 
 

@@ -71,7 +71,7 @@ def verdict(
             checks.groups(found, apart(parts, C), fit),
             checks.set_ups(moved),
             checks.one_machine(two_machines(parts), fit),
-            checks.gross_errors(fit, own),
+            checks.outliers(fit, own),
             checks.frozen(own),
             checks.in_line(own),
             checks.joints(fit, own),

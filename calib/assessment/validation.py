@@ -62,7 +62,7 @@ class HeldOut:
     largest: float = math.nan
 
 
-def groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
+def row_groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
     With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
@@ -107,7 +107,7 @@ def hold_out(
     if not 0.0 < share < 1.0:
         raise JobError(f"share: {share!r} is not between 0 and 1.")
     if places is None:
-        group = groups([data], places=True)
+        group = row_groups([data], places=True)
         number = int(group.max(initial=0)) + 1
         if number < 2:
             raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
@@ -249,7 +249,7 @@ def held_out(squares: Array, group: IntArray) -> HeldOut:
 class CrossValidation:
     """Made by :func:`cross_validate`. ``residuals`` (N, d) of every set: of each row by a fit without its fold.
 
-    ``kinds``: of every set; ``group`` (all rows): as in :func:`groups`.
+    ``kinds``: of every set; ``group`` (all rows): as in :func:`row_groups`.
     """
 
     __repr__ = brief
@@ -287,7 +287,7 @@ def cross_validate(
     Options as in :func:`calib.identify`. Raises what it raises, and MeasurementError when all rows are of one group.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    group = groups(sets)
+    group = row_groups(sets)
 
     def find(rows: ChosenRows) -> Fit:
         return identify(

@@ -58,7 +58,7 @@ def plan(
     are poses that the tracker sees. If the URDF has collision shapes, they are free of self-collision.
     """
     with loading():
-        from calib.assessment.candidates import Setup, possible, random_candidates
+        from calib.assessment.candidates import PlannedMeasurement, possible, random_candidates
         from calib.assessment.planning import plan as plan_of
         from calib.cli import plan_inputs as given
         from calib.foundations import rigid
@@ -76,7 +76,9 @@ def plan(
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
         right = None if working is None else given.table_readings(working, robot)
         noise = (given.parsed_length(sigma, "sigma"), given.parsed_angle(sigma_angle, "sigma_angle"))
-        setup = Setup(frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right)
+        measurement = PlannedMeasurement(
+            frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
+        )
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
         notes = given.untold(model)
         collision = None
@@ -97,7 +99,7 @@ def plan(
             model,
             count,
             candidates=found.readings,
-            setup=setup,
+            measurement=measurement,
             criterion=criterion,
             measured=None if measured is None else given.table_readings(measured, robot),
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),

@@ -125,8 +125,8 @@ def looked_at(inputs: "Inputs", *, every: bool = False) -> Looked:
     from calib.identification.observability import observability
 
     seen = observability(inputs.model, inputs.identify)
-    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.null_space)]
-    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.null_space, advised)
+    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.undetermined)]
+    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.undetermined, advised)
     return Looked([finding.sentence for finding in inputs.findings], seen, advised, brief)
 
 
@@ -147,7 +147,7 @@ def tell_check(
                 f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
                 f"parameters (condition number {seen.condition:.3g})."
             ),
-            *null_space_lines(looked.brief, directions=len(seen.null_space)),
+            *null_space_lines(looked.brief, directions=len(seen.undetermined)),
         ]
 
     told = {"findings": findings, **seen.contents(), "advice": looked.advised}

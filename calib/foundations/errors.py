@@ -4,6 +4,7 @@ Every message is one clear sentence: what is wrong, where (file and line, joint,
 The command line prints it and exits with 1; anything else that escapes is a bug and shows its traceback.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -13,8 +14,20 @@ if TYPE_CHECKING:  # whoever only names an error, such as a command's help, load
     import numpy.typing as npt
 
 
+_LONGEST_WORD, _LONGEST = 400, 2000
+_LONG_WORD = re.compile(rf"\S{{{_LONGEST_WORD},}}")
+
+
+def _shortened(text: str, most: int = _LONGEST) -> str:
+    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
+
+
 class CalibError(Exception):
-    """Base of every error that a user's input can cause."""
+    """Base of every error that a user's input can cause. What it says is shortened where a name in it is very long."""
+
+    def __str__(self) -> str:
+        """Return the sentence, with the beginning and the end of such words, and of itself."""
+        return _shortened(_LONG_WORD.sub(lambda word: _shortened(word[0], _LONGEST_WORD), super().__str__()))
 
 
 class RobotError(CalibError, ValueError):

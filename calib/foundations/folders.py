@@ -117,6 +117,8 @@ def real_folder(path: Path) -> Path:
         for before in (Path(*parts[:k]) for k, part in enumerate(parts) if part == ".." and k):
             if not before.is_dir():
                 raise OutputError(f"{path}: leads through {before}, which is no folder.")
+        if path.exists() and not (path.is_dir() or path.is_file()):
+            raise OutputError(f"{path}: is a pipe or a device, and the results need a folder.")
         return path.resolve()
     except OutputError:
         raise

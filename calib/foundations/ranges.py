@@ -11,6 +11,8 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError, JobError
 from calib.foundations.units import UNITS, Dimension, parse_quantity
 
@@ -146,6 +148,22 @@ def refuse_beyond(values: npt.ArrayLike, name: str, where: str, error: type[Cali
     for value in np.ravel(values):
         if not RANGES[name].holds(float(value)):
             raise error(f"{where} is {value:g}{_si(RANGES[name])}; allowed is {RANGES[name]}.")
+
+
+def refuse_no_placement(T: Array, where: str, error: type[CalibError] = JobError) -> None:
+    """Raise ``error`` for what is no placement (4, 4): a rotation, a position in m within its range, 0 0 0 1."""
+    if T.shape != (4, 4) or not rigid.are_placements(T[None])[0]:
+        raise error(f"{where}: needs a rigid placement (4, 4): a rotation, a position in m, and the last row 0 0 0 1.")
+    refuse_beyond(T[:3, 3], "position, station, point", where, error)
+
+
+def refuse_shape(values: Array, shape: tuple[int | None, ...], where: str, error: type[CalibError] = JobError) -> None:
+    """Raise ``error`` for an array of another shape, None being any number, or with what is no finite number."""
+    if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape, strict=True)):
+        needed = ", ".join("any" if n is None else str(n) for n in shape)
+        raise error(f"{where} has the shape {values.shape}; needed is ({needed}).")
+    if not np.isfinite(values).all():
+        raise error(f"{where} has numbers that are not finite.")
 
 
 def refuse_sigma(value: float | None, where: str) -> None:

@@ -34,13 +34,6 @@ BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
 # Where the range of each prior is told: :data:`calib.foundations.ranges.RANGES`.
-_PRIORS = {
-    "length": "prior.length",
-    "angle": "prior.angle",
-    "harmonics": "prior.harmonics",
-    "elastic": "prior.elastic",
-    "elastic_sliding": "prior.elastic of readings that slide",
-}
 # Parameters that are alike share a prior whose width is learned; by kind, and whether they are lengths.
 _GROUPS = {
     ("placement", True): "link translations",
@@ -68,6 +61,10 @@ class Known:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        if self.base is not None:
+            _given_pose(self.base, "known.base")
+        for name, tool in self.tools.items():
+            _given_pose(tool, f"known.tools: {name!r}")
 
 
 NOTHING_KNOWN = Known()
@@ -143,17 +140,17 @@ class ErrorModel:
         found: list[Parameter] = []
 
         def free(
-            name: str, kind: ParameterKind, *direction: tuple[int, float], length: bool, setup: SetUp | None = None
+            name: str, kind: ParameterKind, *entries: tuple[int, float], length: bool, setup: SetUp | None = None
         ) -> None:
             priors: Priors | SetUp | None = self.priors if kind in ("offset", "placement") else setup
             prior = None if priors is None else (priors.length if length else priors.angle)
             group = _GROUPS[kind, length] if prior == "learned" else None
             stated = None if prior == "learned" else prior
             unit: Literal["m", "rad"] = "m" if length else "rad"
-            found.append(Parameter(name, unit, kind, direction, stated, group=group, weak=width(kind, unit, reach)))
+            found.append(Parameter(name, unit, kind, entries, stated, group=group, weak_prior=width(kind, unit, reach)))
 
-        for (joint, component), direction in zip(self.placements, self._directions(), strict=True):
-            free(f"{joint}.{component}", "placement", *direction, length=component in ("tx", "ty", "tz", "a", "d"))
+        for (joint, component), entries in zip(self.placements, self._directions(), strict=True):
+            free(f"{joint}.{component}", "placement", *entries, length=component in ("tx", "ty", "tz", "a", "d"))
         for j, i in enumerate(self.robot.moving):
             moving = self.robot.chain[i]
             if moving.name in self.offsets:
@@ -166,8 +163,10 @@ class ErrorModel:
                 prior = self.priors.of_term(term, dimension)
                 group = kind.group(term, dimension) if prior == "learned" else None
                 stated = None if prior == "learned" else prior
-                direction = ((layout.terms + t, 1.0),)
-                found.append(Parameter(term.name, unit, "term", direction, stated, size, group, weak=TERM_WIDTH * size))
+                entries = ((layout.terms + t, 1.0),)
+                found.append(
+                    Parameter(term.name, unit, "term", entries, stated, size, group, weak_prior=TERM_WIDTH * size)
+                )
         for s, setup in enumerate(setups):
             known = self.known_base(setup)
             prefix = "base" if setup == ONLY_SETUP else f"base.{setup}"
@@ -241,10 +240,6 @@ def error_model(
     _refuse_other_words("base", base, get_args(BaseFreedom))
     _refuse_other_words("tool", tool, get_args(ToolFreedom))
     _refuse_other_words("dh_convention", dh.convention, get_args(Convention))
-    if not 0.0 <= dh.parallel <= 0.5:
-        raise JobError(f"dh_parallel: {dh.parallel!r} is not an angle between 0 and 0.5 rad.")
-    for name, target in known.targets.items():
-        refuse_beyond(target.pose[:3, 3], "position, station, point", f"target {name!r}")
     seeks_dh = not (isinstance(dh.numbers, str) and dh.numbers == "none")
     frames = dh_frames(robot, dh.convention, dh.parallel) if seeks_dh else None
     if frames is not None:
@@ -321,16 +316,7 @@ def _refuse_other_words(what: str, value: str, allowed: Sequence[str]) -> None:
 
 
 def _refuse_priors(priors: Priors, robot: Robot) -> None:
-    """Raise JobError for a prior that is none, or of a joint that the arm does not have."""
-    for name, key in _PRIORS.items():
-        value, what = getattr(priors, name), f"prior {name.replace('_', ' ')}"
-        if value is None or (isinstance(value, str) and value == "learned"):
-            continue
-        if isinstance(value, str):
-            raise JobError(f'{what}: {value!r} is neither a positive number nor "learned".')
-        if not value > 0.0:
-            raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
-        refuse_beyond(value, key, what)
+    """Raise JobError for a prior of a joint that the arm does not have."""
     dimensions = {reading.dimension for reading in robot.readings}
     for kind in KINDS:
         for dimension, name in kind.priors.items():

@@ -114,7 +114,7 @@ class Fit:
         return np.array(own, dtype=np.intp)
 
     @property
-    def weak(self) -> BoolArray:
+    def weakly_determined(self) -> BoolArray:
         """Parameters (p,) that are determined, but not better than half their parameter scale."""
         sigmas = np.sqrt(np.maximum(self.spread.variances, 0.0))
         return np.asarray(~self.unidentifiable & (sigmas > 0.5 * scales(self.parameters)))
@@ -159,10 +159,10 @@ class Fit:
                 "sigma": None if unidentifiable else float(sigma),
                 "prior": parameter.prior,
                 "identifiable": not unidentifiable,
-                "weak": bool(weak),
+                "weakly_determined": bool(weak),
             }
             for parameter, value, sigma, unidentifiable, weak in zip(
-                self.parameters, self.values, self.sigmas, self.unidentifiable, self.weak, strict=True
+                self.parameters, self.values, self.sigmas, self.unidentifiable, self.weakly_determined, strict=True
             )
         ]
 

@@ -26,7 +26,7 @@ from calib.measurement.measurements import Measurements
 class Observability:
     """What a set of poses determines of an error model, at the nominal robot.
 
-    ``numbers``: measured numbers. ``rank`` of ``parameters``; ``null_space``: what they do not determine.
+    ``numbers``: measured numbers. ``rank`` of ``parameters``; ``undetermined``: what they do not determine.
     ``condition``: of the determined directions, in parameter scales; ``indices``: O1 to O5 (:func:`indices`) of the
     same.
     """
@@ -37,7 +37,7 @@ class Observability:
     numbers: int
     rank: int
     condition: float
-    null_space: tuple[NullDirection, ...]
+    undetermined: tuple[NullDirection, ...]
     indices: Mapping[str, float]
 
     def contents(self) -> dict[str, Any]:
@@ -48,7 +48,7 @@ class Observability:
             "rank": self.rank,
             "condition": self.condition if self.rank else None,
             "indices": dict(self.indices),
-            "null_space": [str(direction) for direction in self.null_space],
+            "undetermined": [str(direction) for direction in self.undetermined],
         }
 
 
@@ -79,19 +79,19 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     rows = _at_start(problem).rows.whole
     directions = identifiability.directions_of(rows.reduced(identifiability.RANK_TOLERANCE))
     rank = directions.rank
-    _, null_space = identifiability.told(rows, directions.common_rank(0.0), parameters)
+    _, undetermined = identifiability.told(rows, directions.common_rank(0.0), parameters)
     seen = directions.singular_values[:rank]
     return Observability(
         parameters,
         sum(data.sigma.size for data in sets),
         rank,
         float(seen[0] / seen[-1]) if rank else float("nan"),
-        null_space,
+        undetermined,
         indices(seen, sum(map(len, sets))),
     )
 
 
-def undetermined(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
+def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what no number of such measurements would determine, and which others would.
 
     Raises MeasurementError and JobError as :func:`calib.identification.initialisation.problem.initial_problem` does.
@@ -127,7 +127,7 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
     """Yield what poses do not show of tool points, since the tip link hardly turns."""
     sets, tools = problem.measurements, problem.measurements[0].tools
     layout = Layout.of(problem.model.robot, problem.reference)
-    held = {(q.direction[0][0] - layout.tools) // 6 for q in problem.parameters if q.weak == UNSHOWN_TOOL_WIDTH}
+    held = {(q.entries[0][0] - layout.tools) // 6 for q in problem.parameters if q.weak_prior == UNSHOWN_TOOL_WIDTH}
     for k in sorted(held):
         rotations = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
         if not len(rotations):

@@ -9,6 +9,8 @@ import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.terms.kind import Dimension
 
@@ -16,6 +18,13 @@ ParameterKind = Literal["offset", "placement", "term", "base", "tool", "target",
 # Standard deviation of a prior, in SI units, or one that the data are to teach.
 Prior = float | Literal["learned"]
 
+_RANGES = {
+    "length": "prior.length",
+    "angle": "prior.angle",
+    "harmonics": "prior.harmonics",
+    "elastic": "prior.elastic",
+    "elastic_sliding": "prior.elastic of readings that slide",
+}
 # The parameter scale where no prior gives one: it makes millimetres and milliradians comparable.
 DEFAULT_SIGMA = 1e-3
 # Standard deviations of the weak priors of parameters that were given none, in m and rad: of joint offsets and of link
@@ -40,6 +49,8 @@ class Priors:
     that slide, in m/N. Any of them may be "learned": parameters that are alike - all link translations, all link
     rotations, all joint offsets, the harmonics of one reading, all compliances - then share one standard deviation, the
     most likely one.
+
+    Raises JobError for what is neither a standard deviation within its range nor "learned".
     """
 
     length: Prior | None = None
@@ -50,6 +61,15 @@ class Priors:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        for name, key in _RANGES.items():
+            value, what = getattr(self, name), f"prior {name.replace('_', ' ')}"
+            if isinstance(value, str):
+                if value != "learned":
+                    raise JobError(f'{what}: {value!r} is neither a positive number nor "learned".')
+            elif value is not None:
+                if not value > 0.0:
+                    raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
+                refuse_beyond(value, key, what)
 
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""
@@ -63,22 +83,23 @@ class Parameter:
     """One unknown of the machine.
 
     ``name`` never changes between code, reports and files: ``joint_3.rx``, ``joint_2.offset``, ``base.z``, ``tool.x``.
-    ``direction``: the entries of the state that it moves, and by how much each for one unit of the parameter.
+    ``entries``: the entries of the state that it moves, and by how much each for one unit of the parameter.
     ``prior`` is the standard deviation of a prior about the nominal value, in ``unit``, or None; ``typical_size``
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
-    the prior is None until then. ``weak``: the standard deviation of the weak prior that takes its place where there is
-    none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever the data
-    determine the parameter. ``centre``: about which value the prior is, where that is neither nominal nor the start.
+    the prior is None until then. ``weak_prior``: the standard deviation of the weak prior that takes its place where
+    there is none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever
+    the data determine the parameter. ``centre``: about which value the prior is, where that is neither
+    nominal nor the start.
     """
 
     name: str
     unit: str
     kind: ParameterKind
-    direction: tuple[tuple[int, float], ...]
+    entries: tuple[tuple[int, float], ...]
     prior: float | None = None
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
-    weak: float = math.inf
+    weak_prior: float = math.inf
     centre: float | None = None
 
     @property
@@ -99,7 +120,7 @@ class Parameter:
     @property
     def hold(self) -> float:
         """How strongly the prior, stated or weak, holds: 1 over its standard deviation in units of the scale."""
-        return self.scale / (self.weak if self.prior is None else self.prior)
+        return self.scale / (self.weak_prior if self.prior is None else self.prior)
 
 
 def width(kind: ParameterKind, unit: str, reach: float = 0.0) -> float:
@@ -126,7 +147,7 @@ class Entries(NamedTuple):
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> "Entries":
         """Return those of parameters."""
-        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.direction]
+        found = [(entry, k, share) for k, own in enumerate(parameters) for entry, share in own.entries]
         entry, parameter, share = zip(*found, strict=True) if found else ((), (), ())
         return cls(
             np.array(entry, dtype=np.intp), np.array(parameter, dtype=np.intp), np.array(share, dtype=np.float64)

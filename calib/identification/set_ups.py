@@ -10,7 +10,7 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
-from calib.foundations.ranges import refuse_beyond
+from calib.foundations.ranges import refuse_beyond, refuse_no_placement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +33,7 @@ class SetUp:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_no_placement(self.pose, "set-up: pose")
         if (self.length is None) != (self.angle is None):
             raise JobError("set-up: a prior of the base has a length and an angle; give both.")
         if self.length is not None and self.angle is not None:

@@ -7,7 +7,7 @@ memory does not grow with rows times parameters.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
 from calib.robot.conditions import Conditions
-from calib.robot.robot import Deviations, Robot, TipModel, TipMotion
+from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 
 # Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
 BLOCK = 384
@@ -49,7 +49,8 @@ class Problem:
     """The unknowns, the frames they are relative to, and the measurements that are to be explained.
 
     ``held``: deviations of the robot where they are not free; zero when None. ``relations``: what is known between
-    targets. ``given_losses``: one for each set; least squares for all when None.
+    targets. ``given_losses``: one for each set; least squares for all when None. ``nominals``: what does not follow the
+    unknowns, made once.
     """
 
     model: ErrorModel
@@ -59,6 +60,7 @@ class Problem:
     held: Deviations | None = None
     relations: tuple[Relation, ...] = ()
     given_losses: tuple[Loss, ...] | None = None
+    nominals: Nominals = field(default_factory=Nominals)
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -286,12 +288,12 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
 class _Links(dict[str, TipModel]):
     """Models of a robot with deviations, by the link that they look at; "" is the robot's tip."""
 
-    def __init__(self, robot: Robot, deviations: Deviations) -> None:
+    def __init__(self, robot: Robot, deviations: Deviations, nominals: Nominals | None = None) -> None:
         super().__init__()
-        self._robot, self._deviations = robot, deviations
+        self._robot, self._deviations, self._nominals = robot, deviations, Nominals() if nominals is None else nominals
 
     def __missing__(self, link: str) -> TipModel:
-        found = TipModel(self._robot.with_tip(link or self._robot.tip), self._deviations)
+        found = TipModel(self._robot.with_tip(link or self._robot.tip), self._deviations, self._nominals[self._robot])
         self[link] = found
         return found
 
@@ -406,7 +408,7 @@ class Rates:
             S[every.entry[k] - start, column[every.parameter[k]]] = every.share[k]
             return S
 
-        self._robot, self._frames, self._links = robot, frames, _Links(robot, at.deviations)
+        self._robot, self._frames, self._links = robot, frames, _Links(robot, at.deviations, problem.nominals)
         self._of_robot, self._of_terms = by_common(0, layout.terms), by_common(layout.terms, layout.base)
         self.of_scalars = by_common(layout.scalars, layout.size)
         c = len(split.common)

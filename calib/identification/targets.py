@@ -11,9 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import refuse_no_placement
 from calib.identification.arrow import Split
 from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter, width
@@ -45,13 +47,17 @@ class Target:
 
     ``pose`` (4, 4): that of a board or camera, a point's position, or a frame in whose x and y a plane lies; its z
     points to the side from which the plane is touched. ``height_is_known``: False where a plane's normal alone is
-    known, such as an indicator's direction; its zero is then found.
+    known, such as an indicator's entries; its zero is then found.
     """
 
     __repr__ = brief
 
     pose: Array
     height_is_known: bool = True
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_no_placement(self.pose, "target: pose")
 
 
 def shape_of(data: Measurements) -> Shape | None:
@@ -87,7 +93,7 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
 def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: Layout) -> tuple[Parameter, ...]:
     """Return the parameters of targets and scalars for sets with common names, in the order of the state.
 
-    Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose direction nobody gave.
+    Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose entries nobody gave.
     """
     parameters: list[Parameter] = []
     found = shapes(sets)
@@ -97,18 +103,27 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
             continue
         for component, entry in _UNKNOWN[found[name]][: 1 if of_target is not None else None]:
             unit: Literal["m", "rad"] = "rad" if entry > 2 else "m"
-            direction = ((layout.targets + 6 * t + entry, 1.0),)
+            entries = ((layout.targets + 6 * t + entry, 1.0),)
             parameters.append(
-                Parameter(f"target.{name}.{component}", unit, "target", direction, weak=width("target", unit))
+                Parameter(f"target.{name}.{component}", unit, "target", entries, weak_prior=width("target", unit))
             )
     for data in sets:
         if data.kind == "indicator":
             _refuse_no_direction(data, known)
     for k, one in enumerate(sets[0].scalars):
-        direction = ((layout.scalars + k, 1.0),)
+        entries = ((layout.scalars + k, 1.0),)
         centre = None if one.prior is None else one.start
         parameters.append(
-            Parameter(one.name, one.unit, "instrument", direction, one.prior, one.size, weak=one.weak, centre=centre)
+            Parameter(
+                one.name,
+                one.unit,
+                "instrument",
+                entries,
+                one.prior,
+                one.size,
+                weak_prior=one.weak_prior,
+                centre=centre,
+            )
         )
     return tuple(parameters)
 
@@ -120,7 +135,7 @@ def split_of(parameters: Sequence[Parameter], layout: Layout, joined: Collection
     """
     columns: dict[int, list[int]] = {}
     for k, parameter in enumerate(parameters):
-        if parameter.kind == "target" and layout.targets <= (entry := parameter.direction[0][0]) < layout.scalars:
+        if parameter.kind == "target" and layout.targets <= (entry := parameter.entries[0][0]) < layout.scalars:
             columns.setdefault((entry - layout.targets) // 6, []).append(k)
     own = [columns[t] for t in sorted(columns) if t not in joined]
     most = max(map(len, own), default=0)
@@ -131,4 +146,4 @@ def split_of(parameters: Sequence[Parameter], layout: Layout, joined: Collection
 def _refuse_no_direction(data: Measurements, known: Mapping[str, Target]) -> None:
     for name in dict.fromkeys(data.targets[t] for t in data.target):
         if name not in known:
-            raise JobError(f"{data.where}: the direction of the indicator {name!r} is not given; give its normal.")
+            raise JobError(f"{data.where}: the entries of the indicator {name!r} is not given; give its normal.")

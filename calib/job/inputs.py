@@ -17,7 +17,7 @@ from calib.foundations.units import Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
 from calib.identification.losses import Loss
-from calib.identification.observability import undetermined
+from calib.identification.observability import rank_findings
 from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
@@ -71,7 +71,7 @@ _MOST_MESHES = 1000
 class Inputs:
     """Everything a job names, read and checked.
 
-    ``model``: with what is known of targets and set-ups that are identified from; ``known``: with what is known of all.
+    ``model``: with what is known of targets and set-ups that are identified from; ``whole_model``: of all.
     ``hashes``: SHA-256 of every input file by its name in the job. ``optics``: how many numbers lenses and boards have.
     """
 
@@ -79,7 +79,7 @@ class Inputs:
     path: Path
     robot: Robot
     model: ErrorModel
-    known: ErrorModel
+    whole_model: ErrorModel
     identify: tuple[Measurements, ...]
     validate: tuple[Measurements, ...]
     nodes: tuple[Measurements, ...]
@@ -138,15 +138,15 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     # Rows held out are those of a table above: it is read once.
-    whole: list[tuple[MeasurementsSection, Measurements]] = []
+    tables: list[tuple[MeasurementsSection, Measurements]] = []
     sets: list[Measurements] = []
     for section in sections:
         own = section.model_copy(update={**_OF_HELD_OUT, "use": "identify"})
-        data = next((read for other, read in whole if other == own), None)
+        data = next((read for other, read in tables if other == own), None)
         if data is None:
-            beside = _of_one_clock(section, whole)
+            beside = _of_one_clock(section, tables)
             data = _measurements(section, job, robot, folder, arms, prints, lenses, doubts, beside)
-            whole.append((own, data))
+            tables.append((own, data))
         sets.append(_shared_out(data, section))
     sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
@@ -156,8 +156,8 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     _refuse_levels(job, path)
     _refuse_unknown_names(job, sets, path)
     _refuse_wrong_shapes(job, sets, path)
-    known, model = model, model.within(chosen)
-    doubts += _found_from_held_out(known, chosen, held_out)
+    whole, model = model, model.within(chosen)
+    doubts += _found_from_held_out(whole, chosen, held_out)
     _refuse_no_noise(job, sets, path)
     doubts += _weighed_at_zero(model, sets)
     doubts += _meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
@@ -180,13 +180,13 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     for file, before in stamps.items():
         if stamp(file) != before:
             raise JobError(f"{file}: has changed while it was read; run again when it is whole.")
-    findings += [*_not_held_out(job, hashes, path), *_undetermined(model, chosen, path)]
+    findings += [*_not_held_out(job, hashes, path), *_rank_findings(model, chosen, path)]
     return Inputs(
         job=job,
         path=path,
         robot=robot,
         model=model,
-        known=known,
+        whole_model=whole,
         identify=chosen,
         validate=held_out,
         nodes=nodes,
@@ -479,9 +479,9 @@ def _not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findi
     ]
 
 
-def _undetermined(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
+def _rank_findings(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
     try:
-        return undetermined(model, chosen)
+        return rank_findings(model, chosen)
     except JobError as e:
         raise JobError(f"{path}: {e}") from e
 

@@ -1,6 +1,7 @@
 """From a folder of photographs and the readings of the arm at each to a table of pixels, and a job that reads it."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -234,7 +235,7 @@ def _readings(
 
 def _images(sheet: Sheet, column: int) -> list[str]:
     images = [Path(row[column].strip().replace("\\", "/")).name for row in sheet.rows]
-    if twice := next((image for image in images if images.count(image) > 1), None):
+    if twice := next((image for image, rows in Counter(images).items() if rows > 1), None):
         raise MeasurementError(f"{sheet.where}: the image {shown(twice)} has two rows; it was taken once.")
     return images
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.assessment.gaussian_choice import bought
-from calib.assessment.validation import groups
+from calib.assessment.validation import row_groups
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
@@ -62,7 +62,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     known = gaussian_from_residuals(
         readings, turned, fit.robot.readings, section.joints, section.frame, where=sets[0].where
     )
-    gain = bought(known, readings, turned, groups(sets))
+    gain = bought(known, readings, turned, row_groups(sets))
     if gain.enters:
         return ResidualLevel(known, len(known.joints) + 2)
     without, held = gain

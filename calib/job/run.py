@@ -130,7 +130,7 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
 
 def _knowing(fit: Fit, inputs: Inputs) -> Fit:
     """Return the fit with what the job knows of all targets and set-ups, also of those not identified from."""
-    return replace(fit, model=replace(fit.model, targets=inputs.known.targets, setups=inputs.known.setups))
+    return replace(fit, model=replace(fit.model, targets=inputs.whole_model.targets, setups=inputs.whole_model.setups))
 
 
 def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:

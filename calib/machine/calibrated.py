@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError, MeasurementError, RobotError
+from calib.foundations.ranges import refuse_no_placement
 from calib.identification.fit import Fit
 from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.noise import Noise
@@ -21,7 +22,7 @@ from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import in_setup
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import Deviations, Robot, refuse_other_deviations
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -52,6 +53,17 @@ class CalibratedMachine:
     others: Mapping[str, Array] = field(default_factory=dict)
     tool_tips: Mapping[str, str] = field(default_factory=dict)
     in_urdf: "CalibratedMachine | None" = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_other_deviations(self.robot, self.deviations)
+        for name, base in self.bases.items():
+            refuse_no_placement(base, f"machine: the base {name!r}", RobotError)
+        for name, tool in self.tools.items():
+            refuse_no_placement(tool, f"machine: the tool {name!r}", RobotError)
+        for name, link in self.tool_tips.items():
+            if name not in self.tools or link not in self.robot.links:
+                raise RobotError(f"machine: the tool {name!r} on {link!r}: there is no such tool, or no such link.")
 
     @checked
     def of(self, tool: str) -> "CalibratedMachine":

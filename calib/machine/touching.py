@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding, table_findings
@@ -42,6 +43,12 @@ class TouchingArm:
     machine: CalibratedMachine
     point: Array
     sigma: float
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        refuse_shape(self.point, (3,), "touching arm: point")
+        refuse_beyond(self.point, "position, station, point", "touching arm: point")
+        refuse_beyond(self.sigma, "instruments.sigma", "touching arm: sigma")
 
     def points(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tool points (N, 3) in the base link at readings (N, nr), with what a residual model adds."""

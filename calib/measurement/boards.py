@@ -17,7 +17,7 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
-from calib.foundations.ranges import refuse_beyond
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 
 BoardShape = Literal["flat", "quadratic", "free"]
 # Printers and paper are right to so much: half a percent.
@@ -50,6 +50,8 @@ class Board:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_shape(self.marks, (None, 3), "board: marks")
+        refuse_beyond(self.marks, "position, station, point", "board: marks")
         refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")
         if self.shape not in get_args(BoardShape):
             raise JobError(f"board: shape is {self.shape!r}; allowed are {', '.join(get_args(BoardShape))}.")

@@ -44,7 +44,7 @@ def lens_scalars(camera: Camera) -> dict[str, Scalar]:
             "px" if name in (*FOCAL, *CENTRE) else "1",
             lens_size(name, lens),
             getattr(lens, name),
-            weak=lens_width(name, lens),
+            weak_prior=lens_width(name, lens),
         )
         for name in NAMES
         if name in camera.free
@@ -54,7 +54,7 @@ def lens_scalars(camera: Camera) -> dict[str, Scalar]:
 def board_scalars(board: Board) -> dict[str, Scalar]:
     """Return the scale of a board, where it is not known, and its shape."""
     prefix = "board" if board.name == ONLY_BOARD else f"board.{board.name}"
-    found = {name: Scalar(f"{prefix}.{name}", "m", MODE_SIZE, weak=MODE_WIDTH) for name in board.mode_names}
+    found = {name: Scalar(f"{prefix}.{name}", "m", MODE_SIZE, weak_prior=MODE_WIDTH) for name in board.mode_names}
     sigma = board.scale_sigma
     return ({SCALE: Scalar(f"{prefix}.{SCALE}", "1", sigma, prior=sigma)} if sigma > 0.0 else {}) | found
 

@@ -18,10 +18,10 @@ class Scalar:
 
     ``name``: that of its parameter, such as ``length.wire.offset``; in sets that are fitted together, one name is one
     number. ``start``: where the search begins, and what its prior is about, in ``unit``. ``size``: its parameter scale.
-    ``prior``: the standard deviation of what is known of it, None where nothing is; ``weak``: that of the weak prior
-    which then takes its place, wide enough to be negligible wherever the data determine the number.
+    ``prior``: the standard deviation of what is known of it, None where nothing is; ``weak_prior``: that of the weak
+    prior which then takes its place, wide enough to be negligible wherever the data determine the number.
 
-        Scalar("length.wire.offset", "m", size=1e-3, weak=10.0)
+        Scalar("length.wire.offset", "m", size=1e-3, weak_prior=10.0)
     """
 
     name: str
@@ -29,7 +29,7 @@ class Scalar:
     size: float
     start: float = 0.0
     prior: float | None = None
-    weak: float = math.inf
+    weak_prior: float = math.inf
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -38,4 +38,4 @@ class Scalar:
 def of_length(name: str) -> Scalar:
     """Return the unknown part of measured lengths, or the unknown radius of a ball, by the name of its parameter."""
     # Millimetres; and no wire is longer than ten metres without anybody's knowing.
-    return Scalar(name, "m", size=1e-3, weak=10.0)
+    return Scalar(name, "m", size=1e-3, weak_prior=10.0)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
@@ -102,6 +103,9 @@ class Columns:
     names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES)
     ignore: tuple[str, ...] = ()
     orientation: str | None = None
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
 
 
 AS_WRITTEN = Columns()

@@ -104,9 +104,10 @@ class Scene:
     ``measured`` and the predictions ``before`` and ``after`` calibration (N, 3) of the rows, which ``rows`` name.
     ``scales``: how many times the errors before and after calibration are drawn.
     ``judged``: False where the points are the tool's own, and there are no errors to tell. ``joints``: name and unit of
-    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told. ``groups``:
-    by what rows may be coloured, such as their table, and the name (N) that each has. ``regions``: of some rows the
-    half axes (3, 3), as columns, of the ellipsoid around the prediction where the calibrated tool is with 95 %.
+    every joint reading, and ``readings`` (N, nr) of the rows in these units; none where they are not told.
+    ``colourings``: by what rows may be coloured, such as their table, and the name (N) that each has. ``regions``: of
+    some rows the half axes (3, 3), as columns, of the ellipsoid around the prediction where the calibrated tool is with
+    95 %.
     ``times`` (N,) in s: of rows of streams, which are played as they came; NaN where nobody says.
     """
 
@@ -129,7 +130,7 @@ class Scene:
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
     tools_on: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    colourings: Mapping[str, Sequence[str]] = field(default_factory=dict)
     regions: Mapping[int, Array] = field(default_factory=dict)
     times: Array | None = None
 
@@ -229,7 +230,7 @@ def render_scene(scene: Scene) -> str:
         "readings": scene.readings[rows].round(4).tolist() if scene.joints else [],
         "clouds": _clouds(measured, before, after, [e[rows] for e in errors], edges),
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
-        "groups": _groups(scene, rows),
+        "colourings": _colourings(scene, rows),
         "regions": _regions(scene, rows, T_base_world[:3, :3]),
         "times": None
         if scene.times is None
@@ -388,10 +389,10 @@ def _clouds(measured: Array, before: Array, after: Array, errors: Sequence[Array
     }
 
 
-def _groups(scene: Scene, rows: IntArray) -> dict[str, dict[str, Any]]:
+def _colourings(scene: Scene, rows: IntArray) -> dict[str, dict[str, Any]]:
     """Return the names of every kind of group, and which of them the rows drawn have; none of a kind of one name."""
     found = {}
-    for kind, names in scene.groups.items():
+    for kind, names in scene.colourings.items():
         every = list(dict.fromkeys(names))
         if len(every) > 1:
             numbers = {name: k for k, name in enumerate(every)}
@@ -521,7 +522,7 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         "drawn": _factors(scene.scales).index(scene.scales[0]),
         "apart": None if scene.nominal is None else f"{scene.apart:g}",
         "colours": [_css(rgb) for rgb in SCALE],
-        "groups": list(_groups(scene, np.arange(n))),
+        "colourings": list(_colourings(scene, np.arange(n))),
         "regions": bool(scene.regions),
         "views": ["all", "front", "side", "top", "along the tool"]
         + ([] if np.allclose(scene.calibrated.root, np.eye(4), atol=1e-6) else ["from the instrument"]),

@@ -37,7 +37,7 @@ def sensitivity_verdict(sensitivity: Sensitivity) -> list[RenderableType]:
     apart = f"{sensitivity.rank} combinations of the {len(sensitivity.parameters)} parameters"
     return [
         Text(f"Positions at these poses tell {apart} apart."),
-        *null_space_lines(sensitivity.null_space),
+        *null_space_lines(sensitivity.undetermined),
     ]
 
 

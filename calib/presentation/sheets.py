@@ -109,7 +109,7 @@ def parameter_sheet(fit: Fit) -> Sheet:
     """Return all parameters with values, sigmas and flags."""
     rows = []
     for parameter, value, sigma, unidentifiable, weak in zip(
-        fit.parameters, fit.values, fit.sigmas, fit.unidentifiable, fit.weak, strict=True
+        fit.parameters, fit.values, fit.sigmas, fit.unidentifiable, fit.weakly_determined, strict=True
     ):
         factor, unit = SHOWN[parameter.unit]
         known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
@@ -186,7 +186,7 @@ def prior_sentences(fit: Fit) -> tuple[str, ...]:
 def rank_sentences(fit: Fit) -> tuple[str, ...]:
     """Return what the data determine, and what was done about the rest."""
     size, held = len(fit.null_space), len(fit.held)
-    weak = [p.name for p, w in zip(fit.parameters, fit.weak, strict=True) if w]
+    weak = [p.name for p, w in zip(fit.parameters, fit.weakly_determined, strict=True) if w]
     named = (f"Weakly determined: {', '.join(weak[:6])}{' and more' if len(weak) > 6 else ''}.",) if weak else ()
     if not size:
         return (f"The data determine all {fit.rank} parameters.", *named)

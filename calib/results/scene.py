@@ -78,7 +78,7 @@ def scene_of(found: Calibration) -> Scene:
         judged=bool(with_points),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
-        groups={
+        colourings={
             "table": [judged.file for judged in sets for _ in range(len(judged.data))],
             "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
         },

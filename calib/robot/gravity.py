@@ -34,6 +34,8 @@ class Payload:
     """What a link carries: ``mass`` in kg, its centre ``position`` in m in the link's frame.
 
     ``link``: one of those that the robot was loaded with; "" is its tip.
+
+    Raises RobotError when a number is out of range.
     """
 
     mass: float
@@ -42,6 +44,8 @@ class Payload:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(self.mass, "mass", "payload: mass", RobotError)
+        refuse_beyond(self.position, "position, station, point", "payload: position", RobotError)
 
     @property
     def moments(self) -> tuple[float, float, float, float]:
@@ -62,6 +66,7 @@ class Load:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(self.gravity, "gravity", "load: gravity", RobotError)
 
 
 def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float, float]:
@@ -74,15 +79,12 @@ def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float,
 
 
 def checked_payload(payload: Payload | None, links: Sequence[str], where: str) -> Payload | None:
-    """Return a payload as it is. Raises RobotError where it is out of range, or on none of the ``links``."""
-    if payload is not None:
-        refuse_beyond(payload.mass, "mass", f"{where}: the payload's mass", RobotError)
-        refuse_beyond(payload.position, "position, station, point", f"{where}: the payload", RobotError)
-        if payload.link and payload.link not in links:
-            raise RobotError(
-                f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
-                f"with: {', '.join(map(repr, links))}."
-            )
+    """Return a payload as it is. Raises RobotError where it is on none of the ``links``."""
+    if payload is not None and payload.link and payload.link not in links:
+        raise RobotError(
+            f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
+            f"with: {', '.join(map(repr, links))}."
+        )
     return payload
 
 
@@ -161,21 +163,23 @@ class Holding:
         q, follow = self._posed(readings)
         regressors, gravity = self._kinematics.regressors(q), self._gravity(len(q), told)
         found = np.empty((len(self._weights.units), len(q), follow.shape[-1]))
-        for k, (_, joint, unit) in enumerate(self._weights.units):
-            found[k] = self._of_moments(regressors[self._frames[joint]], unit, gravity, follow)
+        for joint, frame in self._frames.items():
+            those = [k for k, (_, carrier, _) in enumerate(self._weights.units) if carrier == joint]
+            units = np.array([self._weights.units[k][2] for k in those])
+            found[those] = self._of_moments(regressors[frame], units[:, None], gravity, follow)
         return found
 
     def _of_moments(self, frame: Regressor, moments: Array, gravity: Array, follow: Array) -> Array:
-        """Return what coordinates hold (N, c) of first moments and masses (4,) or (N, 4) in a frame.
+        """Return what coordinates hold (..., N, c) of first moments and masses (..., N, 4) in a frame, N or 1 of each.
 
         A first moment h in a frame R has the energy -g . R h, and a turn w of the frame in itself changes it by
         -(h x R^T g) . w; a mass m, moved by v, by -m R^T g . v.
         """
         types = self._weights.mechanism.types
         g = np.einsum("ni,nij->nj", gravity, frame.placement[:, :3, :3])
-        slopes = np.concatenate([moments[..., 3:] * g, np.cross(moments[..., :3], g)], axis=1)
+        slopes = np.concatenate([moments[..., 3:] * g, np.cross(moments[..., :3], g)], axis=-1)
         twists = frame.by_joint(types, range(len(types)))
-        return _by_virtual_work(-(slopes[:, None] @ twists)[:, 0], follow)
+        return _by_virtual_work(-np.einsum("...ni,nij->...nj", slopes, twists), follow)
 
     def _gravity(self, rows: int, told: Conditions) -> Array:
         """Return gravity (N, 3) of rows."""
@@ -213,7 +217,7 @@ class Holding:
 
 
 def _by_virtual_work(g: Array, follow: Array) -> Array:
-    return np.asarray(g @ follow if follow.ndim == 2 else np.einsum("nj,njr->nr", g, follow))
+    return np.asarray(g @ follow if follow.ndim == 2 else np.einsum("...nj,njr->...nr", g, follow))
 
 
 def _frame(s: Skeleton, segment: int) -> Frame:

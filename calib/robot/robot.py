@@ -16,6 +16,7 @@ from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -61,6 +62,10 @@ class Coupling:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        refuse_beyond(list(self.drivers.values()), "coupling.drivers", f"coupling of {self.joint!r}", RobotError)
+        # Whether it is an angle or a length, the joint says; that of a length has the wider range.
+        key = "coupling.offset of what slides"
+        refuse_beyond(self.offset, key, f"coupling of {self.joint!r}: offset", RobotError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,8 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        if alien := next((word for word in self.closes if word not in ("x", "y", "z")), None):
+            raise RobotError(f"loop {self.name!r}: closes {alien!r}; allowed are 'x', 'y' and 'z'.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +118,8 @@ class Deviations:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
+            refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
 
 
 class TipMotion(NamedTuple):
@@ -349,13 +358,14 @@ class TipModel:
 
     ``joints`` (6 nj, n) and ``tail`` (6, n): as in :class:`TipMotion`. ``base_column`` (6, 6): carries a local twist of
     the base link to the placement of moving joint ``first``, the first one on the way to the tip; nothing that loops
-    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base.
+    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base. ``nominal``: that of the
+    robot, or of the same one with another tip, where it is made once for many deviations.
     """
 
-    def __init__(self, robot: Robot, deviations: Deviations | None = None) -> None:
-        d = deviations or robot.no_deviations()
-        _refuse_shapes(robot, d)
-        m = robot.mechanism
+    def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
+        d, nominal = deviations or robot.no_deviations(), nominal or Nominal(robot)
+        refuse_other_deviations(robot, d)
+        m = nominal.mechanism
         s = skeleton(m.segments, m.deviations(d.placements))
         end = int(m.carrying[robot.tip_joint])
         self._mechanism, self._types, self._offsets = m, m.types, m.offset_coupling @ d.offsets
@@ -365,8 +375,7 @@ class TipModel:
         self._terms = None
         if robot.terms:
             names = [reading.name for reading in robot.readings]
-            holding = None if robot.weights is None else Holding(robot.weights)
-            self._terms = Transmission(robot.terms, names, d.terms, robot.flexures, segments(robot), holding)
+            self._terms = Transmission(robot.terms, names, d.terms, nominal.flexures, nominal.segments, nominal.holding)
         joints, tail = (m.of_chain(columns) for columns in derivative(s, end))
         by_offset = np.zeros((len(joints), len(robot.moving)))
         for j, kind in enumerate(self._types):
@@ -389,7 +398,8 @@ class TipModel:
 
     def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
-        q = self._positions(readings, conditions)
+        bases = None if self._terms is None else self._terms.bases(readings, conditions)
+        q = self._positions(readings, conditions, bases)
         (tip,) = self._kinematics.regressors(q)
         by_passive = tip.by_joint(self._types, self._passive)
         if self._closure is None:
@@ -397,9 +407,9 @@ class TipModel:
         else:
             rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
         by_terms = np.zeros((len(q), 6, 0))
-        if self._terms is not None:
+        if self._terms is not None and bases is not None:
             every = tip.by_joint(self._types, range(len(self._types)))
-            by_terms = self._terms.by_terms(self._by_coordinate(q, every), readings, conditions)
+            by_terms = self._terms.by_terms(self._by_coordinate(q, every), bases)
         return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
@@ -425,9 +435,9 @@ class TipModel:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
         return by_reading
 
-    def _positions(self, readings: Array, conditions: Conditions) -> Array:
+    def _positions(self, readings: Array, conditions: Conditions, bases: Array | None = None) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
-        moved = readings if self._terms is None else self._terms.moved(readings, conditions)
+        moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
         q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
@@ -445,7 +455,24 @@ class TipModel:
         return np.asarray(by_joint @ active + by_joint[:, :, passive] @ rates)
 
 
-def _refuse_shapes(robot: Robot, d: Deviations) -> None:
+class Nominal:
+    """What models of a robot share, whatever its tip and deviations. Not to be shared by threads."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.mechanism, self.flexures, self.segments = robot.mechanism, robot.flexures, segments(robot)
+        self.holding = None if robot.weights is None or not robot.terms else Holding(robot.weights)
+
+
+class Nominals(dict[Robot, Nominal]):
+    """What models of robots share, made when first asked for. Not to be shared by threads."""
+
+    def __missing__(self, robot: Robot) -> Nominal:
+        """Make that of a robot."""
+        self[robot] = Nominal(robot)
+        return self[robot]
+
+
+def refuse_other_deviations(robot: Robot, d: Deviations) -> None:
     """Raise RobotError for deviations of another arm: there is one for each of what this one has."""
     for name, found, needed in (
         ("placements", d.placements.shape, (len(robot.chain), 6)),

@@ -100,8 +100,11 @@ class Transmission:
                 if slope := kind.slope(shares):
                     self._slopes_of.append((columns, slope))
 
-    def _bases(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient."""
+    def bases(self, readings: Array, conditions: Conditions) -> Array:
+        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient.
+
+        Raises RobotError for a term that needs a condition which the rows do not have.
+        """
         if missing := lacking(self._terms, self._readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
         rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
@@ -109,8 +112,8 @@ class Transmission:
             found[:, columns] = basis(rows)
         return found
 
-    def moved(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them.
+    def moved(self, readings: Array, conditions: Conditions, bases: Array | None = None) -> Array:
+        """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them; ``bases``: those there.
 
         Raises RobotError for a term that needs a condition which the rows do not have, unless all coefficients are
         zero.
@@ -119,14 +122,13 @@ class Transmission:
         straight = np.pad(readings, ((0, 0), (0, flexures))) if flexures else readings
         if not self._coefficients.any():
             return straight
-        return np.asarray(straight + self._bases(readings, conditions) @ self._coefficients)
+        return np.asarray(
+            straight + (self.bases(readings, conditions) if bases is None else bases) @ self._coefficients
+        )
 
-    def by_terms(self, by_coordinate: Array, readings: Array, conditions: Conditions) -> Array:
-        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c).
-
-        At readings (N, nr). Raises RobotError for a term that needs a condition which the rows do not have.
-        """
-        by_share = by_coordinate[:, :, self._coordinate] * self._bases(readings, conditions)[:, None]
+    def by_terms(self, by_coordinate: Array, bases: Array) -> Array:
+        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c)."""
+        by_share = by_coordinate[:, :, self._coordinate] * bases[:, None]
         return by_share if len(self._coordinate) == len(self._terms) else np.asarray(by_share @ self._to_terms)
 
     def slopes(self, readings: Array) -> Array:

@@ -160,7 +160,7 @@ def _fuzz(name: str, folder: Path, options: list[str]) -> int:
     """Be the process that fuzzes: note every new kind of fault, and go on."""
     import atheris  # noqa: PLC0415
 
-    with atheris.instrument_imports(include=["calib", "tomllib", "trimesh.exchange", "collada"]):
+    with atheris.instrument_imports(include=["calib", "tomllib", "trimesh.exchange", "collada", "rosbags"]):
         from scripts.development.fuzz_readers import READERS  # noqa: PLC0415
     # What the shipped files need is made and loaded before memory is limited and time is counted.
     for seed in READERS[name].seeds():

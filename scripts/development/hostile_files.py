@@ -508,6 +508,89 @@ def _cycles(row: Callable[[int], str], header: str = "target,x [mm],y [mm],z [mm
     return Hostile(write, ("iso9283", "cycles.csv"))
 
 
+# Of recordings, logs and photographs. ----------------------------------------------------------------------------
+
+
+def _log(head: str, piece: Callable[[int], str]) -> Hostile:
+    def write(folder: Path, size: int) -> None:
+        (folder / "log.csv").write_text(head + repeated(piece, size), encoding="utf-8")
+
+    return Hostile(write, ("import", "log.csv", "-o", "table.csv"))
+
+
+_TAKE = "Format Version,1.23,Take Name,T,Rotation Type,Quaternion,Length Units,Meters\n"
+_BODY = "".join(
+    f",{label}{''.join(f',{cell}' for cell in cells)}\n"
+    for label, cells in (
+        ("Type", ("Rigid Body",) * 7),
+        ("Name", ("t",) * 7),
+        ("", ("Rotation",) * 4 + ("Position",) * 3),
+    )
+)
+
+
+def _wide_log(folder: Path, size: int) -> None:
+    """Write an export of Motive of very many rigid bodies."""
+    n = size // 40
+    lines = (",Type" + ",Rigid Body" * n, ",Name" + "".join(f",b{k}" for k in range(n)), "," + ",Position" * n)
+    text = _TAKE + "\n".join((*lines, "Frame,Time" + ",X" * n, "0,0" + ",1" * n)) + "\n"
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+
+
+def _stream(time: Callable[[int], str]) -> Hostile:
+    """Fill the tables of a stream: a tracker, and joints that all move; ``time`` is that of the tracker's rows."""
+
+    def write(folder: Path, size: int) -> None:
+        names = [f"joint_{k} [rad]" for k in range(1, 7)]
+
+        def readings(k: int) -> str:
+            return ",".join(f"{np.sin(0.02 * k * (1 + j) + j):.3f}" for j in range(6))
+
+        (folder / "validation.csv").write_text(
+            f"time [s],{','.join(names)}\n" + repeated(lambda k: f"{0.08 * k:.2f},{readings(k)}\n", size),
+            encoding="utf-8",
+        )
+        (folder / "identification.csv").write_text(
+            "time [s],x [m],y [m],z [m]\n"
+            + repeated(lambda k: f"{time(k)},{np.sin(0.03 * k):.4f},{np.cos(0.05 * k):.4f},0\n", size),
+            encoding="utf-8",
+        )
+        job = (folder / "calibration.toml").read_text(encoding="utf-8").rpartition("[[measurements]]")[0]
+        job = job.replace('observes = "position"', 'observes = "position"\nreadings = "validation.csv"')
+        (folder / "calibration.toml").write_text(job, encoding="utf-8")
+
+    return Hostile(write)
+
+
+_PHOTOGRAPHS = ("import", "images", "photos", "--board", "board.toml", "--readings", "readings.csv", "-o", "marks.csv")
+_CHESSBOARD = 'kind = "chessboard"\nsquares = [6, 5]\nsquare = "30 mm"\n'
+
+
+def _photographs(board: Callable[[int], str], readings: Callable[[int], str]) -> Hostile:
+    """Fill what belongs to photographs: the board, and readings; there is one, of nothing."""
+
+    def write(folder: Path, size: int) -> None:
+        (folder / "photos").mkdir()
+        (folder / "photos" / "p0.pgm").write_bytes(b"P5 32 32 255\n" + bytes(1024))
+        (folder / "board.toml").write_text(_CHESSBOARD + board(size), encoding="utf-8")
+        (folder / "readings.csv").write_text("image,joint_1 [deg]\n" + readings(size), encoding="utf-8")
+
+    return Hostile(write, _PHOTOGRAPHS)
+
+
+def _image(folder: Path, size: int) -> None:
+    """Write an image of noise, in which a chessboard is looked for."""
+    _photographs(lambda _: "", lambda _: "p0,1\n").write(folder, size)
+    side = int(size**0.5)
+    noise = np.random.default_rng(0).integers(0, 256, side * side, dtype=np.uint8).tobytes()
+    (folder / "photos" / "p0.pgm").write_bytes(b"P5 %d %d 255\n" % (side, side) + noise)
+
+
+def _recording(folder: Path, size: int) -> None:
+    """Write what begins as a recording of ROS 1, and has a record of 4 GB."""
+    (folder / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + b"\xff\xff\xff\xff" * (size // 4))
+
+
 _ZEROS = ",".join("0" * 6)
 _UNDER = "".join("-" for _ in range(1))
 
@@ -522,6 +605,17 @@ HOSTILE: dict[str, Hostile] = {
     "cycles from many directions": _cycles(
         lambda k: f"P{k % 3},d{k // 6},0,0,{k % 2}\n", "target,direction,x [mm],y [mm],z [mm]"
     ),
+    "frames of a log": _log(_TAKE + _BODY + "Frame,Time,X,Y,Z,W,X,Y,Z\n", lambda k: f"{k},{k}.0,0,0,0,1,{k % 7},2,3\n"),
+    "readings of a log": _log(
+        "timestamp " + " ".join(f"actual_q_{k}" for k in range(6)) + "\n", lambda k: f"{k}.5 1 2 3 4 5 {k % 9}\n"
+    ),
+    "bodies of a log": Hostile(_wide_log, ("import", "log.csv", "-o", "table.csv")),
+    "a stream": _stream(lambda k: f"{0.05 * k:.2f}"),
+    "a stream with a gap of years": _stream(lambda k: f"{0.05 * k + 1e9 * (k > 500):.2f}"),
+    "readings of photographs": _photographs(lambda _: "", lambda size: repeated(lambda k: f"p{k},{k % 90}\n", size)),
+    "keys of a board": _photographs(lambda size: repeated(lambda k: f"k{k} = 1\n", size), lambda _: "p0,1\n"),
+    "an image of noise": Hostile(_image, _PHOTOGRAPHS),
+    "a recording that promises": Hostile(_recording, ("import", "one.bag")),
     "spheres": _shape('sphere radius=".1"'),
     "boxes": _shape('box size=".1 .1 .1"'),
     "cylinders": _shape('cylinder radius=".1" length=".1"'),

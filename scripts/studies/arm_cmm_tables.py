@@ -26,7 +26,7 @@ from rich.table import Table
 import calib
 from calib.assessment.sensitivity import (
     Sensitivity,
-    coefficients,
+    error_coefficients,
     exact_error,
     group_study,
     predicted_error,
@@ -263,7 +263,7 @@ def simulations(paper: dict[str, Any], of: Arm) -> list[Simulation]:
         data = of.touched(q, points)
         rounded = total_differential(of.model, data, stop=paper["stop"] * MM, rounding=paper["rounding"])
         exact = total_differential(of.model, data, stop=0.0)
-        condition = float(np.linalg.cond(coefficients(of.model, np.radians(q)).matrix.reshape(-1, 6)))
+        condition = float(np.linalg.cond(error_coefficients(of.model, np.radians(q)).matrix.reshape(-1, 6)))
         found.append(Simulation(k, printed, q, points, of.misses(q, np.zeros(6)), rounded, exact, condition))
     return found
 
@@ -554,7 +554,7 @@ def error_model(paper: dict[str, Any]) -> list[Block]:
         Heading(2, "Error model of a multi-joint CMM"),
         """Ye Dong, Huang Qingcheng, Che Rensheng. The error of the probe as a total differential, dP = J dx, in 25
         parameters: a, alpha and theta of six rows and d of seven. Here `calib.assessment.sensitivity` has J
-        analytically (`coefficients`), the linear error (`predicted_error`) and the true one (`exact_error`); the
+        analytically (`error_coefficients`), the linear error (`predicted_error`) and the true one (`exact_error`); the
         machine is `robots/arm_cmm/arm_cmm.urdf`.""",
         Heading(3, "Nominal positions [mm]"),
         "A star marks a misprint, named below the next table. Row 9 is computed with theta_1 = 0.",
@@ -576,7 +576,7 @@ def error_model(paper: dict[str, Any]) -> list[Block]:
         Heading(3, "What positions tell apart"),
         f"""Over the 20 poses the 25 parameters have rank {apart.rank}; with the places of base and probe unknown, the
         rank is {in_place.rank} of {len(in_place.parameters)}. Of the 25:""",
-        Points(tuple(map(str, apart.null_space))),
+        Points(tuple(map(str, apart.undetermined))),
         Heading(3, "Sensitivity"),
         """An error of length moves the probe by its own length wherever the arm stands, an error of angle by its lever.
         Motion of the probe over the 20 poses, per mm and per mrad:""",

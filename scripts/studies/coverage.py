@@ -66,7 +66,7 @@ LEFT_OUT = {
     "harmonics_0.15": "joint harmonics of 0.15 mrad, two orders a joint",
     "wind_up": "wind-up under gravity, 1 to 5 urad/Nm",
     "threefold": "noise that varies threefold from row to row, stated by its rms",
-    "gross": "gross errors of 1 to 20 mm in 2 % of the rows, fitted with Huber's loss",
+    "gross": "outliers of 1 to 20 mm in 2 % of the rows, fitted with Huber's loss",
     "drift": "a drift of the instrument, a random walk to three sigmas; the base aligned to the truth",
 }
 ROBOTS = {"ur5": "UR5", "panda": "Panda"}

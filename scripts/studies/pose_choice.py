@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
-from calib.assessment.candidates import Setup, random_candidates, rows, working_rows
+from calib.assessment.candidates import PlannedMeasurement, random_candidates, rows, working_rows
 from calib.assessment.design import choose, random_values, space
 from calib.foundations import rigid
 from calib.foundations.choices import Criterion
@@ -59,15 +59,15 @@ def simulated(robot: calib.Robot) -> list[str]:
         "|---|--:|--:|--:|--:|--:|",
     ]
     for misfit in (0.0, MISFIT):
-        setup, model = Setup(frames, "position", SIGMA, misfit=misfit), model_of(robot)
+        how, model = PlannedMeasurement(frames, "position", SIGMA, misfit=misfit), model_of(robot)
         began = time.perf_counter()
-        all_rows = rows(model, setup, many)
+        all_rows = rows(model, how, many)
         building = time.perf_counter() - began
         for criterion in CRITERIA if misfit == 0.0 else ("I",):
-            s = space(rows(model, setup, few), criterion, working_rows(model, setup, few))
+            s = space(rows(model, how, few), criterion, working_rows(model, how, few))
             found, random = choose(s, 30), random_values(s, 30, 10_000)
             best = random.max() if criterion == "D" else random.min()
-            large = space(all_rows, criterion, working_rows(model, setup, few))
+            large = space(all_rows, criterion, working_rows(model, how, few))
             began = time.perf_counter()
             choose(large, 60)
             ratio = (time.perf_counter() - began) / building
@@ -115,9 +115,9 @@ def real(robot: calib.Robot, dataset: Path, splits: int, sets: int) -> list[str]
         reference = np.array([thirty[0], more[1]])
         frames = initial_frames(model, [data.subset(pool)])
         for name, criterion, misfit in WAYS:
-            setup = Setup(frames, "position", SIGMA, misfit=misfit)
+            how = PlannedMeasurement(frames, "position", SIGMA, misfit=misfit)
             q = data.readings[pool]
-            chosen = choose(space(rows(model, setup, q), criterion, working_rows(model, setup, q)), 30).chosen
+            chosen = choose(space(rows(model, how, q), criterion, working_rows(model, how, q)), 30).chosen
             shares[name].append(errors(model, data, pool[list(chosen)], test) / reference)
         shares["all rows"].append(errors(model, data, pool, test) / reference)
         mean, largest = shares["I with misfit"][-1] * reference

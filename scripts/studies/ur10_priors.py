@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import calib
 from calib.assessment.choice import choose_terms
 from calib.assessment.gaussian_choice import bought
-from calib.assessment.validation import groups
+from calib.assessment.validation import row_groups
 from calib.identification.identify import residuals_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.presentation.sheets import prior_sentences
@@ -189,7 +189,7 @@ def of_process(dataset: Path, seed: int, fit: calib.Fit) -> tuple[float, ...]:
     known = gaussian_from_residuals(seen.readings, errors, fit.robot.readings)
     (r,) = residuals_of(fit, [test], fit.machine)
     left = r - known.shifts(base, fit.robot.tips(test.readings, fit.deviations), test.readings)
-    gain = bought(known, seen.readings, errors, groups([seen]))
+    gain = bought(known, seen.readings, errors, row_groups([seen]))
     held = gain.held_out
     return rms(r), rms(left), 1e3 * gain.without.rms, 1e3 * held.rms, 1e3 * held.standard_error, float(gain.enters)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import calib
 from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.gaussian_choice import Bought, bought
-from calib.assessment.validation import groups
+from calib.assessment.validation import row_groups
 from calib.identification.identify import residuals_of
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from scripts.examples.ur10_leica_job import NotTheDatasetError, read, table_columns
@@ -74,9 +74,9 @@ def stage(model: calib.ErrorModel, seen: calib.Measurements, test: calib.Measure
     (r,) = residuals_of(fit, [test], fit.machine)
     tips = fit.robot.tips(test.readings, fit.deviations)
     left = r - known.shifts(base, tips, test.readings)
-    group = groups([seen, test])
+    group = row_groups([seen, test])
     new = ~np.isin(group[len(seen) :], group[: len(seen)])
-    gain = bought(known, seen.readings, errors, groups([seen]))
+    gain = bought(known, seen.readings, errors, row_groups([seen]))
     return Stage(rms(r), rms(left), rms(r[new]), rms(left[new]), len(model.robot.terms), gain, known)
 
 

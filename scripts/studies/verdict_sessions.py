@@ -505,7 +505,7 @@ BAD |= {
     "random walk of centimetres": _both(
         lambda t, q, T: (q, _moved(T, slice(None), np.cumsum(t.w.rng.normal(0, 2e-3, (len(q), 3)), axis=0)))
     ),
-    "30 % gross errors, least squares": _both(_wild),
+    "30 % outliers, least squares": _both(_wild),
     "validation by another machine": _own(lambda t: replace(t, U=_other_world(t, 5).measure(t.v))),
     "base moved 2 mm before the validation": _own(lambda t: replace(t, U=_moved(t.U, slice(None), [2e-3, 0.0, 0.0]))),
     "a joint that never moved": _both(lambda t, q, T: (_column(q, 4, 0.5), t.w.measure(_column(q, 4, 0.5)))),

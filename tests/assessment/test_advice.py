@@ -59,7 +59,7 @@ def test_what_a_measurement_was_said_to_show_is_what_it_then_shows(point: str, s
     """The directions of the null space that remain, counted by the rank of what would then be measured."""
     robot, data = measured(points=[point], sigma=0.0)  # noise would lift a point off the axis
     model = calib.error_model(robot, offsets="all", placements="all")
-    said = null_space_advice(model, [data], observability(model, [data]).null_space)
+    said = null_space_advice(model, [data], observability(model, [data]).undetermined)
     assert null_count(*measured("pose", [point]), tool="pose") == len(said) - shown
     assert null_count(*measured(points=[point, "b", "c"])) == len(said) - shown
     assert sum("orientation" in a.remedies for a in said) == sum("points" in a.remedies for a in said) == shown
@@ -84,7 +84,7 @@ def test_what_only_moves_alike_is_to_be_left_out() -> None:
     robot, data = measured("pose")
     model = calib.error_model(robot, placements=["elbow_joint.tz", "wrist_1_joint.tz"], tool="pose")
     seen = observability(model, [data])
-    (said,) = null_space_advice(model, [data], seen.null_space)
+    (said,) = null_space_advice(model, [data], seen.undetermined)
     assert said.remedies == ()
     assert said.sentence.endswith(
         "No measurement of the tip tells them apart, as they move it in the same way; leave one of them out."
@@ -100,9 +100,11 @@ def test_weak_and_correlated_parameters_are_told_with_numbers() -> None:
     model = calib.error_model(robot, offsets=["elbow_joint"], base="fixed", tool="position")
     fit = calib.identify(model, close, model_sigmas=[0.0])
     found = advice(fit)
-    weak = [a for a in found if a.kind == "weak"]
+    weak = [a for a in found if a.kind == "weakly determined"]
     assert (
-        {a.parameters[0] for a in weak} == {p.name for p, w in zip(fit.parameters, fit.weak, strict=True) if w} != set()
+        {a.parameters[0] for a in weak}
+        == {p.name for p, w in zip(fit.parameters, fit.weakly_determined, strict=True) if w}
+        != set()
     )
     sigma = {p.name: s for p, s in zip(fit.parameters, fit.sigmas, strict=True)}
     for a in weak:
@@ -161,7 +163,7 @@ def test_priors_change_no_remedy(fit: calib.Fit) -> None:
     robot, data = measured()
     wide = machines.model(robot, offsets="all", placements="all", prior_length=0.2e-3, prior_angle=0.7e-3)
     (plain, scaled) = (
-        {a.parameters[0]: a.remedies for a in null_space_advice(m, [data], observability(m, [data]).null_space)}
+        {a.parameters[0]: a.remedies for a in null_space_advice(m, [data], observability(m, [data]).undetermined)}
         for m in (fit.model, wide)
     )
     assert plain == scaled
@@ -170,7 +172,7 @@ def test_priors_change_no_remedy(fit: calib.Fit) -> None:
 def test_what_no_pose_would_show_is_one_sentence() -> None:
     robot, data = measured()
     model = calib.error_model(robot, offsets="all", placements="all")
-    null_space = observability(model, [data]).null_space
+    null_space = observability(model, [data]).undetermined
     every = [a.sentence for a in null_space_advice(model, [data], null_space)]
     assert len(every) == 18
     (said,) = told_briefly(model, [data], null_space, every)

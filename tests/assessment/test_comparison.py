@@ -321,6 +321,15 @@ def test_wrong_options_are_said(options: dict[str, object], said: str) -> None:
         compare_models({"offsets": model}, measured(0, 20, placed=False), **options)  # type: ignore[arg-type]
 
 
+def test_of_very_many_groups_none_is_held_out_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calib.assessment.comparison._MOST_FITTED", 399)
+    model = calib.error_model(machines.load(*UR10), offsets="all")
+    with pytest.raises(
+        JobError, match=r"20 rows are of 20 groups.* to 400 rows in all, and 399 are allowed; say a num"
+    ):
+        compare_models({"offsets": model}, measured(0, 20, placed=False), scheme="leave-one-group-out")
+
+
 def test_nothing_to_compare_and_nothing_to_hold_out_are_said() -> None:
     data = measured(0, 20, placed=False)
     with pytest.raises(JobError, match="there is none to judge"):

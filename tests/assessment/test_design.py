@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.candidates import Setup, rows, working_rows
+from calib.assessment.candidates import PlannedMeasurement, rows, working_rows
 from calib.assessment.design import DesignRows, Space, choose, parts_of, random_values, sequence, space, value_of
 from calib.foundations import rigid
 from calib.foundations.choices import Criterion
@@ -120,18 +120,18 @@ def test_too_few_candidates_and_unknown_criteria_are_refused() -> None:
 # ---- a UR10
 
 
-def ur10(n: int, misfit: float = 0.0, observes: str = "position") -> tuple[calib.ErrorModel, Setup, Array]:
+def ur10(n: int, misfit: float = 0.0, observes: str = "position") -> tuple[calib.ErrorModel, PlannedMeasurement, Array]:
     name = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     robot, rng = machines.load(*name), np.random.default_rng(0)
     frames = Frames(machines.anywhere(rng)[None], rigid.translation(np.array([0.05, 0.02, 0.1]))[None])
     model = calib.error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
-    setup = Setup(frames, observes, 0.05e-3, 0.1e-3, misfit)  # type: ignore[arg-type]
-    return model, setup, machines.arm(*name).draw(rng, n)
+    how = PlannedMeasurement(frames, observes, 0.05e-3, 0.1e-3, misfit)  # type: ignore[arg-type]
+    return model, how, machines.arm(*name).draw(rng, n)
 
 
 def spaced(criterion: Criterion, n: int, misfit: float = 0.0) -> Space:
-    model, setup, q = ur10(n, misfit)
-    return space(rows(model, setup, q), criterion, working_rows(model, setup, q))
+    model, how, q = ur10(n, misfit)
+    return space(rows(model, how, q), criterion, working_rows(model, how, q))
 
 
 @pytest.mark.parametrize("misfit", [0.0, 0.3e-3])
@@ -146,13 +146,13 @@ def test_thirty_of_three_hundred_beat_random_designs(criterion: Criterion, misfi
 
 def test_the_forecast_of_an_i_design_is_the_variance_a_fit_then_states() -> None:
     """The mean variance at the working poses, by the covariance of a fit to the chosen poses."""
-    model, setup, q = ur10(60)
-    s = space(rows(model, setup, q), "I", working_rows(model, setup, q))
+    model, how, q = ur10(60)
+    s = space(rows(model, how, q), "I", working_rows(model, how, q))
     chosen = choose(s, 40).chosen
-    tip = setup.frames.base @ model.robot.tips(q[list(chosen)]) @ setup.frames.tools[0]
+    tip = how.frames.base @ model.robot.tips(q[list(chosen)]) @ how.frames.tools[0]
     columns = {f"{r.name} [rad]": q[list(chosen), k] for k, r in enumerate(model.robot.readings)}
     columns |= {f"{axis} [m]": tip[:, k, 3] for k, axis in enumerate("xyz")}
-    data = calib.read_measurements(columns, model.robot, sigma=setup.sigma)
+    data = calib.read_measurements(columns, model.robot, sigma=how.sigma)
     fit = calib.identify(model, data, model_sigmas=[0.0])
     stated = machines.scatter_of_positions(fit, q)
     assert np.sqrt(np.mean(stated**2)) == pytest.approx(np.sqrt(value_of(s, chosen)), rel=1e-6)
@@ -160,21 +160,21 @@ def test_the_forecast_of_an_i_design_is_the_variance_a_fit_then_states() -> None
 
 
 def test_effects_left_out_are_harmonics_of_the_readings_of_the_stated_size() -> None:
-    model, setup, q = ur10(50, misfit=0.3e-3)
-    H = working_rows(model, setup, q).of_misfit
+    model, how, q = ur10(50, misfit=0.3e-3)
+    H = working_rows(model, how, q).of_misfit
     assert H.shape == (50, 3, 12)
     assert np.sqrt(np.mean(np.sum(H**2, axis=(1, 2)))) == pytest.approx(0.3e-3)
     # The first column: the tool's motion when the first reading moves by a cosine of itself.
     h = np.zeros(6)
     h[0] = 1e-6
-    ends = [(setup.frames.base @ model.robot.tips(q + k * h) @ setup.frames.tools[0])[:, :3, 3] for k in (1, -1)]
+    ends = [(how.frames.base @ model.robot.tips(q + k * h) @ how.frames.tools[0])[:, :3, 3] for k in (1, -1)]
     moved = (ends[0] - ends[1]) / 2e-6 * np.cos(q[:, :1])
     np.testing.assert_allclose(H[:, :, 0] / np.linalg.norm(H[:, :, 0]), moved / np.linalg.norm(moved), atol=1e-8)
 
 
 def test_poses_bring_six_numbers() -> None:
-    model, setup, q = ur10(40, 0.3e-3, "pose")
-    found = rows(model, setup, q)
+    model, how, q = ur10(40, 0.3e-3, "pose")
+    found = rows(model, how, q)
     assert found.of_parameters.shape == (40, 6, 48)
     assert found.of_misfit.shape == (40, 6, 12)
     assert space(found, "D").seen == 30
@@ -183,5 +183,5 @@ def test_poses_bring_six_numbers() -> None:
 @pytest.mark.parametrize("field", ["sigma", "misfit"])
 def test_numbers_of_a_setup_are_checked(field: str) -> None:
     frames = Frames(np.eye(4)[None], np.eye(4)[None])
-    with pytest.raises(JobError, match=f"{field}: -1.0 is not a number from"):
-        Setup(frames, **{field: -1.0})
+    with pytest.raises(JobError, match=f"{field} is -1"):
+        PlannedMeasurement(frames, **{field: -1.0})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.candidates import Setup, Sight, possible, random_candidates
+from calib.assessment.candidates import PlannedMeasurement, Sight, possible, random_candidates
 from calib.assessment.planning import Plan, plan
 from calib.foundations import rigid
 from calib.foundations.errors import JobError
@@ -78,9 +78,9 @@ def test_what_is_in_the_way_of_candidates_is_said() -> None:
 def planned(count: int = 12, **options: object) -> Plan:
     robot = machines.load(*NAME)
     model = calib.error_model(robot, offsets="all", placements="all")
-    setup = Setup(FRAMES, misfit=0.2e-3)
+    measurement = PlannedMeasurement(FRAMES, misfit=0.2e-3)
     candidates = random_candidates(robot, FRAMES, 150).readings
-    return plan(model, count, candidates=candidates, setup=setup, **options)  # type: ignore[arg-type]
+    return plan(model, count, candidates=candidates, measurement=measurement, **options)  # type: ignore[arg-type]
 
 
 def test_a_plan_is_of_candidates_and_forecasts_less_error_for_more_poses() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.candidates import Setup, rows, working_rows
+from calib.assessment.candidates import PlannedMeasurement, rows, working_rows
 from calib.assessment.design import choose, space
 from calib.identification.initialisation.frames import initial_frames
 from scripts.examples import ur10_leica_job
@@ -25,9 +25,9 @@ def test_thirty_chosen_poses_are_as_good_as_random_ones_and_their_largest_error_
     model, data = script.model_of(robot), calib.read_measurements(columns, robot)
     order = np.random.default_rng(0).permutation(len(data))
     pool, test = order[len(order) // 3 :], data.subset(order[: len(order) // 3])
-    setup = Setup(initial_frames(model, [data.subset(pool)]), "position", script.SIGMA, misfit=script.MISFIT)
+    how = PlannedMeasurement(initial_frames(model, [data.subset(pool)]), "position", script.SIGMA, misfit=script.MISFIT)
     readings = data.readings[pool]
-    chosen = choose(space(rows(model, setup, readings), "I", working_rows(model, setup, readings)), 30).chosen
+    chosen = choose(space(rows(model, how, readings), "I", working_rows(model, how, readings)), 30).chosen
     mean, largest = script.errors(model, data, pool[list(chosen)], test)
     rng = np.random.default_rng(1)
     thirty, more = (

@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.assessment.sensitivity import (
-    coefficients,
+    error_coefficients,
     exact_error,
     group_of,
     group_study,
@@ -40,7 +40,7 @@ def case(name: str = "ur10", rows: int = 10, **options: object) -> tuple[calib.E
 @pytest.mark.parametrize("name", ARMS)
 def test_coefficients_are_the_derivatives_of_the_exact_error(name: str) -> None:
     model, q, _ = case(name, placements=["*"], base="pose", tool="position")
-    names, matrix = coefficients(model, q)
+    names, matrix = error_coefficients(model, q)
     assert matrix.shape == (len(q), 3, len(names))
     h = 1e-5
     for k, parameter in enumerate(names):
@@ -60,7 +60,7 @@ def test_exact_error_is_that_of_an_arm_walked_by_other_code() -> None:
 def test_linear_error_misses_the_exact_one_by_the_square_of_the_errors() -> None:
     model, q, _ = case()
     rng = np.random.default_rng(0)
-    errors = {name: float(value) for name in coefficients(model, q).names for value in [rng.normal(scale=1e-3)]}
+    errors = {name: float(value) for name in error_coefficients(model, q).names for value in [rng.normal(scale=1e-3)]}
 
     def miss(scale: float) -> float:
         scaled = {name: scale * value for name, value in errors.items()}
@@ -71,7 +71,7 @@ def test_linear_error_misses_the_exact_one_by_the_square_of_the_errors() -> None
 
 def test_predicted_error_is_the_matrix_times_the_errors_and_unnamed_ones_are_zero() -> None:
     model, q, _ = case()
-    names, matrix = coefficients(model, q)
+    names, matrix = error_coefficients(model, q)
     errors = {names[3]: 2e-3, names[7]: -1e-3}
     expected = 2e-3 * matrix[:, :, 3] - 1e-3 * matrix[:, :, 7]
     assert np.max(np.abs(predicted_error(model, q, errors) - expected)) < 1e-16
@@ -91,7 +91,7 @@ def test_the_base_turns_errors_and_does_not_change_their_length() -> None:
 def test_sensitivity_is_the_length_of_the_columns() -> None:
     model, q, _ = case()
     found = sensitivity(model, q)
-    lengths = np.linalg.norm(coefficients(model, q).matrix, axis=1)
+    lengths = np.linalg.norm(error_coefficients(model, q).matrix, axis=1)
     assert np.allclose(found.rms, np.sqrt(np.mean(lengths**2, axis=0)), rtol=1e-14)
     assert np.allclose(found.largest, lengths.max(axis=0), rtol=1e-14)
     translations = [p.name.endswith((".tx", ".ty", ".tz")) for p in found.parameters]
@@ -105,11 +105,11 @@ def test_sensitivity_says_what_positions_cannot_tell_apart() -> None:
     # On the last axis an offset moves nothing; the point's place and the last placement are one.
     model, q, _ = case(placements=["wrist_3_joint.tx"], tool="position", tool_poses={"tool": (0.0, 0.0, 0.1)})
     found = sensitivity(model, q)
-    assert found.rank == len(found.parameters) - len(found.null_space)
-    assert "wrist_3_joint.offset" in {direction.parameter for direction in found.null_space}
+    assert found.rank == len(found.parameters) - len(found.undetermined)
+    assert "wrist_3_joint.offset" in {direction.parameter for direction in found.undetermined}
     seen, q, _ = case(placements="none")
     assert sensitivity(seen, q).rank == 6
-    assert sensitivity(seen, q).null_space == ()
+    assert sensitivity(seen, q).undetermined == ()
 
 
 def test_group_is_the_last_part_of_a_name() -> None:
@@ -150,14 +150,14 @@ def test_refuses_names_values_factors_and_readings() -> None:
             sensitivity(model, wrong)
     nothing, _, _ = case(offsets="none", placements="none")
     with pytest.raises(JobError, match="no parameter is free"):
-        coefficients(nothing, q)
+        error_coefficients(nothing, q)
 
 
 def test_results_are_read_only() -> None:
     model, q, _ = case()
     errors = {"elbow_joint.tx": 1e-3}
     found, study = sensitivity(model, q), group_study(model, q, errors)
-    arrays = (found.rms, found.largest, study.errors, study.scaled, coefficients(model, q).matrix)
+    arrays = (found.rms, found.largest, study.errors, study.scaled, error_coefficients(model, q).matrix)
     assert not any(
         a.flags.writeable for a in (*arrays, predicted_error(model, q, errors), exact_error(model, q, errors))
     )

@@ -10,11 +10,11 @@ from calib.assessment.validation import (
     HeldOut,
     cross_validate,
     folds,
-    groups,
     held_out,
     largest_unharmed,
     neighbourhoods,
     one_standard_error,
+    row_groups,
     smallest_unharmed,
     some_rows,
 )
@@ -42,7 +42,7 @@ def visited_again(data: calib.Measurements, rows: int, by: float = 2e-4) -> cali
 
 def test_poses_that_were_visited_twice_are_one_group() -> None:
     _, data = measured(40)
-    group = groups([visited_again(data, 15)])
+    group = row_groups([visited_again(data, 15)])
     assert group.max() + 1 == 40
     np.testing.assert_array_equal(group[40:], group[:15])
 
@@ -50,7 +50,7 @@ def test_poses_that_were_visited_twice_are_one_group() -> None:
 def test_words_keep_rows_together() -> None:
     _, data = measured(20)
     named = replace(data, group=tuple("abcd"[n % 4] for n in range(20)))
-    group = groups([named])
+    group = row_groups([named])
     assert group.max() + 1 == 4
     np.testing.assert_array_equal(group, np.tile(group[:4], 5))
 
@@ -59,7 +59,7 @@ def test_a_word_and_a_second_visit_join_what_they_touch() -> None:
     _, data = measured(6)
     first = replace(data, group=("a", "a", "b", "c", "d", "e"))
     again = data.subset([1, 2])  # without words: rows of poses 1 and 2
-    group = groups([first, again])
+    group = row_groups([first, again])
     assert group.max() + 1 == 5
     assert group[0] == group[1] == group[6]
     assert group[2] == group[7]
@@ -69,28 +69,28 @@ def test_neither_the_order_of_rows_nor_of_sets_moves_a_fold() -> None:
     _, data = measured(60)
     whole = visited_again(data, 20)
     order = np.random.default_rng(1).permutation(len(whole))
-    fold = folds(groups([whole]), 5)
-    np.testing.assert_array_equal(folds(groups([whole.subset(order)]), 5), fold[order])
+    fold = folds(row_groups([whole]), 5)
+    np.testing.assert_array_equal(folds(row_groups([whole.subset(order)]), 5), fold[order])
     parts = whole.subset(range(30, 80)), whole.subset(range(30))
-    np.testing.assert_array_equal(folds(groups(parts), 5), np.concatenate([fold[30:], fold[:30]]))
+    np.testing.assert_array_equal(folds(row_groups(parts), 5), np.concatenate([fold[30:], fold[:30]]))
 
 
 def test_folds_are_of_nearly_the_same_number_of_groups() -> None:
     _, data = measured(53)
-    group = groups([visited_again(data, 20)])
+    group = row_groups([visited_again(data, 20)])
     fold = folds(group, 10)
     sizes = [len(np.unique(group[fold == k])) for k in range(10)]
     assert sorted(set(sizes)) == [5, 6]
     assert all(len(np.unique(fold[group == g])) == 1 for g in range(53))
-    assert len(np.unique(folds(groups([data.subset([0, 1, 2])]), 10))) == 3
+    assert len(np.unique(folds(row_groups([data.subset([0, 1, 2])]), 10))) == 3
 
 
 def test_what_cannot_be_split_is_refused() -> None:
     _, data = measured(5)
     with pytest.raises(MeasurementError, match="one pose or one group"):
-        folds(groups([data.subset([0, 0, 0])]))
+        folds(row_groups([data.subset([0, 0, 0])]))
     with pytest.raises(JobError, match="folds: 1 is not a number from 2"):
-        folds(groups([data]), 1)
+        folds(row_groups([data]), 1)
 
 
 def test_the_standard_error_is_that_of_repetitions() -> None:
@@ -138,35 +138,35 @@ def in_cubes(places: int, rows: int, width: float) -> tuple[calib.Measurements, 
 @pytest.mark.parametrize("places", [3, 5, 8])
 def test_places_that_lie_apart_are_not_divided(places: int) -> None:
     data, cube = in_cubes(places, 30, 0.2)
-    found = neighbourhoods([data], groups([data]))
+    found = neighbourhoods([data], row_groups([data]))
     pairs = {(int(a), int(b)) for a, b in zip(cube, found, strict=True)}
     assert len(pairs) == places  # one for one
     order = np.random.default_rng(0).permutation(len(data))
     moved = data.subset(order)
-    np.testing.assert_array_equal(neighbourhoods([moved], groups([moved])), found[order])
+    np.testing.assert_array_equal(neighbourhoods([moved], row_groups([moved])), found[order])
 
 
 def test_poses_all_over_are_divided_into_neighbourhoods() -> None:
     _, data = measured(300)
-    found = neighbourhoods([data], groups([data]), 10)
+    found = neighbourhoods([data], row_groups([data]), 10)
     assert len(np.unique(found)) == 10
     # Rows are nearer to their own middle than to any other one's.
     middles = np.array([data.readings[found == k].mean(axis=0) for k in range(10)])
     nearest = np.argmin(np.linalg.norm(data.readings[:, None] - middles, axis=2), axis=1)
     assert np.mean(nearest == found) > 0.95
-    assert len(np.unique(neighbourhoods([data.subset(range(7))], groups([data.subset(range(7))]), 10))) == 7
+    assert len(np.unique(neighbourhoods([data.subset(range(7))], row_groups([data.subset(range(7))]), 10))) == 7
 
 
 def test_which_rows_are_looked_at_does_not_depend_on_their_order() -> None:
     _, data = measured(60)
     data = visited_again(data, 40)
     order = np.random.default_rng(3).permutation(len(data))
-    chosen = some_rows([data], groups([data]), 50)
+    chosen = some_rows([data], row_groups([data]), 50)
     again = data.subset(order)
-    np.testing.assert_array_equal(some_rows([again], groups([again]), 50), chosen[order])
+    np.testing.assert_array_equal(some_rows([again], row_groups([again]), 50), chosen[order])
     # Other poses rather than other visits.
-    assert len(np.unique(groups([data])[chosen])) == 50
-    assert some_rows([data], groups([data]), 500).all()
+    assert len(np.unique(row_groups([data])[chosen])) == 50
+    assert some_rows([data], row_groups([data]), 500).all()
 
 
 def test_held_out_errors_are_those_of_poses_never_seen() -> None:

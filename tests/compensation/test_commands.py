@@ -135,7 +135,7 @@ def test_joint_terms_are_corrected_as_well(name: str) -> None:
     terms = [JointTerm(r.name, kind, k) for r in bare.readings for kind, k in (("gain", 0), ("cos", 2), ("sin", 11))]
     robot = replace(bare, terms=tuple(terms))
     coefficients = np.random.default_rng(3).normal(scale=2e-4, size=len(terms))
-    model = replace(model_of(robot), deviations=replace(deviations(robot), terms=coefficients))
+    model = replace(model_of(bare), robot=robot, deviations=replace(deviations(robot), terms=coefficients))
     readings = well_posed(model, draw(robot, 40))
     found = commands.for_joint_targets(model, readings)
     assert found.reached.all(), found.reasons

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
-from calib.assessment.sensitivity import coefficients
+from calib.assessment.sensitivity import error_coefficients
 from calib.identification.total_differential import Trace, total_differential
 
 Array = NDArray[np.float64]
@@ -145,7 +145,9 @@ def test_printed_points_carry_their_rounding(model: calib.ErrorModel, simulation
 
 
 def test_condition_of_the_jacobian(model: calib.ErrorModel) -> None:
-    found = [np.linalg.cond(coefficients(model, np.radians(s["angles"])).matrix.reshape(9, 6)) for s in SIMULATIONS]
+    found = [
+        np.linalg.cond(error_coefficients(model, np.radians(s["angles"])).matrix.reshape(9, 6)) for s in SIMULATIONS
+    ]
     assert [round(condition) for condition in found] == [11, 10, 19]
 
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
-from calib.assessment.sensitivity import coefficients, exact_error, group_study, predicted_error, sensitivity
+from calib.assessment.sensitivity import error_coefficients, exact_error, group_study, predicted_error, sensitivity
 
 Array = NDArray[np.float64]
 Errors = dict[str, float]
@@ -92,7 +92,7 @@ def point(q: Array, errors: Errors) -> Array:
 
 def test_the_model_has_the_25_parameters(model: calib.ErrorModel) -> None:
     names = [name for of_group in NAMES.values() for name in of_group]
-    assert sorted(coefficients(model, Q).names) == sorted(names)
+    assert sorted(error_coefficients(model, Q).names) == sorted(names)
     assert len(names) == 25
 
 
@@ -152,7 +152,7 @@ def test_one_set_cannot_serve_rows_3_and_12(model: calib.ErrorModel) -> None:
 def test_rank_and_null_space(model: calib.ErrorModel) -> None:
     found = sensitivity(model, Q)
     assert (found.rank, len(found.parameters)) == (23, 25)
-    directions = {frozenset(direction.shares): direction.shares for direction in found.null_space}
+    directions = {frozenset(direction.shares): direction.shares for direction in found.undetermined}
     offset = directions[frozenset(("joint_6.a", "joint_6.offset"))]
     assert offset["joint_6.offset"] / offset["joint_6.a"] == pytest.approx(1.0 / 0.150, rel=1e-9)
     alpha = directions[frozenset(("joint_6.alpha", "joint_6.d"))]

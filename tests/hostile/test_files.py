@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.foundations.errors import CalibError, JobError
+from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import encoded, read_bytes, sha256, write_atomically
 from calib.job.inputs import load
 from tests.support.cases import JOB, TABLE, URDF, copy_case, run, write
@@ -81,6 +81,25 @@ def test_names_that_no_file_has(tmp_path: Path, name: str) -> None:
     with pytest.raises(CalibError) as caught:
         read_bytes(tmp_path / name, JobError)
     assert str(caught.value)
+
+
+def test_long_names_are_shortened_wherever_they_are_told(tmp_path: Path) -> None:
+    long = "x" * 5000
+    for error in (CalibError, JobError, OutputError):
+        said = str(error(f"{long}/{long}: cannot be read, and has {long}."))
+        assert len(said) < 1500
+        assert said.startswith("xxx")
+        assert said.endswith("x.")
+    assert len(str(JobError("word " * 2000))) < 2100
+    assert len(run("check", long).err) < 1500
+    assert len(run("calibrate", tmp_path / "job.toml", "-o", long).err) < 1500
+
+
+def test_results_need_a_folder_and_no_pipe(folder: Path) -> None:
+    os.mkfifo(folder / "pipe")
+    for out in ("pipe", "/dev/null"):
+        said = f"Error: {out}: is a pipe or a device, and the results need a folder.\n"
+        assert run("calibrate", JOB, "-o", out) == (1, "", said)
 
 
 def test_names_of_files_that_are_no_text(folder: Path) -> None:

@@ -260,7 +260,7 @@ def test_document_2_has_25_parameters_and_rank_23() -> None:
     found = observability(model, [poses(robot, np.random.default_rng(0), 80)])
     assert found.rank == 23
     # Rows 6 and 7: the probe sits 150 mm along the last axis.
-    told = [direction.shares for direction in found.null_space]
+    told = [direction.shares for direction in found.undetermined]
     lever = {frozenset(s): s for s in told}
     offset = lever[frozenset({"joint_6.offset", "joint_6.a"})]
     assert abs(offset["joint_6.a"] / offset["joint_6.offset"]) == pytest.approx(0.150)

@@ -121,7 +121,7 @@ def test_directions_that_only_errors_reveal_are_told_in_ordinary_numbers(seed: i
 def test_nearest_is_the_equal_fit_with_the_smallest_robot(robot: calib.Robot) -> None:
     fit, *_ = fitted(robot)
     of_robot = np.array([p.of_robot for p in fit.parameters])
-    widths = np.array([p.weak for p in fit.parameters])
+    widths = np.array([p.weak_prior for p in fit.parameters])
     pull = fit.values * scales(fit.parameters) / widths**2 * of_robot
     basis = null_space(scaled_jacobian(fit), rcond=1e-9)
     assert basis.shape[1] == 18
@@ -138,7 +138,7 @@ def test_all_policies_predict_the_same_and_nearest_deviates_least(robot: calib.R
 
     def size(fit: calib.Fit) -> float:
         return float(
-            np.linalg.norm([v / p.weak for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot])
+            np.linalg.norm([v / p.weak_prior for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot])
         )
 
     assert size(nearest) < 0.99 * size(minimal)

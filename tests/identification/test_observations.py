@@ -12,7 +12,7 @@ from calib.foundations.errors import JobError
 from calib.identification import system
 from calib.identification.losses import scatter_weight, shrinkage, weight
 from calib.identification.machine import Frames, Layout
-from calib.identification.observability import observability, undetermined
+from calib.identification.observability import observability, rank_findings
 from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
@@ -382,7 +382,7 @@ def test_a_mixture_beats_each_of_its_parts() -> None:
 LOSSES = ("huber", "soft_l1", "cauchy")
 
 
-def with_gross_errors(here: Lab, data: calib.Measurements) -> calib.Measurements:
+def with_outliers(here: Lab, data: calib.Measurements) -> calib.Measurements:
     """Every twentieth row is off by some millimetres."""
     wrong = np.arange(len(data)) % 20 == 3
     if data.position is not None:
@@ -391,13 +391,13 @@ def with_gross_errors(here: Lab, data: calib.Measurements) -> calib.Measurements
 
 
 @pytest.mark.parametrize("kind", ["positions", "distances"])
-def test_losses_with_and_without_gross_errors(kind: str) -> None:
+def test_losses_with_and_without_outliers(kind: str) -> None:
     noise = 5e-5
     clean, spoilt, scatter = [], [], []
     for seed in range(2):
         here = lab(seed, noise=noise)
         data = replace(getattr(here, kind)(150), sigma=np.zeros((150, 3 if kind == "positions" else 1)))
-        bad = with_gross_errors(here, data)
+        bad = with_outliers(here, data)
         fits = [[calib.identify(model(here), d, losses=[loss]) for loss in ("linear", *LOSSES)] for d in (data, bad)]
         assert all(fit.converged for row in fits for fit in row)
         clean.append([here.miss(fit) for fit in fits[0]])
@@ -480,11 +480,11 @@ def test_an_offset_between_planes_may_be_negative() -> None:
 )
 def test_what_cannot_be_seen_is_said(kind: str, options: dict[str, object], said: list[str]) -> None:
     here = lab()
-    found = undetermined(model(here, **options), [getattr(here, kind)(25)])
+    found = rank_findings(model(here, **options), [getattr(here, kind)(25)])
     assert [finding.code for finding in found] == said
     assert {finding.severity for finding in found} <= {"warning"}
 
 
 def test_a_few_positions_reveal_size_and_base() -> None:
     here = lab()
-    assert not undetermined(model(here), [here.sockets(20), here.positions(5)])
+    assert not rank_findings(model(here), [here.sockets(20), here.positions(5)])

@@ -5,7 +5,7 @@ import pytest
 
 import calib
 from calib.foundations import rigid
-from calib.identification.observability import undetermined
+from calib.identification.observability import rank_findings
 from scripts.development.judge_one_orientation import SCENARIOS, judge
 from tests.support import machines
 from tests.support.machines import Array
@@ -51,7 +51,7 @@ def test_the_tool_stays_near_and_places_are_predicted(wobble: float) -> None:
     assert np.linalg.norm(fit.machine.frames.tools[0, :3, 3]) < 0.3
     miss = machines.predicted(fit, readings[60:])[:, :3, 3] - true.see(readings[60:])[:, :3, 3]
     assert np.sqrt(np.mean(np.sum(miss**2, axis=1))) < 1.5e-4
-    found = undetermined(fit.model, [data])
+    found = rank_findings(fit.model, [data])
     if wobble == 0.0:
         assert [finding.code for finding in found] == ["tool-unseen"]
         assert "held near its start" in found[0].sentence
@@ -62,7 +62,7 @@ def test_a_tip_that_turns_is_not_remarked() -> None:
     robot, arm = machines.load(*UR10), machines.arm(*UR10)
     true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
     data = true.measure(robot, arm.draw(rng, 30), rng=rng, sigma=5e-5)
-    assert undetermined(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()
+    assert rank_findings(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()
 
 
 def test_narrower_priors_do_not_pull_the_tool_to_where_the_fit_is_clearly_worse() -> None:

@@ -11,7 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.identification import system
 from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import Frames, Layout
-from calib.identification.observability import undetermined
+from calib.identification.observability import rank_findings
 from calib.identification.system import Problem
 from calib.identification.targets import unknowns
 from tests.support import jacobians, machines
@@ -134,7 +134,7 @@ def test_a_sensor_on_the_arm_that_looks_at_balls(flat: bool) -> None:
     assert fit.rank == fit.numerical_rank == np.count_nonzero(seen) == len(fit.parameters) - 18
     # The base is held: a cell that is turned and shifted as a whole looks the same. Its size does not.
     assert not [p for p in fit.parameters if p.kind == "base"]
-    told = {finding.code for finding in undetermined(fit.model, [data])}
+    told = {finding.code for finding in rank_findings(fit.model, [data])}
     assert told == {"base-unseen"}
 
 
@@ -144,7 +144,7 @@ def test_the_same_balls_touched_do_not_show_a_size() -> None:
     touched = {name: column for name, column in rows.items() if not name.startswith("point_")}
     data = calib.read_measurements(touched, cell.robot, "socket", sigma=SIGMA)
     model = calib.error_model(cell.robot, offsets="all", placements="all", tool="position")
-    assert {finding.code for finding in undetermined(model, [data])} == {"base-unseen", "size-unseen"}
+    assert {finding.code for finding in rank_findings(model, [data])} == {"base-unseen", "size-unseen"}
 
 
 def test_a_plane_seen_by_a_line_scanner_whose_pose_is_about_known() -> None:

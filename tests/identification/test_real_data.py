@@ -59,7 +59,7 @@ def test_positions(tmp_path: Path) -> None:
     (noise,) = fit.noise
     assert noise.total > 10.0 * noise.instrument
     # Nothing runs away where the data see next to nothing.
-    assert max(abs(v) / p.weak for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot) < 1.0
+    assert max(abs(v) / p.weak_prior for p, v in zip(fit.parameters, fit.values, strict=True) if p.of_robot) < 1.0
 
 
 def test_poses(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 from calib.identification.parameters import Parameter
 from calib.machine.not_seen import likely_widths
 
-LENGTHS = tuple(Parameter(f"joint_{k}.tx", "m", "placement", ((k, 1.0),), weak=1e-2) for k in range(40))
-ZEROS = tuple(Parameter(f"joint_{k}.offset", "rad", "offset", ((k, 1.0),), weak=0.1) for k in range(6))
-BASE = (Parameter("base.x", "m", "base", ((50, 1.0),), weak=10.0),)
+LENGTHS = tuple(Parameter(f"joint_{k}.tx", "m", "placement", ((k, 1.0),), weak_prior=1e-2) for k in range(40))
+ZEROS = tuple(Parameter(f"joint_{k}.offset", "rad", "offset", ((k, 1.0),), weak_prior=0.1) for k in range(6))
+BASE = (Parameter("base.x", "m", "base", ((50, 1.0),), weak_prior=10.0),)
 ALL = (*LENGTHS, *ZEROS, *BASE)
 
 

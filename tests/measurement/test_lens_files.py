@@ -43,6 +43,13 @@ def test_ros(tmp_path: Path) -> None:
     assert read(tmp_path, ROS) == (LENS, (1280, 720))
 
 
+def test_numbers_as_cpp_writes_them_are_no_texts(tmp_path: Path) -> None:
+    assert read(tmp_path, ROS.replace("0.0001", "1e-4").replace("0.003", "3E-03")) == (LENS, (1280, 720))
+    for wrong in ("1e999", "9" * 400, "one", ".nan", "2026-01-01"):
+        with pytest.raises(JobError, match=r"the distortion is not a list of numbers\.$"):
+            read(tmp_path, ROS.replace("0.003", wrong))
+
+
 def test_kalibr(tmp_path: Path) -> None:
     assert read(tmp_path, KALIBR) == (LENS._replace(k3=0.0), (1280, 720))
 

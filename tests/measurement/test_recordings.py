@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -197,3 +198,25 @@ def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
     assert sheet.remarks == ("the rigid body 'tool' of Motive; 1 frames that lost it are left out",)
     with pytest.raises(MeasurementError, match="has no rigid body 'probe'; there are 'tool'"):
         read_sheet(path, "probe")
+
+
+def test_exports_of_motive_without_their_header_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "take.csv"
+    for cut, said in (("Time (Seconds)", "no column of time"), (",Name", "lacks the lines of its header")):
+        lines = [line for line in MOTIVE.splitlines() if not line.startswith(cut)]
+        lines = [line.replace("Time (Seconds)", "") for line in lines]
+        if cut == ",Name":
+            lines = [line for line in lines if not line.startswith((",ID", ",,Rotation"))]
+        path.write_text("\n".join(lines))
+        with pytest.raises(MeasurementError, match=said):
+            read_sheet(path)
+
+
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "one.bag")
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    os.mkfifo(folder / "metadata.yaml")
+    for path, named in ((tmp_path / "one.bag", "one.bag"), (folder, "metadata.yaml")):
+        with pytest.raises(MeasurementError, match=f"{named}: is not a regular file"):
+            topics(path)

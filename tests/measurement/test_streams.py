@@ -256,3 +256,11 @@ def test_stretches_of_a_stream_are_held_out_whole(made: Streams) -> None:
     of_some, of_rest = (set(np.floor(part.stream.since / 5.0)) for part in (some, rest) if part.stream is not None)
     assert of_some.isdisjoint(of_rest)
     assert 0.2 < len(rest) / len(data) < 0.4
+
+
+def test_clocks_are_not_sought_in_days(made: Streams) -> None:
+    """Time and memory of the search grow with the span, whatever is between: one wrong row would take all of both."""
+    seen = {name: np.append(values, values[-1]) for name, values in made.seen.items()}
+    seen["time [s]"][-1] += 1e9
+    with pytest.raises(calib.MeasurementError, match="a free clock is sought in 10000 s at the most"):
+        calib.measuring.read_stream(seen, made.robot, made.joints, sigma=1e-4)

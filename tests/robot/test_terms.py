@@ -80,7 +80,7 @@ def test_a_parameter_has_its_name_unit_and_size(kind: Kind) -> None:
         assert term.name.startswith(f"{term.reading or 'arm'}.{term.kind}")
         assert (parameter.unit, parameter.scale) == kind.coefficient(term, "angle")
         assert parameter.unit in SHOWN
-        assert parameter.weak == TERM_WIDTH * parameter.scale
+        assert parameter.weak_prior == TERM_WIDTH * parameter.scale
     for dimension, name in kind.priors.items():
         if dimension == "angle":
             held = calib.error_model(UR10, terms=terms, priors=calib.Priors(**{name: 2e-5}))

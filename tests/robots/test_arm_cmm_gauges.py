@@ -4,7 +4,7 @@ import tomllib
 
 import numpy as np
 
-from calib.identification.observability import undetermined
+from calib.identification.observability import rank_findings
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.measurement.read import read_measurements
@@ -50,5 +50,5 @@ def test_the_ball_is_where_it_was() -> None:
 def test_without_the_gauges_and_spheres_the_size_is_not_seen() -> None:
     inputs = load(JOB)
     cones = [data for data in inputs.identify if data.kind == "socket"]
-    assert [finding.code for finding in undetermined(inputs.model, cones)] == ["size-unseen"]
-    assert not undetermined(inputs.model, inputs.identify)
+    assert [finding.code for finding in rank_findings(inputs.model, cones)] == ["size-unseen"]
+    assert not rank_findings(inputs.model, inputs.identify)

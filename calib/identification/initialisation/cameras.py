@@ -22,7 +22,7 @@ from calib.identification.initialisation.resection import (
     camera_pose_and_point,
     crossing,
     misses,
-    not_gross,
+    not_outlying,
     rays,
 )
 from calib.identification.observations.pixels import marks_seen
@@ -137,7 +137,7 @@ def target_pose(name: str, own: Sequence[TargetRows], tools: Array) -> Array:
     seen = [sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in images_of(own)]
     if not seen:
         raise _too_few(own, name)
-    # An image with gross errors is far off, and the median hardly minds.
+    # An image with outliers is far off, and the median hardly minds.
     poses = np.stack(seen)
     nearest = rigid.nearest_rotation(np.median(poses[:, :3, :3], axis=0))
     return rigid.placement(nearest, np.median(poses[:, :3, 3], axis=0))
@@ -175,7 +175,7 @@ def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
             if pose is not None:
                 found.append((sight, int(rows[0]), pose))
                 missed.append(float(np.median(misses(pose, places[rows], b[rows]))))
-    kept = not_gross(np.array(missed)) if found else ()
+    kept = not_outlying(np.array(missed)) if found else ()
     return [image for image, good in zip(found, kept, strict=True) if good]
 
 
@@ -193,7 +193,7 @@ def _aligned(model: ErrorModel, images: Sequence[tuple[TargetRows, int, Array]],
     base, found, _ = base_and_tools(rows, known, tools)
     # An image that is read wrongly is by far off the others.
     T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
-    kept = not_gross(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & not_gross(
+    kept = not_outlying(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & not_outlying(
         np.linalg.norm(T[:, :3, 3], axis=1)
     )
     if kept.all():

@@ -226,7 +226,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
             *targets.unknowns(sets, model.targets, layout),
         )
         for start, count, end, size in zip(starts, known, ends, (6, 6, 6, 1), strict=True)
-        if start + size * count <= parameter.direction[0][0] < end
+        if start + size * count <= parameter.entries[0][0] < end
     )
     _refuse_too_few(new, layout, sets)
     problem = Problem(model, new, placed, tuple(sets), machine.deviations)
@@ -240,7 +240,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
 def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Measurements]) -> None:
     """Refuse rows that new tools and bases would use up: nothing would be left to judge."""
     for kind, start in (("base", layout.base), ("tool", layout.tools)):
-        entries = [(q.direction[0][0] - start) // 6 for q in new if q.kind == kind]
+        entries = [(q.entries[0][0] - start) // 6 for q in new if q.kind == kind]
         for k in dict.fromkeys(entries):
             own = [data.setup == k if kind == "base" else data.tool == k for data in sets]
             numbers = sum(int(rows.sum()) * data.sigma.shape[1] for data, rows in zip(sets, own, strict=True))
@@ -291,7 +291,7 @@ def _without_turns_of_points(
     turning = turned(sets)
 
     def of_point(parameter: Parameter) -> bool:
-        tool, component = divmod(parameter.direction[0][0] - layout.tools, 6)
+        tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
         return parameter.kind == "tool" and component > 2 and not turning[tool]
 
     return tuple(parameter for parameter in parameters if not of_point(parameter))
@@ -304,10 +304,10 @@ def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, l
     """
 
     def held(parameter: Parameter) -> bool:
-        tool, component = divmod(parameter.direction[0][0] - layout.tools, 6)
+        tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
         return parameter.kind == "tool" and component < 3 and bool(unshown[tool])
 
-    return tuple(replace(q, weak=UNSHOWN_TOOL_WIDTH) if held(q) else q for q in parameters)
+    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH) if held(q) else q for q in parameters)
 
 
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:

@@ -22,7 +22,7 @@ _LEAST_OF_PLANE, _LEAST_OF_SPACE, _LEAST_OF_PATHS = 4, 6, 6
 # Starts worth a search.
 _PROMISING = 6
 _NEGLIGIBLE = 1e-10
-# So many times the median distance from a fit are a gross error, which has no say in a start.
+# So many times the median distance from a fit are an outlier, which has no say in a start.
 _GROSS = 5.0
 _MOST_TRIMS = 4
 
@@ -43,7 +43,7 @@ def camera_pose(points: Array, b: Array) -> Array | None:
     for _ in range(_MOST_TRIMS):
         if pose is None:
             break
-        last, kept = kept, not_gross(misses(pose, points, b))
+        last, kept = kept, not_outlying(misses(pose, points, b))
         if np.array_equal(kept, last) or (better := _camera_pose(points[kept], b[kept])) is None:
             break
         pose = better
@@ -56,7 +56,7 @@ def misses(camera: Array, points: Array, b: Array) -> Array:
     return np.asarray(np.linalg.norm(X / np.linalg.norm(X, axis=1, keepdims=True) - b, axis=1))
 
 
-def not_gross(off: Array) -> BoolArray:
+def not_outlying(off: Array) -> BoolArray:
     """Return which of n distances from a fit are not by far larger than most of them."""
     return np.asarray(off <= _GROSS * max(float(np.median(off)), _NEGLIGIBLE))
 

@@ -21,6 +21,8 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 200_000_000, 16
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
 _SHARE = 0.85
+# How near to its horizon a mark of a board may lie, where its middle is at 1.
+_HORIZON = 1e-6
 # Below so many corners a photograph tells no pose worth having.
 LEAST_CORNERS = 6
 # Width of a small copy, in px.
@@ -49,6 +51,8 @@ def opencv() -> Any:
         raise JobError(
             'photographs need OpenCV, which is not installed: python -m pip install "urdf-calib[vision]".'
         ) from e
+    # What its readers of damaged images say on the terminal, ours say in a sentence.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise JobError(f"OpenCV {cv2.__version__} is older than 4.7; python -m pip install -U opencv-python-headless.")
     return cv2
@@ -171,13 +175,14 @@ def _edges(print_: Print, marks: IntArray, pixels: Array) -> tuple[Array, Array]
     places = print_.marks[marks][:, :2]
     H = _homography(places, pixels)
     y = np.column_stack([places, np.ones(len(places))]) @ H.T
-    w = y[:, 2:]
+    w = np.maximum(y[:, 2:], _HORIZON)
     J = (H[None, :2, :2] - (y[:, :2] / w)[:, :, None] * H[None, 2:, :2]) / w[:, :, None]
-    along = np.swapaxes(J / np.linalg.norm(J, axis=1, keepdims=True), 1, 2)
+    along = np.swapaxes(J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), _HORIZON), 1, 2)
     # The next thing printed is the marker's edge, across the diagonal; a chessboard has its next corner.
     plain = 0.5 * (print_.square - print_.marker) * np.sqrt(2.0) if print_.kind == "charuco" else print_.square
     smallest = np.linalg.svd(J, compute_uv=False)[:, -1]
-    return np.asarray(along), np.asarray(plain * smallest)
+    # Corners that are no board's may lie on its horizon or beyond: they have no room.
+    return np.asarray(along), np.asarray(np.where(y[:, 2] > _HORIZON, plain * smallest, 0.0))
 
 
 def _homography(places: Array, pixels: Array) -> Array:
@@ -188,7 +193,8 @@ def _homography(places: Array, pixels: Array) -> Array:
     rows = np.concatenate([np.hstack([p, zero, -q[:, :1] * p]), np.hstack([zero, p, -q[:, 1:2] * p])])
     H = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
     found = np.linalg.inv(B) @ H @ A
-    return np.asarray(found / (found[2] @ np.append(places.mean(axis=0), 1.0)))
+    middle = float(found[2] @ np.append(places.mean(axis=0), 1.0))
+    return np.asarray(found / middle if abs(middle) > _HORIZON * np.abs(found[2]).max() else np.zeros((3, 3)))
 
 
 def _normalised(x: Array) -> tuple[Array, Array]:

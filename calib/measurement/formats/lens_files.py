@@ -1,5 +1,6 @@
 """Lenses as others write them: OpenCV's FileStorage, ROS's camera_info, Kalibr's camchain, all of them YAML."""
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -13,6 +14,8 @@ from calib.measurement.lens import BENT, RATIONAL, Lens
 _LARGEST = 1_000_000
 # What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
+# YAML 1.1 takes 1e-05, as C++ writes it, for a text.
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]{1,3}")
 _ANCHOR = re.compile(r"(^|[\s:\[{,-])&\w")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
@@ -77,10 +80,18 @@ def _numbers(path: Path, what: str, value: Any) -> list[float]:
     """Return numbers of a list, of rows, or of a matrix with data."""
     data = value.get("data") if isinstance(value, Mapping) else value
     rows: list[Any] = data if isinstance(data, list) else [None]
-    flat = [one for row in rows for one in (row if isinstance(row, list) else [row])]
-    if not all(type(one) in (int, float) and math.isfinite(one) for one in flat):
+    flat = [_number(one) for row in rows for one in (row if isinstance(row, list) else [row])]
+    if not all(map(math.isfinite, flat)):
         raise JobError(f"{path}: {what} is not a list of numbers.")
-    return [float(one) for one in flat]
+    return flat
+
+
+def _number(value: Any) -> float:
+    """Return a number of YAML, NaN for what is none."""
+    if type(value) in (int, float) or (isinstance(value, str) and _NUMBER.fullmatch(value)):
+        with contextlib.suppress(OverflowError):  # a whole number of hundreds of digits
+            return float(value)
+    return math.nan
 
 
 def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, float]:

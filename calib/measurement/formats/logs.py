@@ -65,7 +65,10 @@ def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
         raise MeasurementError(f"{where}: its length units are {shown(about.get('Length Units', ''))}; not known.")
     places = [column("Position", axis) for axis in "XYZ"]
     turns = [column("Rotation", axis) for axis in "WXYZ"] if about.get("Rotation Type") == "Quaternion" else []
-    chosen = [next(k for k, axis in enumerate(axes) if axis.startswith("Time")), *places, *turns]
+    time = next((k for k, axis in enumerate(axes) if axis.startswith("Time")), None)
+    if time is None:
+        raise MeasurementError(f"{where}: begins as an export of Motive, and has no column of time.")
+    chosen = [time, *places, *turns]
     begin = next(k for k, line in enumerate(lines) if line[0].strip() == "Frame") + 1
     rows = [[line[k] for k in chosen] for line in lines[begin:] if len(line) > max(chosen)]
     seen = [row for row in rows if all(_NUMBER.fullmatch(cell.strip()) for cell in row)]
@@ -85,4 +88,6 @@ def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]
 
     kind = line(lambda cells: "Type" in cells[:2])
     axis = line(lambda cells: cells[0].strip() == "Frame")
+    if kind + 1 >= axis:
+        raise MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
     return tuple([cell.strip() for cell in lines[k]] for k in (kind, kind + 1, axis - 1, axis))

@@ -5,6 +5,7 @@ those at which they were recorded, in s since the recording began: tables of one
 """
 
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,8 +40,13 @@ _DAMAGED = (
     RuntimeError,
     EOFError,
     OverflowError,
+    MemoryError,
+    StopIteration,
+    SyntaxError,
     struct.error,
+    zlib.error,
 )
+_LARGEST_METADATA = 1_000_000
 
 
 class Topic(NamedTuple):
@@ -199,8 +205,12 @@ def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a recording; whatever its reader says of damage is one sentence."""
+    _refuse_irregular(path)
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415 - an extra
+        from apsw import Error as SqliteError  # noqa: PLC0415 - an extra
+        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415
+        from rosbags.rosbag1 import ReaderError as Rosbag1Error  # noqa: PLC0415
+        from rosbags.rosbag2 import ReaderError as Rosbag2Error  # noqa: PLC0415
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
     except ImportError as e:
         raise MeasurementError(
@@ -209,7 +219,22 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
-    except FileNotFoundError as e:
-        raise MeasurementError(f"{path}: no such file or folder.") from e
-    except (AnyReaderError, OSError, *_DAMAGED) as e:
+    except MeasurementError:
+        raise
+    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, OSError, *_DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
+
+
+def _refuse_irregular(path: Path) -> None:
+    """Raise MeasurementError for what is not there, and for pipes and devices, which a reader would wait for."""
+    try:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        for file in files:
+            if not file.exists():
+                raise MeasurementError(f"{file}: no such file or folder.")
+            if not (file.is_file() or (file.is_dir() and file != path)):
+                raise MeasurementError(f"{file}: is not a regular file.")
+            if file.name == "metadata.yaml" and file.stat().st_size > _LARGEST_METADATA:
+                raise MeasurementError(f"{file}: is larger than {_LARGEST_METADATA} bytes.")
+    except OSError as e:
+        raise MeasurementError(f"{path}: cannot be read ({e.strerror}).") from e

@@ -78,7 +78,7 @@ def streamed(
             "s" if role == OFFSET else "s/s",
             _SCALES[role],
             start,
-            weak=_WIDTHS[role],
+            weak_prior=_WIDTHS[role],
         )
         for role, start in shifts.items()
     )
@@ -121,7 +121,8 @@ def _beside(data: Measurements, joints: JointStream, clock: Clock, robot: Robot,
         found = refined(*_moving(data, joints, robot), middle, near).lag
         own = float(0.5 * (data.times[0] + data.times[-1])) - middle
         shifts[LATENCY] = (found.offset - near.offset) - (found.skew - near.skew) * own
-        scalars.append(Scalar(f"{clock.name}.latency", "s", _SCALES[OFFSET], shifts[LATENCY], weak=_WIDTHS[OFFSET]))
+        name, size, wide = f"{clock.name}.latency", _SCALES[OFFSET], _WIDTHS[OFFSET]
+        scalars.append(Scalar(name, "s", size, shifts[LATENCY], weak_prior=wide))
     known = _known(data, stream, shifts)
     rows = replace(data.subset(known), stream=stream.subset(known))
     uses = {role: len(rows.scalars) + k for k, role in enumerate(shifts)}

@@ -22,6 +22,8 @@ from calib.foundations.units import MM
 
 # Speeds are taken over twice as much, in s, on a grid of such steps: noise of 0.1 mm is then 1 mm/s.
 _HALF, _STEP = 0.05, 0.02
+# Time and memory of the search grow with the whole of it, also with what is not known between; in s.
+_LONGEST = 1e4
 # Windows, in s; shorter streams have shorter ones. So many of them, evenly spread, are enough.
 _WINDOW, _SHARE, _MOST_WINDOWS = 60.0, 0.6, 24
 # No two clocks differ by more; quartz keeps 1e-4.
@@ -84,6 +86,12 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     ``middle``: where the offset is told, in s; measured points that are ``gap`` s apart or more are not joined.
     Raises MeasurementError when nothing moved enough, when speeds do not go together, and when two lags fit alike.
     """
+    for where, span in ((seen.where, seen.times[-1] - seen.times[0]), (moved.where, moved.end - moved.start)):
+        if span > _LONGEST:
+            raise MeasurementError(
+                f"{where}: its times span {span:.4g} s; a free clock is sought in {_LONGEST:g} s at the most: give a "
+                "part, or look at the unit of 'time'."
+            )
     measured = _speeds(seen.times, seen.points, gap)
     grid = np.arange(moved.start, moved.end, _STEP)
     known = moved.known(grid)

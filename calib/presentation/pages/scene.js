@@ -124,7 +124,7 @@ const facing = error => {
 };
 const meanings = { direction: ["+x", "\u2212x", "+y", "\u2212y", "+z", "\u2212z"] };
 const kindOf = { direction: (cloud, n) => facing(cloud.errors[n]) };
-for (const [name, { names, kinds }] of Object.entries(page.groups)) {
+for (const [name, { names, kinds }] of Object.entries(page.colourings)) {
   meanings[name] = names.length > 7 ? [...names.slice(0, 6), "others"] : names;
   kindOf[name] = (_, n) => Math.min(kinds[n], 6);
 }
@@ -151,7 +151,7 @@ function draw() {
     }));
   }
   if (!measured.length) return;
-  const ofDots = by in page.groups ? tint(after) : () => dots, r = page.radius;
+  const ofDots = by in page.colourings ? tint(after) : () => dots, r = page.radius;
   const places = measured.map(p => new THREE.Vector3(...p));
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.

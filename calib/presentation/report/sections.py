@@ -311,7 +311,7 @@ def parameters(fit: Fit) -> Section:
         "A parameter that is identifiable only in combination has no sigma: other values of it fit the data as well "
         "if other parameters change with it. Weakly determined ones have a sigma above half their parameter scale."
     )
-    sentences = (said,) if fit.unidentifiable.any() or fit.weak.any() else ()
+    sentences = (said,) if fit.unidentifiable.any() or fit.weakly_determined.any() else ()
     blocks: list[Block] = [parameter_sheet(fit)]
     if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
         blocks.append(Picture("What the names mean", deviation_drawing(), deviation_words()))

@@ -195,7 +195,10 @@ def _row(line: _Line, units: dict[str, Unit | None], number: int) -> DhRow:
         raise RobotError(f"{at}: joint {shown(words['joint'])} has the name of a spreadsheet's formula; rename it.")
     if words["type"] not in get_args(RowType):
         raise RobotError(f"{at}: column 'type': {words['type']!r} is not one of {', '.join(get_args(RowType))}.")
-    return DhRow(words["joint"], cast(RowType, words["type"]), **values)
+    try:
+        return DhRow(words["joint"], cast(RowType, words["type"]), **values)
+    except RobotError as e:
+        raise RobotError(f"{at}: {e}") from e
 
 
 def _convention(line: _Line | None) -> Convention | None:

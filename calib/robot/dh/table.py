@@ -43,6 +43,16 @@ class DhRow:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        if self.type not in get_args(RowType):
+            raise RobotError(f"DH table: joint {self.joint!r} is {self.type!r}, not {', '.join(get_args(RowType))}.")
+        if not np.isfinite([getattr(self, number) for number in NUMBERS]).all():
+            raise RobotError(f"DH table: joint {self.joint!r} has a number that is not finite.")
+        for number in NUMBERS:
+            unit, of = ("m", OF_DIMENSION["length"]) if number in "ad" else ("rad", OF_DIMENSION["angle"])
+            if not of.holds(getattr(self, number)):
+                raise RobotError(
+                    f"DH table: joint {self.joint!r} has {number} {getattr(self, number):g} {unit}; allowed is {of}."
+                )
 
     @property
     def along(self) -> Array:
@@ -78,16 +88,6 @@ class DhTable:
         for row in self.rows:
             if names.count(row.joint) > 1:
                 raise RobotError(f"DH table: joint {row.joint!r} has more than one row.")
-            if row.type not in get_args(RowType):
-                raise RobotError(f"DH table: joint {row.joint!r} is {row.type!r}, not {', '.join(get_args(RowType))}.")
-            if not np.isfinite([getattr(row, number) for number in NUMBERS]).all():
-                raise RobotError(f"DH table: joint {row.joint!r} has a number that is not finite.")
-            for number in NUMBERS:
-                unit, of = ("m", OF_DIMENSION["length"]) if number in "ad" else ("rad", OF_DIMENSION["angle"])
-                if not of.holds(getattr(row, number)):
-                    raise RobotError(
-                        f"DH table: joint {row.joint!r} has {number} {getattr(row, number):g} {unit}; allowed is {of}."
-                    )
         if all(row.type == "fixed" for row in self.rows):
             raise RobotError("DH table: no joint moves; a table needs a revolute or a prismatic row.")
         for name, T in (("base", self.base), ("tool", self.tool)):

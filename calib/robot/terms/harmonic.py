@@ -8,9 +8,8 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.robot.conditions import Conditions
 from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Option, Parts, Shares, Slope
-from calib.robot.terms.term import JointTerm
+from calib.robot.terms.term import HIGHEST_ORDER, JointTerm
 
-HIGHEST_ORDER = 1000
 # Offered where data choose: a harmonic drive wobbles up to the fortieth order. On a real UR10 orders above 12 halve
 # what is left.
 OFFERED = tuple(range(1, 41))

@@ -2,7 +2,12 @@
 
 from dataclasses import dataclass
 
+from calib.foundations.arguments import refuse_fields
+from calib.foundations.errors import JobError
+
 WHOLE_ARM = "arm"
+# Of harmonics.
+HIGHEST_ORDER = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +23,11 @@ class JointTerm:
     kind: str
     order: int = 0
     body: str = ""
+
+    def __post_init__(self) -> None:
+        refuse_fields(self)
+        if not 0 <= self.order <= HIGHEST_ORDER:
+            raise JobError(f"joint term of {self.reading!r}: order is {self.order}; allowed are 0 to {HIGHEST_ORDER}.")
 
     @property
     def owner(self) -> str:
