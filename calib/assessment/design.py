@@ -148,11 +148,13 @@ def choose(
     *,
     starts: int = 1,
     seed: int = 0,
+    order: Sequence[int] | None = None,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Design:
     """Return the best design of ``count`` candidates that exchanges lead to, the first time from the best sequence.
 
-    Further ``starts`` begin with random designs. Raises JobError when there are fewer candidates than ``count``.
+    ``order``: that sequence, of ``count`` or more, where it is known. Further ``starts`` begin with random designs.
+    Raises JobError when there are fewer candidates than ``count``.
     """
     if not 0 < count <= len(s.A):
         raise JobError(f"{count} poses cannot be chosen from {len(s.A)} candidates.")
@@ -160,7 +162,10 @@ def choose(
     best: Design | None = None
     for start in range(starts):
         progress(start, starts)
-        begin = sequence(s, count) if start == 0 else tuple(map(int, rng.permutation(len(s.A))[:count]))
+        if start > 0:
+            begin = tuple(map(int, rng.permutation(len(s.A))[:count]))
+        else:
+            begin = sequence(s, count) if order is None else tuple(order[:count])
         found = _exchanged(s, begin)
         if best is None or _better(s, found.value, best.value):
             best = found
@@ -240,13 +245,13 @@ class _State(NamedTuple):
         # P' = P - K A P and X' = X + K (H - A X), with K = P A^T S^-1; all of it in matrices of m rows.
         S_inverse = np.linalg.inv(S)
         W = (_flat(AP) @ s.C).reshape(N, m, r) @ np.swapaxes(AP, 1, 2)
-        gain = np.sum(S_inverse * W, axis=(1, 2))
+        gain = np.einsum("nij,nij->n", S_inverse, W)
         if s.H.shape[2]:
             h = s.H.shape[2]
-            E = s.H - (_flat(s.A) @ self.X).reshape(N, m, h)
+            E = S_inverse @ (s.H - (_flat(s.A) @ self.X).reshape(N, m, h))
             toward = (_flat(AP) @ (s.C @ self.X - s.C_misfit)).reshape(N, m, h)
-            gain = gain - 2.0 * np.sum(E * (S_inverse @ toward), axis=(1, 2))
-            gain -= np.sum((S_inverse @ W @ S_inverse) * (E @ np.swapaxes(E, 1, 2)), axis=(1, 2))
+            gain -= 2.0 * np.einsum("nij,nij->n", E, toward)
+            gain -= np.einsum("nij,nij->n", W, E @ np.swapaxes(E, 1, 2))
         return np.asarray(gain)
 
 

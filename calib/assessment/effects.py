@@ -10,7 +10,7 @@ in all of them -, so that N rows say less than N independent ones: the standard 
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
@@ -22,8 +22,10 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
+from calib.measurement.checks import resolutions
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
 _LEAST_BLOCKS = 8
@@ -36,6 +38,8 @@ _TAKEN = 1e-7
 _MOST_SPLITS = 60
 # Rows with times that are no farther apart, in s, are a motion.
 _STREAM = 1.0
+# Rows of a stream that are farther apart, in steps, are no neighbours.
+_GAP = 2.5
 # A scatter of a nanometre is rounding.
 _ROUNDING = 1e-9
 # Rows on either side of a jump.
@@ -253,6 +257,48 @@ def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
     return effect(usable, moved, C), step
 
 
+class Timing(NamedTuple):
+    """How readings of a stream keep time among themselves.
+
+    ``by_joint``: by how many s what was measured is later than the readings of each joint alone. ``smoothed``, in s^2:
+    half the variance of the times over which readings are means, that of the others alike taken for delay. ``step``: s
+    between rows; nan where not all rows have times, and nothing is said.
+    """
+
+    by_joint: Mapping[str, Effect]
+    smoothed: Effect
+    step: float
+
+
+def timing(parts: Sequence[Stretch], C: Array) -> Timing:
+    """Return whether some joint is late by itself, and whether readings are means over a time, as filters make them.
+
+    To second order a mean over times of variance v is ``q - delay q' + v/2 q''``.
+    """
+    usable = [part for part in parts if part.data.other is None]
+    step = float(np.mean([part.step for part in usable])) if usable else float("nan")
+    if not np.isfinite(step):
+        return Timing({}, NO_EFFECT, step)
+    by_joint = {
+        name: effect(usable, [-part.by_joint[:, :, j] * part.rates[:, None, j] for part in usable], C)
+        for j, name in enumerate(usable[0].joints)
+    }
+    moved = [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part)) for part in usable]
+    return Timing(by_joint, effect(usable, moved, C), step)
+
+
+def _accelerations(part: Stretch) -> Array:
+    """Return how fast the rates (n, k) change, in a second; 0 beside gaps."""
+    assert part.data.times is not None
+    times = part.data.times[part.row.astype(np.intp)]
+    if len(times) < 2:
+        return np.zeros_like(part.rates)
+    steps = np.gradient(times)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.gradient(part.rates, times, axis=0)
+    return np.asarray(np.where((steps > 0.0) & (steps < _GAP * part.step), found.T, 0.0).T)
+
+
 class Score(NamedTuple):
     """What directions gain, taken together: chi-squared ``gain`` (...) of so many ``numbers`` (...).
 
@@ -297,6 +343,81 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         if size > best[0]:
             best = (size, chance)
     return best
+
+
+class Rounding(NamedTuple):
+    """What rounded readings of a ``file`` do: rms at the tool in m; ``share``: that over the rms of what remains."""
+
+    file: str
+    distance: float
+    share: float
+
+
+def rounding(parts: Sequence[Stretch], robot: Robot) -> tuple[Rounding, ...]:
+    """Return what coarse steps of readings do, in every set that has them."""
+    found = []
+    for part in parts:
+        data = part.data
+        read = [data.reading_names.index(name) for name in part.joints]
+        steps = resolutions(
+            np.concatenate([end.readings[:, read] for end in data.ends]), [robot.readings[k] for k in read]
+        )
+        if not steps.any():
+            continue
+        # Either end of a pair is rounded by itself.
+        square = float(np.sum((part.by_joint * steps) ** 2)) / 12.0 * len(data.ends)
+        n, free = len(part.r), max(1.0 - part.used / part.r.size, 0.05)
+        rest = max(float(np.sum(part.r**2)), part.least * part.r.size)
+        found.append(
+            Rounding(data.where, float(np.sqrt(square / n)) / per_metre([part]), float(np.sqrt(square * free / rest)))
+        )
+    return tuple(sorted(found, key=lambda one: (-one.distance, one.file)))
+
+
+class Strain(NamedTuple):
+    """How much longer one axis of an instrument seems to be than another: ``share``, 0 where nothing says so.
+
+    ``size``: what it does to a row, over the standard deviation of what remains of one number. ``chance``: of it.
+    """
+
+    file: str
+    share: float
+    size: float
+    chance: float
+
+
+# Axes of unequal length, and those that are not at right angles. All of one length the links' lengths may be.
+_STRAINS = np.array(
+    [
+        np.diag([1.0, -1.0, 0.0]),
+        np.diag([-1.0, -1.0, 2.0]),
+        [[0, 1.0, 0], [1.0, 0, 0], [0, 0, 0]],
+        [[0, 0, 1.0], [0, 0, 0], [1.0, 0, 0]],
+        [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]],
+    ]
+)
+
+
+def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
+    """Return how unequal the axes of the instrument seem to be in every set that has positions."""
+    found = []
+    for part in parts:
+        rows = part.row.astype(np.intp)
+        if part.data.position is None or len(rows) < 4 * _LEAST_ROWS:
+            continue
+        x = part.data.position[rows]
+        moved = np.einsum("sij,nj->nis", _STRAINS, x - x.mean(axis=0))
+        D = (part.by_base[:, :, :3] @ moved).reshape(part.r.size, -1)
+        J = part.J.reshape(part.r.size, -1)
+        S = D.T @ J
+        score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
+        rest = part.r + ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
+        free = max(rest.size - part.used, 0.1 * rest.size, 1.0)
+        variance = max(float(np.sum(rest**2)) / free, part.least)
+        lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
+        size = float(np.sqrt(float(score.gain) / variance / len(rows)))
+        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part, C)))
+    return tuple(sorted(found, key=lambda one: (-one.share, one.file)))
 
 
 def per_metre(parts: Sequence[Stretch]) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.assessment import design
 from calib.assessment.candidates import PlannedMeasurement, random_candidates, rows, working_rows
-from calib.assessment.design import Space
+from calib.assessment.design import Design, Space
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
@@ -117,11 +117,14 @@ def plan(
         prior = _priors(model)
         judged = design.space(parts[0], criterion, parts[1], given, prior)
         by_error = judged if criterion == "I" else design.space(parts[0], "I", parts[1], given, prior)
-        found = design.choose(judged, count, seed=seed, progress=progress)
+        counts = _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
+        # The best sequence of many begins with that of few.
+        order = design.sequence(judged, max(counts))
+        found = design.choose(judged, count, order=order, progress=progress)
         floor = design.parts_of(by_error, range(len(candidates)))[1]
         forecasts = tuple(
-            _forecast(judged, by_error, floor, n, found.chosen if n == count else None, seed)
-            for n in _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
+            _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
+            for n in counts
         )
         random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
         enough = None if target is None else _enough(by_error, floor, target)
@@ -152,12 +155,9 @@ def _counts(count: int, most: int, least: int) -> list[int]:
     return sorted(n for n in wanted if max(least, 1) <= n <= most or n == count)
 
 
-def _forecast(
-    judged: Space, by_error: Space, floor: float, n: int, chosen: Sequence[int] | None, seed: int
-) -> Forecast:
-    poses = design.choose(judged, n, seed=seed).chosen if chosen is None else chosen
+def _forecast(by_error: Space, floor: float, n: int, found: Design, seed: int) -> Forecast:
     random = [design.value_of(by_error, some) for some in _random_sets(len(by_error.A), n, _RANDOM_DESIGNS, seed)]
-    values = design.value_of(by_error, poses), float(np.median(random))
+    values = design.value_of(by_error, found.chosen), float(np.median(random))
     return Forecast(n, *(_root(value - floor) for value in values))
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.assessment import checks
-from calib.assessment.effects import apart, delay, gains, steps, stretches, wandering
+from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, stretches, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
+from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
-from calib.assessment.two_machines import two_machines
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -56,7 +56,10 @@ def verdict(
             checks.jump(steps(parts, C), found),
             checks.drift(wandering(parts, C), fit),
             checks.late(*delay(parts, C)),
+            checks.timing(timing(parts, C)),
             checks.gear(gains(parts, C), fit),
+            checks.axes(strains(parts, C)),
+            checks.resolution(rounding(parts, fit.model.robot), fit),
         )
         told = (
             checks.convergence(fit),
@@ -70,7 +73,7 @@ def verdict(
             *by_row,
             checks.groups(found, apart(parts, C), fit),
             checks.set_ups(moved),
-            checks.one_machine(two_machines(parts), fit),
+            checks.one_machine(mixed_machines(parts), fit),
             checks.outliers(fit, own),
             checks.frozen(own),
             checks.in_line(own),

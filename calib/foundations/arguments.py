@@ -25,6 +25,7 @@ _R = TypeVar("_R")
 # By the letter of a numpy type: what of other types may stand for it.
 _STANDS_FOR = {"f": "fiub", "i": "iu", "b": "b"}
 _PLAIN = MappingProxyType({str: "a text", bytes: "bytes", float: "a number", int: "a whole number", bool: "a bool"})
+_Test = Callable[[Any], bool]
 _SEQUENCES = (abc.Sequence, abc.Collection, abc.Iterable, list)
 
 
@@ -44,67 +45,96 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def refuse_fields(made: Any) -> None:
     """Raise JobError when a field of a dataclass is not of the kind that its annotation says."""
     cls: Any = type(made)
-    hints = _hints(cls)
-    for field in fields(made):
-        _refuse_other(getattr(made, field.name), hints[field.name], f"{cls.__name__}: {field.name}")
+    for name, hint, fits in _fields(cls):
+        value = getattr(made, name)
+        if not fits(value):
+            raise _other(value, hint, f"{cls.__name__}: {name}")
 
 
 @functools.cache
-def _hints(of: Any) -> dict[str, Any]:
-    return get_type_hints(of)
+def _fields(of: Any) -> tuple[tuple[str, Any, _Test], ...]:
+    """Return the fields of a dataclass by name, with their hints and what tells whether a value fits."""
+    hints = get_type_hints(of)
+    return tuple((field.name, hints[field.name], _test(hints[field.name])) for field in fields(of))
 
 
 def _refuse_other(value: object, hint: Any, where: str) -> None:
     if not _fits(value, hint):
-        raise JobError(f"{where} is {_told(value)}; needs {_joined(_needed(hint))}.")
+        raise _other(value, hint, where)
+
+
+def _other(value: object, hint: Any, where: str) -> JobError:
+    return JobError(f"{where} is {_told(value)}; needs {_joined(_needed(hint))}.")
 
 
 # ---- does it fit?
 
 
 def _fits(value: Any, hint: Any) -> bool:
+    return _test(hint)(value)
+
+
+@functools.cache
+def _test(hint: Any) -> _Test:
+    """Return what tells whether a value is of the kind of a hint: read once, since objects of a kind are many."""
     if hint in (Any, object, inspect.Parameter.empty):
-        return True
+        return _anything
     if _is_array_like(hint):
-        return _is_numbers(value) or (value is None and NoneType in get_args(hint))
+        none_too = NoneType in get_args(hint)
+        return lambda value: _is_numbers(value) or (value is None and none_too)
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return any(_fits(value, one) for one in inner)
+        tests = tuple(map(_test, inner))
+        return lambda value: any(test(value) for test in tests)
     if origin is Literal:  # which words are allowed, the function says
-        return isinstance(value, tuple(map(type, inner)))
+        types = tuple(map(type, inner))
+        return lambda value: isinstance(value, types)
     if origin is not None:
-        return _fits_generic(value, origin, inner)
+        return _test_of_generic(origin, inner)
     if hint in (None, NoneType):
-        return value is None
+        return lambda value: value is None
     if hint is float:
-        return not isinstance(value, bool) and isinstance(value, Real) and _is_float(value)
+        return lambda value: not isinstance(value, bool) and isinstance(value, Real) and _is_float(value)
     if hint is int:
-        return isinstance(value, Integral)
+        return lambda value: isinstance(value, Integral)
     if hint is bool:
-        return isinstance(value, bool | np.bool_)
-    return isinstance(value, hint) if isinstance(hint, type) else True
+        return lambda value: isinstance(value, bool | np.bool_)
+    return (lambda value: isinstance(value, hint)) if isinstance(hint, type) else _anything
 
 
-def _fits_generic(value: Any, origin: Any, inner: tuple[Any, ...]) -> bool:
+def _anything(_value: Any) -> bool:
+    return True
+
+
+def _test_of_generic(origin: Any, inner: tuple[Any, ...]) -> _Test:
     if origin is np.ndarray:
         allowed = _STANDS_FOR[np.dtype(get_args(inner[1])[0]).kind]
-        return isinstance(value, np.ndarray) and not _is_masked(value) and value.dtype.kind in allowed
+        return lambda value: isinstance(value, np.ndarray) and not _is_masked(value) and value.dtype.kind in allowed
+    if origin is abc.Callable:
+        return callable
     if origin is abc.Mapping:
-        keys, values = inner
-        return isinstance(value, abc.Mapping) and all(_fits(k, keys) and _fits(v, values) for k, v in value.items())
+        key, item = map(_test, inner)
+        return lambda value: isinstance(value, abc.Mapping) and all(key(k) and item(v) for k, v in value.items())
     if origin is tuple:
         # A list is as good.
-        alike = len(inner) == 2 and inner[1] is Ellipsis
-        own = _elements(value)
-        if own is None or not (alike or len(own) == len(inner)):
-            return False
-        return all(_fits(one, kind) for one, kind in zip(own, inner[:1] * len(own) if alike else inner, strict=True))
+        alike, tests = len(inner) == 2 and inner[1] is Ellipsis, tuple(map(_test, inner))
+
+        def of_tuple(value: Any) -> bool:
+            own = _elements(value)
+            if own is None or not (alike or len(own) == len(tests)):
+                return False
+            return all(test(one) for one, test in zip(own, tests[:1] * len(own) if alike else tests, strict=True))
+
+        return of_tuple
     if origin in _SEQUENCES:
-        own = _elements(value)
-        return own is not None and all(_fits(one, inner[0]) for one in own)
-    if origin is abc.Callable:
-        return callable(value)
-    return isinstance(value, origin)
+        of_one = _test(inner[0])
+
+        def of_sequence(value: Any) -> bool:
+            own = _elements(value)
+            return own is not None and all(map(of_one, own))
+
+        return of_sequence
+    return lambda value: isinstance(value, origin)
 
 
 def _elements(value: Any) -> list[Any] | None:

@@ -32,8 +32,8 @@ from calib.measurement.streams.stream import SHIFTS
 from calib.robot.conditions import Conditions
 from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 
-# Measured numbers in a block: few enough that its temporaries stay in the processor's cache.
-BLOCK = 384
+# Measured numbers in a block: so many that a call costs little beside them, few enough that memory does not grow.
+BLOCK = 3072
 
 
 class Component(NamedTuple):
@@ -279,7 +279,9 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
                     base[own] = rigid.inverse(links[link].tips(readings[own], told.subset(own)))
-            placed = base @ tips @ _shifted(at.frames.tools[data.tool[rows]], data.points, rows)
+            # In the order of operations in which the Jacobian's rows are made: both give the same bits.
+            placed = base @ (tips @ at.frames.tools[data.tool[rows]])
+            placed = _shifted(placed, data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
         found.append(residual)
     return tuple(found)
@@ -366,9 +368,9 @@ def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> I
 class _Carried(NamedTuple):
     """How frames on one link follow the parameters: the tools there, and the link itself.
 
-    ``joints`` (b + 1, 6 nj, p): local twists of the joints' placements, those of the base in every set-up with them,
-    and last without a base, for what is told in another link. ``tools`` and ``link`` (6, p): what lies behind the last
-    joint, and of tools their own poses.
+    ``joints`` (b + 1, 6 w, p): local twists of the placements of joints on the way, those of the base in every set-up
+    with them, and last without a base, for what is told in another link. ``tools`` and ``link`` (6, p): what lies
+    behind the last joint, and of tools their own poses.
     """
 
     joints: Array
@@ -450,24 +452,26 @@ class Rates:
                 group = np.array(group)
                 group[own] = none
             tool = self._tool(data.tool[rows])
-            placed = base @ motion.placement @ frames.tools[tool]
+            at_tool = motion.placement @ frames.tools[tool]
+            placed = base @ at_tool
             other_ends = None if others is None else others.placement
             observed = _observe(data, rows, frames, _shifted(placed, data.points, rows), base, other_ends)
             # A point that is fixed to the tool moves with it.
             observed = observed._replace(twist=_as_tool(observed.twist, data.points, rows))
-            J = self._through_robot(data.tip, observed.twist, motion, tool, group)
+            J = self._through_robot(data.tip, observed.twist, motion, at_tool, tool, group)
             clock = self._clock(data, rows)
             if clock is not None:
                 J += self._through_time(data.tip, observed.twist, motion, tool, readings, told, clock)
             moved = [(observed.twist, placed)]
             if data.other is not None and others is not None and observed.other is not None:
                 tool, by_other = self._tool(data.other.tool[rows]), _as_tool(observed.other, data.other.points, rows)
-                moved.append((by_other, base @ others.placement @ frames.tools[tool]))
-                J += self._through_robot(data.tip, by_other, others, tool, group)
+                at_tool = others.placement @ frames.tools[tool]
+                moved.append((by_other, base @ at_tool))
+                J += self._through_robot(data.tip, by_other, others, at_tool, tool, group)
             for link, own, seat in seats:
                 # The observer moved by xi: what is seen from it moves by -Ad(T^-1) xi.
                 by_seat = -observed.twist[own] @ rigid.adjoint(rigid.inverse(placed[own]))
-                J[own] += self._through_robot(link, by_seat, seat, None, group[own])
+                J[own] += self._through_robot(link, by_seat, seat, seat.placement, None, group[own])
                 if clock is not None:
                     then = readings[own], told.subset(own), clock.subset(own)
                     J[own] += self._through_time(link, by_seat, seat, None, *then)
@@ -487,18 +491,28 @@ class Rates:
             yield Block(rows, observed, J, by_own, whose, tuple(moved), grounds)
 
     def _through_robot(
-        self, link: str, twist: Array, motion: TipMotion, tool: IntArray | int | None, group: IntArray
+        self,
+        link: str,
+        twist: Array,
+        motion: TipMotion,
+        frame: Array,
+        tool: IntArray | int | None,
+        group: IntArray,
     ) -> Array:
-        """Return derivatives (n, d, p) from those by the local twist of a tool on a link, or of the link itself."""
+        """Return derivatives (n, d, p) from those by the local twist of a tool on a link, or of the link itself.
+
+        ``frame`` (n, 4, 4): where that is in the base link.
+        """
         by = self._on(link)
-        # Residual per local twist of the link, then per local twist of every joint placement.
-        by_link = twist if tool is None else _times(twist, self._to_tool[tool])
-        J = _group_by_group(by_link @ motion.regressor, by.joints, group)
+        # Residual per local twist of every joint placement.
+        J = _group_by_group(motion.tip.through(twist, frame), by.joints, group)
         J += _times(twist, by.link if tool is None else by.tools[tool])
-        if self._robot.loops:
-            J += (by_link @ motion.by_passive) @ (motion.rates @ self._of_robot)
-        if self._robot.terms:
-            J += _times(by_link @ motion.by_terms, self._of_terms)
+        if self._robot.loops or self._robot.terms:
+            by_link = twist if tool is None else _times(twist, self._to_tool[tool])
+            if self._robot.loops:
+                J += (by_link @ motion.by_passive) @ (motion.rates @ self._of_robot)
+            if self._robot.terms:
+                J += _times(by_link @ motion.by_terms, self._of_terms)
         return J
 
     def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
@@ -535,6 +549,7 @@ class Rates:
             joints = np.repeat((tip.joints @ self._of_robot)[None], len(self._frames.bases) + 1, axis=0)
             if tip.first >= 0:
                 joints[:-1, 6 * tip.first : 6 * tip.first + 6] += tip.base_column @ self._of_bases
+            joints = joints[:, [6 * j + k for j in tip.way for k in range(6)]]
             behind = tip.tail @ self._of_robot
             self._carried[link] = _Carried(joints, self._to_tool @ behind + self._of_tools, behind)
         return self._carried[link]
@@ -567,14 +582,15 @@ def _targets_followed(
     return TargetsFollowed(numbers, at.target_twists[numbers] @ S), at.target_twists[carrier] @ by_own
 
 
-def _group_by_group(rows: Array, matrices: Array, group: IntArray) -> Array:
-    """Return rows (n, d, a) times that of the matrices (k, a, b) that is of their group (n,)."""
-    if (group == group[0]).all():
-        return _times(rows, matrices[group[0]])
-    used = np.unique(group)
-    found = np.empty((*rows.shape[:2], matrices.shape[2]))
-    for k in used:
-        found[group == k] = _times(rows[group == k], matrices[k])
+def _group_by_group(numbers: Array, matrices: Array, group: IntArray) -> Array:
+    """Return numbers (d, a, n) times that of the matrices (k, a, b) that is of their group (n,): (n, d, b)."""
+    d, _, n = numbers.shape
+    found = np.empty((n, d, matrices.shape[2]))
+    one = (group == group[0]).all()
+    for k in group[:1] if one else np.unique(group):
+        rows = slice(None) if one else np.flatnonzero(group == k)
+        for i in range(d):
+            found[rows, i] = numbers[i][:, rows].T @ matrices[k]
     return found
 
 

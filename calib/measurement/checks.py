@@ -35,6 +35,11 @@ _IN_MOTION = 0.2
 _LISTED = 10
 # Of a table whose rows are there once more by chance, or by a repeated click, few are.
 _COPIED = 0.5
+# Steps of readings, in degrees and in rad or m. What is on a coarser grid was commanded so.
+_STEPS = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+_COARSEST, _FINEST, _GRID = 0.1, 3e-4, (2.0, 5.0)
+# That so many readings are as near to multiples of a step is no chance.
+_NEAR, _FEWEST_VALUES = 0.02, 8
 _DIGITS = 9
 
 _UNITS = {"angle": "rad", "length": "m"}
@@ -59,7 +64,7 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
         return ()
     told = [k for k, name in enumerate(measurements.reading_names) if name not in measurements.absent]
     return (
-        *_of_readings(_only(measurements, told), [readings[k] for k in told]),
+        *_of_readings(_only(measurements, told), [readings[k] for k in told], reach),
         *_unused(measurements),
         *_commanded(measurements),
         *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
@@ -70,10 +75,11 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
 # ---- readings
 
 
-def _of_readings(m: Measurements, readings: Sequence[Reading]) -> Iterable[Finding]:
+def _of_readings(m: Measurements, readings: Sequence[Reading], reach: float) -> Iterable[Finding]:
     yield from _beyond_limits(m, readings)
     yield from _radians_as_degrees(m, readings)
     yield from _at_rest(m)
+    yield from _rounded(m, readings, reach)
 
 
 def _only(m: Measurements, told: Sequence[int]) -> Measurements:
@@ -166,6 +172,45 @@ def _at_rest(m: Measurements) -> Iterable[Finding]:
     if len(m) > 1 and still.size:
         names = ", ".join(repr(m.reading_names[j]) for j in still)
         yield Finding("warning", "joint-at-rest", f"{m.where}: joints that never move: {names}.")
+
+
+def resolutions(values: Array, readings: Sequence[Reading]) -> Array:
+    """Return to which step (k,), in rad or m, readings (n, k) seem to be rounded: 0 where to none, or to a fine one.
+
+    Rounding is wrong by up to half a step, and by a step over the root of 12 (rms).
+    """
+    return np.array([_step(column, reading) for column, reading in zip(values.T, readings, strict=True)])
+
+
+def _step(values: Array, reading: Reading) -> float:
+    if len(np.unique(np.round(values, _DIGITS))) < _FEWEST_VALUES:
+        return 0.0
+
+    def all_of(step: float) -> bool:
+        return bool(np.all(np.abs(values / step - np.round(values / step)) < _NEAR))
+
+    units = (DEG, 1.0) if reading.dimension == "angle" else (1.0,)
+    steps = [step * unit for unit in units for step in _STEPS if _FINEST < step * unit <= _COARSEST]
+    found = max((step for step in steps if all_of(step)), default=0.0)
+    on_grid = found in (DEG, _COARSEST) and any(all_of(times * found) for times in _GRID)
+    return 0.0 if on_grid else found
+
+
+def _rounded(m: Measurements, readings: Sequence[Reading], reach: float) -> Iterable[Finding]:
+    steps = resolutions(np.concatenate([end.readings for end in m.ends]), readings)
+    arms = np.array([reach if reading.dimension == "angle" else 1.0 for reading in readings])
+    if not len(steps) or not steps.any():
+        return
+    j = int(np.argmax(steps * arms))
+    factor, unit = (1.0 / DEG, "deg") if readings[j].dimension == "angle" else (1.0 / MM, "mm")
+    many = int(np.count_nonzero(steps))
+    yield Finding(
+        "warning",
+        "rounded-readings",
+        f"{m.where}: readings of {readings[j].name!r}{f' and {many - 1} others' if many > 1 else ''} come in steps of "
+        f"{steps[j] * factor:.4g} {unit}; if they are rounded, the tip is off by up to "
+        f"{0.5 * steps[j] * arms[j] / MM:.2g} mm: write more digits.",
+    )
 
 
 def _limits(reading: Reading) -> tuple[float, float]:

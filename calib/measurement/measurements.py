@@ -8,8 +8,8 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
-from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
+from calib.foundations.words import listed
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -68,8 +68,6 @@ class Measurements:
     stream has, by its own clock; ``readings`` are then those by the clock as it is known so far.
     """
 
-    __repr__ = brief
-
     kind: Kind
     reading_names: tuple[str, ...]
     readings: Array
@@ -103,6 +101,13 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    def __repr__(self) -> str:
+        known = "stated" if np.isfinite(self.sigma).all() else "not stated"
+        beside = {"tools": self.tools, "set-ups": self.setups, "targets": self.targets}
+        said = [f"{what} {listed(names, most=4)}" for what, names in beside.items() if names]
+        rows = f"{len(self)} rows of {self.kind} at {len(self.reading_names)} joints"
+        return f"<Measurements {self.where}: {rows}; {'; '.join(said)}; sigma {known}>"
 
     def shifts(self, scalars: Array) -> dict[str, float]:
         """Return what the scalars (s,) make of the clock of a stream."""

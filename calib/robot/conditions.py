@@ -39,6 +39,8 @@ class Conditions:
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
         every = (self.approach, self.temperature, self.torque, self.payload, self.gravity, self.motion)
+        if all(told is None for told in every):
+            return self
         return Conditions(*(None if told is None else told[rows] for told in every))
 
 

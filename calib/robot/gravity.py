@@ -22,7 +22,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
-from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor
+from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor, Weighed
 from calib.robot.loops import Closure, passive_joints
 from calib.robot.skeleton import Skeleton, end_frame, skeleton
 
@@ -128,9 +128,8 @@ class Holding:
         self._closure = Closure(s, m.loops) if m.loops else None
         carried = sorted({joint for _, joint, _ in weights.units})
         self._frames = {joint: k for k, joint in enumerate(carried)}
-        self._kinematics = Kinematics(
-            s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried], _masses(s, weights)
-        )
+        self._kinematics = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried])
+        self._masses = Weighed(s.tree, _masses(s, weights))
         moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
         self._hands = np.array(moved, dtype=np.intp)
         self._at_hands = Kinematics(s.tree, [end_frame(s, int(m.carrying[weights.hands[k]])) for k in moved])
@@ -153,10 +152,10 @@ class Holding:
     def _of_bodies(self, q: Array, gravity: Array, told: Conditions) -> Array:
         """Return what the joints of the tree hold (N, nj)."""
         if told.motion is None or self._closure is not None:
-            return self._kinematics.holding(q, gravity)
+            return self._masses.holding(q, gravity)
         own = self._weights.mechanism.coupling[:, : told.motion.shape[2]]
         rates, accelerations = np.moveaxis(told.motion @ own.T, 1, 0)
-        return self._kinematics.driving(q, rates, accelerations, gravity)
+        return self._masses.driving(q, rates, accelerations, gravity)
 
     def of_units(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
         """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr)."""

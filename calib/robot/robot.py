@@ -17,6 +17,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -28,7 +29,7 @@ from calib.robot.gravity import (
     checked_gravity,
     checked_payload,
 )
-from calib.robot.kinematics import Kinematics, MovingType
+from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
 from calib.robot.terms import JointTerm
@@ -125,7 +126,8 @@ class Deviations:
 class TipMotion(NamedTuple):
     """Tip placements (N, 4, 4) over N rows, and their exact derivative with respect to every deviation.
 
-    The local twist (N, 6) of the tip for a change ``e`` of the deviations (placements row by row, then offsets) is
+    ``tip``: where it is, and how it follows the placements of the moving joints. The local twist (N, 6) of the tip for
+    a change ``e`` of the deviations (placements row by row, then offsets) is
     ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
     ``joints`` (6 nj, n) and ``tail`` (6, n) do not; nj counts the ways in which links give way as well. ``by_passive``
     (N, 6, k) and ``rates`` (N, k, n): what passive joints of closed loops do to the tip, and deviations to them; k is 0
@@ -133,13 +135,22 @@ class TipMotion(NamedTuple):
     top.
     """
 
-    placement: Array
-    regressor: Array
+    tip: Regressor
     joints: Array
     tail: Array
     by_passive: Array
     rates: Array
     by_terms: Array
+
+    @property
+    def placement(self) -> Array:
+        """Tip placements (N, 4, 4) in the base link."""
+        return self.tip.placement
+
+    @property
+    def regressor(self) -> Array:
+        """The local twists (N, 6, 6 nj) of the tip for those of the joints' placements."""
+        return self.tip.matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,8 +166,6 @@ class Robot:
     ``gravity`` (m/s^2) in the base link, and ``payload``, are those of set-ups of which ``loads`` say nothing.
     ``setup``: the one in which it stands; :attr:`load` is what bears on it there.
     """
-
-    __repr__ = brief
 
     urdf: Urdf
     base: str
@@ -177,6 +186,13 @@ class Robot:
     links: tuple[str, ...] = ()
     loads: Mapping[str, Load] = field(default_factory=dict)
     setup: str = ""
+
+    def __repr__(self) -> str:
+        beside = [f"{len(self.terms)} joint terms"] if self.terms else []
+        beside += [f"{len(self.loops)} closed loops"] if self.loops else []
+        joints = listed([reading.name for reading in self.readings])
+        said = "; ".join([f"{len(self.readings)} joints {joints}", *beside])
+        return f"<Robot {self.urdf.where} from {self.base!r} to {self.tip!r}: {said}>"
 
     @checked
     def with_loads(self, loads: Mapping[str, Load]) -> "Robot":
@@ -358,8 +374,9 @@ class TipModel:
 
     ``joints`` (6 nj, n) and ``tail`` (6, n): as in :class:`TipMotion`. ``base_column`` (6, 6): carries a local twist of
     the base link to the placement of moving joint ``first``, the first one on the way to the tip; nothing that loops
-    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base. ``nominal``: that of the
-    robot, or of the same one with another tip, where it is made once for many deviations.
+    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base. ``way``: the moving
+    joints that carry the tip. ``nominal``: that of the robot, or of the same one with another tip, where it is made
+    once for many deviations.
     """
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
@@ -371,6 +388,7 @@ class TipModel:
         self._mechanism, self._types, self._offsets = m, m.types, m.offset_coupling @ d.offsets
         self._passive = passive_joints(m.loops)
         self._kinematics = Kinematics(s.tree, [end_frame(s, end)])
+        self.way = self._kinematics.ways[0]
         self._closure = Closure(s, m.loops) if m.loops else None
         self._terms = None
         if robot.terms:
@@ -401,7 +419,7 @@ class TipModel:
         bases = None if self._terms is None else self._terms.bases(readings, conditions)
         q = self._positions(readings, conditions, bases)
         (tip,) = self._kinematics.regressors(q)
-        by_passive = tip.by_joint(self._types, self._passive)
+        by_passive = tip.by_joint(self._types, self._passive) if self._passive else np.zeros((len(q), 6, 0))
         if self._closure is None:
             rates = np.zeros((len(q), 0, self.joints.shape[1]))
         else:
@@ -410,7 +428,7 @@ class TipModel:
         if self._terms is not None and bases is not None:
             every = tip.by_joint(self._types, range(len(self._types)))
             by_terms = self._terms.by_terms(self._by_coordinate(q, every), bases)
-        return TipMotion(tip.placement, tip.matrix, self.joints, self.tail, by_passive, rates, by_terms)
+        return TipMotion(tip, self.joints, self.tail, by_passive, rates, by_terms)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
@@ -424,10 +442,10 @@ class TipModel:
 
     def following(self, motion: TipMotion, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the local twists (N, 6, nr) of :meth:`driven` from a motion at these readings (N, nr)."""
-        every = [6 * j + (5 if kind == "revolute" else 2) for j, kind in enumerate(self._types)]
+        by_joint = motion.tip.by_joint(self._types, range(len(self._types)))
         # Only loops ask where the joints are.
         q = readings if self._closure is None else self._positions(readings, conditions)
-        return self._by_reading(q, motion.regressor[:, :, every], readings)
+        return self._by_reading(q, by_joint, readings)
 
     def _by_reading(self, q: Array, by_joint: Array, readings: Array) -> Array:
         by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]

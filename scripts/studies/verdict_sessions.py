@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -24,6 +25,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.assessment.effects import delay, stretches
+from calib.assessment.influence import Residue
+from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.machine.uncertainty import squared_bound
 from calib.robot.sources import resolve
 from calib.robot.urdf import parse_urdf
 from scripts.development import judge_cases
@@ -37,13 +42,24 @@ ROBOTS = {
     "panda": ("example:panda_description/urdf/panda.urdf", "panda_hand_tcp"),
     "xarm7": ("example:xarm_description/urdf/xarm7.urdf", "link7"),
     "z1": ("example:z1_description/urdf/z1.urdf", "link06"),
+    "baxter": ("example:baxter_description/urdf/baxter.urdf", "left_gripper"),
 }
 ORDERS = (1, 2, 5, 11)
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """New poses, by their readings (n, k), and where a tool truly is there (n, 4, 4), without noise."""
+
+    readings: Array
+    T: Array
+    setup: str | None = None
 
 
 @dataclass(frozen=True)
 class Session:
-    """What a user brings: tables to identify from and to judge by, and what is to be found."""
+    """What a user brings: tables to identify from and to judge by, and what is to be found; ``unseen``: the truth."""
 
     label: Mapping[str, Any]
     model: calib.ErrorModel
@@ -51,16 +67,25 @@ class Session:
     held_out: tuple[calib.Measurements, ...]
     losses: tuple[str, ...] | None = None
     levels: tuple[tuple[str, ...], ...] = ()
+    unseen: Unseen | None = None
 
 
 @dataclass(frozen=True)
 class Judged:
-    """``word``: trusted, doubted or refused. ``failed``: names of the checks that did not pass."""
+    """``word``: trusted, doubted or refused. ``failed``: names of the checks that did not pass.
+
+    ``inside``: the share of unseen tool points inside their stated 95 % regions, ``errors`` and ``stated``: rms of the
+    true errors there and of those that are stated, in m; nan where no truth is known. ``late``: t and size of a delay.
+    """
 
     word: str
     failed: tuple[str, ...]
     said: str
     checks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    inside: float = NAN
+    errors: float = NAN
+    stated: float = NAN
+    late: tuple[float, float] = (NAN, NAN)
 
 
 def judge(session: Session) -> Judged:
@@ -79,7 +104,26 @@ def judge(session: Session) -> Judged:
         return Judged("refused", (type(e).__name__,), str(e))
     failed = tuple(check.name for check in found.checks if not check.passed)
     numbers = {check.name: (check.statistic, check.threshold) for check in found.checks}
-    return Judged("trusted" if found.trusted else "doubted", failed, " ".join(found.doubts), numbers)
+    right = {} if session.unseen is None else _right(found.machine, session.unseen)
+    if fit.measurements[0].times is not None:
+        residue = Residue.of(fit, {})
+        seen, _ = delay(stretches(residue), residue.C)
+        right["late"] = (abs(seen.t), seen.size)
+    return Judged("trusted" if found.trusted else "doubted", failed, " ".join(found.doubts), numbers, **right)
+
+
+def _right(machine: calib.CalibratedMachine, unseen: Unseen) -> dict[str, Any]:
+    """What is stated of tool points at new poses, beside the truth."""
+    machine = machine.at(unseen.setup)
+    said = tool_uncertainty(machine, unseen.readings)
+    errors = machine.predict(unseen.readings)[:, :3, 3] - unseen.T[:, :3, 3]
+    C = said.covariance[:, :3, :3]
+    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(C, errors[:, :, None])[..., 0])
+    return {
+        "inside": float(np.mean(squares <= squared_bound(0.95, 3, said.degrees_of_freedom))),
+        "errors": float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
+        "stated": float(np.sqrt(np.mean(np.trace(C, axis1=1, axis2=2)))),
+    }
 
 
 # ---- machines
@@ -170,11 +214,16 @@ def path(w: World, n: int, speed: float, longest: int | None = None) -> Array:
     return np.asarray(0.5 * (low + high) + size * total)
 
 
+def reading_rows(w: World, q: Array, T: Array) -> dict[str, Any]:
+    """Columns of readings and positions."""
+    return reading_columns(w.arm, q) | {f"{axis} [m]": T[:, k, 3] for k, axis in enumerate("xyz")}
+
+
 def table(
     w: World, q: Array, T: Array, kind: str, sigma: float, robot: calib.Robot | None = None, **more: Any
 ) -> calib.Measurements:
     """Measurements of readings and poses; ``sigma`` 0 is not stated."""
-    columns: dict[str, Any] = reading_columns(w.arm, q) | {f"{axis} [m]": T[:, k, 3] for k, axis in enumerate("xyz")}
+    columns = reading_rows(w, q, T)
     if kind == "pose":
         x, y, z, s = Rotation.from_matrix(T[:, :3, :3]).as_quat().T
         columns |= {"qw": s, "qx": x, "qy": y, "qz": z}
@@ -352,18 +401,23 @@ LATER: dict[str, Make] = {}
 LAST: dict[str, Make] = {}
 
 
-def bad(what: str, which: str, seed: int) -> Session:
-    """A session with something wrong; the sigma of the instrument is stated in every other seed."""
-    make = (BAD | LATER | LAST)[what]
+def bad(what: str, which: str, seed: int, more: Mapping[str, Make] = MappingProxyType({})) -> Session:
+    """A session with something wrong, one of ours or of ``more``; every other seed states the instrument's sigma."""
+    make = {**BAD, **LATER, **LAST, **more}[what]
     made = make(which, seed, 0.05e-3 if seed % 2 else 0.0)
     return replace(made, label={**made.label, "what": what})
 
 
-def _both(change: Callable[[Tables, Array, Array], tuple[Array, Array]], how: str = "random") -> Make:
+def both(change: Callable[[Tables, Array, Array], tuple[Array, Array]], how: str = "random") -> Make:
+    """The same change of all rows; to the truth at new poses it happens as well, without noise."""
+
     def make(which: str, seed: int, sigma: float) -> Session:
         t = sound_tables(which, seed, how)
         (q, T), (v, U) = change(t, t.q, np.array(t.T)), change(t, t.v, np.array(t.U))
-        return replace(t, q=q, T=T, v=v, U=U).session("", sigma)
+        made = replace(t, q=q, T=T, v=v, U=U).session("", sigma)
+        exact = replace(t, w=replace(t.w, sigma=0.0, sigma_angle=0.0))
+        new = readings(t.w, 200) if how == "random" else path(t.w, 200, 25e-3, 800)
+        return replace(made, unseen=Unseen(*change(exact, new, exact.w.measure(new))))
 
     return make
 
@@ -461,24 +515,24 @@ def _zero_jumps(t: Tables) -> Tables:
 
 
 BAD |= {
-    "random numbers as positions": _both(_random),
-    "positions in reverse order of rows": _both(lambda t, q, T: (q, T[::-1])),
-    "rows shifted by one": _both(lambda t, q, T: (q[1:], T[:-1])),
-    "rows of a path shifted by one": _both(_late(1), "path"),
+    "random numbers as positions": both(_random),
+    "positions in reverse order of rows": both(lambda t, q, T: (q, T[::-1])),
+    "rows shifted by one": both(lambda t, q, T: (q[1:], T[:-1])),
+    "rows of a path shifted by one": both(_late(1), "path"),
     "all points on a line": _own(lambda t: t, "line"),
-    "a joint that was never read": _both(lambda t, q, T: (_column(q, 3, 0.0), T)),
-    "joints in reverse order": _both(lambda t, q, T: (q[:, ::-1], T)),
-    "two joints swapped": _both(lambda t, q, T: (q[:, [0, 2, 1, *range(3, q.shape[1])]], T)),
+    "a joint that was never read": both(lambda t, q, T: (_column(q, 3, 0.0), T)),
+    "joints in reverse order": both(lambda t, q, T: (q[:, ::-1], T)),
+    "two joints swapped": both(lambda t, q, T: (q[:, [0, 2, 1, *range(3, q.shape[1])]], T)),
     "URDF of another robot": _another,
-    "gear ratio 5 % off": _both(lambda t, q, T: (_column(q, 2, 1.05 * q[:, 2]), T)),
+    "gear ratio 5 % off": both(lambda t, q, T: (_column(q, 2, 1.05 * q[:, 2]), T)),
     "lengths 5 % too long": _scaled,
     "base moved 1 mm midway": _own(lambda t: replace(t, T=_moved(t.T, slice(30, None), [0.7e-3, -0.5e-3, 0.5e-3]))),
     "base moved 100 mm midway": _own(lambda t: replace(t, T=_moved(t.T, slice(30, None), [0.1, 0.0, 0.0]))),
     "base moved 1 mm on a path": _own(
         lambda t: replace(t, T=_moved(t.T, slice(400, None), [0.7e-3, -0.5e-3, 0.5e-3])), "path"
     ),
-    "ten samples late on a path": _both(_late(10), "path"),
-    "two samples early on a path": _both(lambda t, q, T: (q[:-2], T[2:]), "path"),
+    "ten samples late on a path": both(_late(10), "path"),
+    "two samples early on a path": both(lambda t, q, T: (q[:-2], T[2:]), "path"),
     "validation is the identification table": _own(lambda t: replace(t, v=t.q, U=t.T)),
     "validation is it, shuffled": _own(lambda t: replace(t, v=t.q[::-1], U=t.T[::-1])),
     "validation is it, shuffled and rounded": _own(
@@ -486,32 +540,32 @@ BAD |= {
     ),
     "one validation row": _own(lambda t: replace(t, v=t.v[:1], U=t.U[:1])),
     "no significant improvement": _no_errors,
-    "millimetres as metres": _both(lambda t, q, T: (q, T * np.array([1.0, 1.0, 1.0, 1e3]))),
-    "degrees as radians": _both(lambda t, q, T: (np.degrees(q), T)),
-    "sign of a joint": _both(lambda t, q, T: (_column(q, 2, -q[:, 2]), T)),
+    "millimetres as metres": both(lambda t, q, T: (q, T * np.array([1.0, 1.0, 1.0, 1e3]))),
+    "degrees as radians": both(lambda t, q, T: (np.degrees(q), T)),
+    "sign of a joint": both(lambda t, q, T: (_column(q, 2, -q[:, 2]), T)),
     "zero of a joint jumps by 1 deg": _own(_zero_jumps),
     "tool changed midway": _own(_tool),
-    "frozen tracker": _both(_frozen),
-    "y and z swapped": _both(lambda t, q, T: (q, T[:, [0, 2, 1, 3]])),
-    "left-handed frame": _both(lambda t, q, T: (q, T * np.array([1.0, 1.0, -1.0, 1.0])[:, None])),
+    "frozen tracker": both(_frozen),
+    "y and z swapped": both(lambda t, q, T: (q, T[:, [0, 2, 1, 3]])),
+    "left-handed frame": both(lambda t, q, T: (q, T * np.array([1.0, 1.0, -1.0, 1.0])[:, None])),
     "half of the rows another robot's": _half_another(interleaved=False),
     "half of the rows another robot's, mixed": _half_another(interleaved=True),
-    "drift of 30 mm": _both(
+    "drift of 30 mm": both(
         lambda t, q, T: (
             q,
             T + np.linspace(0.0, 0.03, len(q))[:, None, None] * np.array([[0, 0, 0, 1.0]] * 3 + [[0] * 4]),
         )
     ),
-    "random walk of centimetres": _both(
+    "random walk of centimetres": both(
         lambda t, q, T: (q, _moved(T, slice(None), np.cumsum(t.w.rng.normal(0, 2e-3, (len(q), 3)), axis=0)))
     ),
-    "30 % outliers, least squares": _both(_wild),
+    "30 % outliers, least squares": both(_wild),
     "validation by another machine": _own(lambda t: replace(t, U=_other_world(t, 5).measure(t.v))),
     "base moved 2 mm before the validation": _own(lambda t: replace(t, U=_moved(t.U, slice(None), [2e-3, 0.0, 0.0]))),
-    "a joint that never moved": _both(lambda t, q, T: (_column(q, 4, 0.5), t.w.measure(_column(q, 4, 0.5)))),
+    "a joint that never moved": both(lambda t, q, T: (_column(q, 4, 0.5), t.w.measure(_column(q, 4, 0.5)))),
     "ten positions": _own(lambda t: replace(t, q=t.q[:10], T=t.T[:10])),
-    "elbow counted from the floor": _both(lambda t, q, T: (_column(q, 2, q[:, 1] + q[:, 2]), T)),
-    "inches as millimetres": _both(lambda t, q, T: (q, T / np.array([1.0, 1.0, 1.0, 25.4]))),
+    "elbow counted from the floor": both(lambda t, q, T: (_column(q, 2, q[:, 1] + q[:, 2]), T)),
+    "inches as millimetres": both(lambda t, q, T: (q, T / np.array([1.0, 1.0, 1.0, 25.4]))),
 }
 
 
@@ -569,16 +623,16 @@ def _inverse(t: Tables, q: Array, T: Array) -> tuple[Array, Array]:
 
 
 LATER |= {
-    "a joint slips by 0.3 deg every 15 rows": _both(_slips),
-    "every third row another reflector, not said": _both(_two_reflectors),
-    "half of the volume 1 % too large": _both(_half_scaled),
-    "wrist readings three rows old, on a path": _both(_stale_wrist, "path"),
-    "coordinates rolled over at 512 mm": _both(_rolled_over),
-    "positions sorted, readings not": _both(_sorted),
-    "half of the rows with a payload that bends": _both(_bends),
-    "1 deg of backlash that nobody modelled": _both(_backlash),
-    "robot seen from the tool": _both(_inverse),
-    "one joint in degrees": _both(lambda t, q, T: (_column(q, 5, np.degrees(q[:, 5])), T)),
+    "a joint slips by 0.3 deg every 15 rows": both(_slips),
+    "every third row another reflector, not said": both(_two_reflectors),
+    "half of the volume 1 % too large": both(_half_scaled),
+    "wrist readings three rows old, on a path": both(_stale_wrist, "path"),
+    "coordinates rolled over at 512 mm": both(_rolled_over),
+    "positions sorted, readings not": both(_sorted),
+    "half of the rows with a payload that bends": both(_bends),
+    "1 deg of backlash that nobody modelled": both(_backlash),
+    "robot seen from the tool": both(_inverse),
+    "one joint in degrees": both(lambda t, q, T: (_column(q, 5, np.degrees(q[:, 5])), T)),
 }
 
 
@@ -629,14 +683,14 @@ def _new_zero(t: Tables) -> Tables:
 
 
 LAST |= {
-    "a tenth of the rows with a payload that bends": _both(_seldom),
-    "three payloads, not said": _both(_three_loads),
-    "x and y swapped in a tenth of the rows": _both(_sometimes_swapped),
-    "readings rounded to whole degrees": _both(lambda t, q, T: (np.radians(np.round(np.degrees(q))), T)),
-    "none to three samples late at random, on a path": _both(_jitter, "path"),
-    "a joint whose reading has lost its sign": _both(lambda t, q, T: (_column(q, 3, np.abs(q[:, 3])), T)),
-    "one axis of the instrument 1 % too long": _both(_stretched),
-    "a base that leans by 2 mrad after the arm": _both(_leaning),
-    "a joint that follows its neighbour by 2 %": _both(_bent),
+    "a tenth of the rows with a payload that bends": both(_seldom),
+    "three payloads, not said": both(_three_loads),
+    "x and y swapped in a tenth of the rows": both(_sometimes_swapped),
+    "readings rounded to whole degrees": both(lambda t, q, T: (np.radians(np.round(np.degrees(q))), T)),
+    "none to three samples late at random, on a path": both(_jitter, "path"),
+    "a joint whose reading has lost its sign": both(lambda t, q, T: (_column(q, 3, np.abs(q[:, 3])), T)),
+    "one axis of the instrument 1 % too long": both(_stretched),
+    "a base that leans by 2 mrad after the arm": both(_leaning),
+    "a joint that follows its neighbour by 2 %": both(_bent),
     "a zero off by 0.5 deg in the validation": _own(_new_zero),
 }

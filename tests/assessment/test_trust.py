@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment import checks
-from calib.assessment.effects import delay, gains, steps, stretches, wandering
+from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, stretches, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
@@ -76,7 +77,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 23
+    assert len({check.name for check in found.checks}) == len(found.checks) == 26
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
@@ -176,6 +177,35 @@ def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
     assert " ms " in checks.late(timed, step).sentence
 
 
+def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) -> None:
+    q, t = cell.path(520), 0.1 * np.arange(500)
+    true = cell.measured(q)
+    rows = slice(10, 510)
+
+    def told(read: Array) -> tuple[Timing, checks.Check]:
+        data = true.subset(range(10, 510))
+        found = timing(*cell.effects(replace(data, readings=read[rows], times=t)))
+        return found, checks.timing(found)
+
+    found, check = told(q)
+    assert check.passed
+    assert np.isnan(check.statistic)
+    read = np.array(q)
+    read[:-2, 2] = q[2:, 2]
+    found, check = told(read)
+    # This joint was read two rows before what was measured.
+    assert found.by_joint["elbow_joint"].value == pytest.approx(0.2, rel=0.1)
+    assert not check.passed
+    assert "readings of 'elbow_joint' seem to be" in check.sentence
+    # Means over eleven rows, about their middle: no delay, but a width.
+    means = np.stack([np.convolve(x, np.ones(11) / 11.0, mode="same") for x in q.T], axis=1)
+    found, check = told(means)
+    assert 2.0 * found.smoothed.value == pytest.approx(np.mean((0.1 * np.arange(-5, 6)) ** 2), rel=0.1)
+    assert not check.passed
+    assert "means over times" in check.sentence
+    assert np.isnan(timing(*cell.effects(true.subset(range(10, 510)))).step)
+
+
 def test_a_gain_comes_back(cell: Cell) -> None:
     q = cell.draw(80)
     read = q / np.array([1.0, 1.0, 1.03, 1.0, 1.0, 1.0])
@@ -203,6 +233,41 @@ def test_sound_rows_show_no_effect(cell: Cell) -> None:
         assert all(not abs(gain.t) > 6.0 for gain in gains(parts, C).values())
         assert all(step.size < checks.SIZE for step in steps(parts, C))
         assert wandering(parts, C)[0] < 1e-4
+
+
+def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
+    """However the instrument stands: along none of its own axes, and not at right angles."""
+    data = cell.measured(cell.draw(60))
+    turn = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
+    for strain in (np.diag([0.01, 0.0, 0.0]), turn @ np.diag([0.006, -0.004, 0.0]) @ turn.T):
+        parts, C = cell.effects(replace(data, position=data.position @ (np.eye(3) + strain)))
+        (found,) = strains(parts, C)
+        assert found.share == pytest.approx(0.01, rel=0.05)
+        assert found.size > 5.0
+        assert found.chance < 1e-20
+        assert not checks.axes([found]).passed
+    # All of them too long is nothing that these rows can tell from links that are.
+    (found,) = strains(*cell.effects(replace(data, position=1.003 * data.position)))
+    assert checks.axes([found]).passed
+
+
+def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
+    q = cell.draw(60)
+    whole = np.radians(np.round(np.degrees(q)))
+    parts, _ = cell.effects(cell.measured(q, whole))
+    (found,) = rounding(parts, cell.robot)
+    # As the tip of an independent arm is moved by readings that are off by as much.
+    moved = cell.machine.see(whole + np.radians(cell.rng.uniform(-0.5, 0.5, q.shape))) - cell.machine.see(whole)
+    assert found.distance == pytest.approx(np.sqrt(np.mean(np.sum(moved[:, :3, 3] ** 2, axis=1))), rel=0.2)
+    assert found.share == pytest.approx(1.0, abs=0.3)
+    fit = calib.identify(cell.model, cell.measured(q, whole))
+    assert not checks.resolution([found], fit).passed
+    # Where the arm went to whole degrees, nothing was rounded.
+    parts, _ = cell.effects(cell.measured(whole))
+    (found,) = rounding(parts, cell.robot)
+    assert found.share > 10.0
+    assert checks.resolution([found], fit).passed
+    assert rounding(cell.effects(cell.measured(q))[0], cell.robot) == ()
 
 
 def test_a_base_that_wanders_by_centimetres(cell: Cell) -> None:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from scripts.studies.verdict_moving import NEXT, moving
 from scripts.studies.verdict_sessions import BAD, LAST, LATER, bad, judge, poor, sound
 
 
@@ -31,7 +32,33 @@ def test_bad_sessions_are_not(what: str) -> None:
 
 def test_there_are_enough_of_them() -> None:
     assert len(BAD) >= 30
-    assert len(LATER) == len(LAST) == 10
+    assert len(LATER) == len(LAST) == len(NEXT) == 10
+
+
+@pytest.mark.parametrize(
+    ("what", "which", "check"),
+    [
+        ("three payloads, not said", "z1", "one machine"),
+        ("readings rounded to whole degrees", "z1", "resolution"),
+        ("one axis of the instrument 1 % too long", "z1", "axes"),
+        ("stream: readings are means of the last half second", "baxter", "timing"),
+    ],
+)
+def test_what_only_one_check_finds(what: str, which: str, check: str) -> None:
+    assert check in judge(bad(what, which, 0, NEXT)).failed
+
+
+def test_an_arm_that_leans_is_what_is_stated_of_it() -> None:
+    """It looks like a worse arm, and regions are as much larger."""
+    found = judge(bad("a base that leans by 2 mrad after the arm", "z1", 1))
+    assert found.word == "trusted"
+    assert found.inside > 0.9
+
+
+@pytest.mark.parametrize("seed", [0, 1, 9])
+def test_sound_sessions_in_motion_and_through_a_lens(seed: int) -> None:
+    found = judge(moving(seed))
+    assert (found.word, found.failed) == ("trusted", ())
 
 
 @pytest.mark.parametrize("seed", range(2))

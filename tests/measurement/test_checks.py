@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.arrays import Array
-from calib.measurement.checks import Finding, copied_tables, table_findings
+from calib.measurement.checks import Finding, copied_tables, resolutions, table_findings
 from calib.measurement.from_table import measurements_from_table
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import table_from_arrays
@@ -108,6 +108,31 @@ def test_radians_under_deg() -> None:
         f"t: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit the limits: "
         "the numbers seem to be radians, not [deg].",
     )
+
+
+@pytest.mark.parametrize("step", [1.0, 0.5, 0.25, 0.1])
+def test_readings_rounded_to_degrees(step: float) -> None:
+    degrees = np.array([1.0, 1.0, 1.0, 0.0])
+    rounded = np.round(sound_readings() / np.radians(step)) * np.radians(step)
+    ((severity, code, sentence),) = found(measurements(np.where(degrees, rounded, sound_readings())))
+    assert (severity, code) == ("warning", "rounded-readings")
+    off = 0.5e3 * REACH * np.radians(step)
+    assert sentence == (
+        f"t: readings of 'a' and 2 others come in steps of {step:.4g} deg; if they are rounded, the tip "
+        f"is off by up to {off:.2g} mm: write more digits."
+    )
+    # As a table in rad with five digits has them.
+    steps = resolutions(np.round(rounded[:, :1], 6), READINGS[:1])
+    assert steps == pytest.approx([np.radians(step)])
+
+
+def test_what_is_not_rounded() -> None:
+    commanded = np.radians(15.0 * np.random.default_rng(1).integers(-10, 10, (N, 1)))
+    even, fine = np.linspace(-1.0, 1.0, N)[:, None], np.round(sound_readings()[:, :1], 4)
+    few = np.radians(np.arange(6.0) % 3)[:, None]
+    for values in (commanded, even, fine, few, sound_readings()[:, :1]):
+        assert not resolutions(values, READINGS[:1]).any()
+    assert resolutions(np.round(sound_readings()[:, 3:], 3), READINGS[3:]) == pytest.approx([1e-3])
 
 
 @pytest.mark.parametrize(

@@ -300,14 +300,15 @@ def _without_turns_of_points(
 def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, layout: Layout) -> tuple[Parameter, ...]:
     """Return the parameters with points of tools held where they start, if poses do not show all their directions.
 
-    Wide priors would let errors of the model move such a tool far along curved valleys, to no one's use.
+    Wide priors would let errors of the model move such a tool far along curved valleys, to no one's use; they get them
+    back where the data clearly ask for another place.
     """
 
     def held(parameter: Parameter) -> bool:
         tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
         return parameter.kind == "tool" and component < 3 and bool(unshown[tool])
 
-    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH) if held(q) else q for q in parameters)
+    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=q.weak_prior) if held(q) else q for q in parameters)
 
 
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:

@@ -415,7 +415,8 @@ if (last >= 0) {
 }
 
 // Served by "calib view", the arm also takes any joint readings: the server closes loops and says what it finds.
-if (location.protocol.startsWith("http")) {
+// In a sandbox, which has no origin, nobody answers.
+if (location.protocol.startsWith("http") && self.origin !== "null") {
   const socket = new WebSocket("ws://" + location.host + "/live"), live = byId("live");
   let readings = [], busy = false, waiting = false;
   const ask = () => {

@@ -1,12 +1,12 @@
-"""Rows of two machines are told apart; those of one are not."""
+"""Rows of several machines are told apart; those of one are not."""
 
 import numpy as np
 import pytest
 
 import calib
-from calib.assessment.effects import Stretch, stretches
+from calib.assessment.effects import stretches
 from calib.assessment.influence import Residue
-from calib.assessment.two_machines import ONE_MACHINE, two_machines
+from calib.assessment.mixed_machines import ONE_MACHINE, MixedMachines, mixed_machines
 from tests.support import machines
 from tests.support.machines import Array, Machine, anywhere, pose
 
@@ -26,8 +26,9 @@ def fitted(rng: np.random.Generator, rows: int, droop: Array, kind: str = "posit
     return calib.identify(model, calib.read_measurements(columns, robot))
 
 
-def parts_of(fit: calib.Fit) -> tuple[Stretch, ...]:
-    return stretches(Residue.of(fit, {}))
+def told_apart(fit: calib.Fit) -> MixedMachines:
+    """That which is most: as the verdict takes it, by the number of machines."""
+    return max(mixed_machines(stretches(Residue.of(fit, {}))), key=lambda one: one.times / one.machines)
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5])
@@ -35,21 +36,39 @@ def test_a_payload_in_some_of_the_rows(share: float) -> None:
     rng = np.random.default_rng(3)
     loaded = rng.random(80) < share
     droop = 5e-3 * loaded[:, None] * np.array([0, 1.0, 0.5, 0, 0, 0])
-    found = two_machines(parts_of(fitted(rng, 80, droop)))
+    found = told_apart(fitted(rng, 80, droop))
     assert found.times > 10.0
     assert found.share == pytest.approx(loaded.mean(), abs=1e-9)
     # 5 mrad at the shoulder of an arm that reaches 1.3 m.
     assert 1e-3 < found.apart < 8e-3
 
 
+@pytest.mark.parametrize("many", [3, 4])
+def test_several_payloads(many: int) -> None:
+    rng = np.random.default_rng(4)
+    load = rng.integers(0, many, 80)
+    found = told_apart(fitted(rng, 80, 3e-3 * load[:, None] * np.array([0, 1.0, 0.5, 0, 0, 0])))
+    assert found.machines == many
+    assert found.times > 10.0
+    assert found.share == pytest.approx(1.0 - np.bincount(load).max() / 80.0, abs=1e-9)
+
+
+def test_one_gear_that_wobbles_is_not_several_machines() -> None:
+    """However much: of an effect that varies steadily each cut leaves as much less as it makes parts."""
+    rng = np.random.default_rng(7)
+    off = 5e-3 * np.sin(3.0 * rng.uniform(-2.0, 2.0, (80, 1))) * np.eye(6)[1]
+    found = told_apart(fitted(rng, 80, off))
+    assert found.times / found.machines < 1.3
+
+
 def test_rows_of_one_machine_are_left_alone() -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        found = two_machines(parts_of(fitted(rng, 60, np.zeros((60, 6)))))
+        found = told_apart(fitted(rng, 60, np.zeros((60, 6))))
         assert found.times < 1.3
         # Waves of gears are in all rows.
         off = 2e-3 * np.sin(rng.uniform(1.0, 6.0, 6) * rng.uniform(-2.0, 2.0, (60, 6)))
-        assert two_machines(parts_of(fitted(rng, 60, off))).times < 1.5
+        assert told_apart(fitted(rng, 60, off)).times < 1.5
 
 
 def test_the_order_of_the_rows_does_not_matter() -> None:
@@ -58,12 +77,12 @@ def test_the_order_of_the_rows_does_not_matter() -> None:
     fit = fitted(rng, 60, droop)
     (data,) = fit.measurements
     turned = calib.identify(fit.model, data.subset(np.random.default_rng(1).permutation(60)))
-    one, other = two_machines(parts_of(fit)), two_machines(parts_of(turned))
+    one, other = told_apart(fit), told_apart(turned)
     assert other == pytest.approx(one, rel=1e-4)
 
 
 def test_too_few_rows_say_nothing() -> None:
     rng = np.random.default_rng(6)
     droop = 5e-3 * (np.arange(24) % 2)[:, None] * np.eye(6)[2]
-    assert two_machines(parts_of(fitted(rng, 24, droop))) == ONE_MACHINE
-    assert two_machines(()) == ONE_MACHINE
+    assert told_apart(fitted(rng, 24, droop)) == ONE_MACHINE
+    assert mixed_machines(()) == (ONE_MACHINE,)

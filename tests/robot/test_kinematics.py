@@ -1,0 +1,68 @@
+"""Placements and regressors of blocks of rows against Pinocchio's own, row by row."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array
+from calib.robot.kinematics import Frame, Kinematics, Tree
+
+# Joints that turn and slide, on a trunk and two branches.
+TYPES, PARENTS = ("revolute", "prismatic", "revolute", "revolute", "prismatic", "revolute"), (-1, 0, 1, 1, 3, 4)
+
+
+def placed(rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
+    return rigid.placement(rigid.exp3(rng.normal(size=(*shape, 3))), rng.normal(size=(*shape, 3)))
+
+
+@pytest.fixture
+def tree() -> Tree:
+    return Tree(TYPES, PARENTS, placed(np.random.default_rng(3), (len(TYPES),)))
+
+
+@pytest.fixture
+def frames() -> list[Frame]:
+    rng = np.random.default_rng(4)
+    return [Frame(joint, placed(rng)) for joint in (5, 2, 1, -1)]
+
+
+def pinocchio(tree: Tree, frame: Frame) -> tuple[pin.Model, int]:
+    model = pin.Model()
+    for i, (kind, parent, T) in enumerate(zip(*tree, strict=True)):
+        joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
+        model.addJoint(parent + 1, joint, pin.SE3(T), f"joint_{i}")
+    own = pin.Frame("frame", frame.joint + 1, pin.SE3(frame.placement), pin.FrameType.OP_FRAME)
+    return model, model.addFrame(own)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 9])
+def test_regressors_are_those_of_pinocchio(tree: Tree, frames: list[Frame], rows: int) -> None:
+    q = np.random.default_rng(5).normal(size=(rows, len(TYPES)))
+    kinematics = Kinematics(tree, frames)
+    for frame, alone, found in zip(frames, kinematics.placements(q), kinematics.regressors(q), strict=True):
+        model, number = pinocchio(tree, frame)
+        data = model.createData()
+        np.testing.assert_array_equal(found.placement, alone)
+        for n, q_n in enumerate(q):
+            pin.forwardKinematics(model, data, q_n)
+            pin.updateFramePlacement(model, data, number)
+            expected = pin.computeFrameKinematicRegressor(model, data, number, pin.ReferenceFrame.LOCAL)
+            np.testing.assert_allclose(found.placement[n], data.oMf[number].homogeneous, atol=1e-13)
+            np.testing.assert_allclose(found.matrix[n], expected, atol=1e-12)
+            jacobian = pin.computeFrameJacobian(model, data, q_n, number, pin.ReferenceFrame.LOCAL)
+            np.testing.assert_allclose(found.by_joint(TYPES, range(len(TYPES)))[n], jacobian, atol=1e-12)
+
+
+def test_numbers_are_followed_through_another_frame_of_the_link(tree: Tree, frames: list[Frame]) -> None:
+    rng = np.random.default_rng(6)
+    regressor = Kinematics(tree, frames).regressors(rng.normal(size=(7, len(TYPES))))[0]
+    tool = placed(rng)
+    rows = rng.normal(size=(7, 5, 6))
+    rows[:, 1, :3], rows[:, 3, 3:], rows[:, 4] = 0.0, 0.0, 0.0  # a turn alone, a shift alone, nothing
+    expected = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.matrix
+    own = [6 * j + k for j in regressor.way for k in range(6)]
+    found = regressor.through(rows, regressor.placement @ tool).transpose(2, 0, 1)
+    np.testing.assert_allclose(found, expected[:, :, own], atol=1e-12)
+    others = [k for k in range(6 * len(TYPES)) if k not in own]
+    assert others and not regressor.matrix[:, :, others].any()
