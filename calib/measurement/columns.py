@@ -26,7 +26,7 @@ KNOWN = frozenset(
         *QUATERNION_COLUMNS,
         *TEXT_COLUMNS,
         *(name for names in (*SIGMAS, *SIGMA_ANGLES) for name in names),
-        *("time", "temperature", "length", "indicated", "diameter", "ball", *PIXELS, *BOARD, *POINT),
+        *("time", "temperature", "sigma_tau", "length", "indicated", "diameter", "ball", *PIXELS, *BOARD, *POINT),
     )
 )
 

@@ -259,6 +259,7 @@ def result(found: Calibration) -> dict[str, Any]:
             for level in found.levels
         ],
         "choice": None if found.choice is None else found.choice.records(),
+        "wind_up": None if found.choice is None or found.choice.weighed is None else found.choice.weighed.record(),
         "cameras": {
             one.camera: {
                 "on": one.parent,

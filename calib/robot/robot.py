@@ -33,7 +33,7 @@ from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
 from calib.robot.terms import JointTerm
-from calib.robot.transmission import Flexures, Transmission, flexures
+from calib.robot.transmission import Bases, Flexures, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 # In rad and m. Degrees taken for radians, and millimetres for metres, are still within.
@@ -453,7 +453,7 @@ class TipModel:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
         return by_reading
 
-    def _positions(self, readings: Array, conditions: Conditions, bases: Array | None = None) -> Array:
+    def _positions(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
         moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
         q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
