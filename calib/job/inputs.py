@@ -52,7 +52,7 @@ from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
 from calib.measurement.read import read_measurements, stream_of
-from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, SKEW, Clock, OneClock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -144,8 +144,8 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         own = section.model_copy(update={**_OF_HELD_OUT, "use": "identify"})
         data = next((read for other, read in tables if other == own), None)
         if data is None:
-            beside = _of_one_clock(section, tables)
-            data = _measurements(section, job, robot, folder, arms, prints, lenses, doubts, beside)
+            of = _of_one_clock(section, tables)
+            data = _measurements(section, job, robot, folder, arms, prints, lenses, doubts, of)
             tables.append((own, data))
         sets.append(_shared_out(data, section))
     sets, optics = _with_optics(job, sets, prints, progress)
@@ -600,9 +600,9 @@ def _measurements(
     prints: Mapping[str, Print],
     lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
-    beside: Measurements | None,
+    of: OneClock | None,
 ) -> Measurements:
-    clock = _clock(section, job)
+    clock = _clock(section, job, of)
     if section.instrument is not None and section.instrument in arms:
         if clock is not None:
             raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
@@ -624,9 +624,7 @@ def _measurements(
             data = read_measurements(folder / section.file, seen_from, section.observes, **how)
         else:
             joints = folder / section.readings
-            data = stream_of(
-                folder / section.file, joints, seen_from, section.observes, clock=clock, beside=beside, **how
-            )
+            data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
@@ -655,7 +653,7 @@ def _under_its_load(data: Measurements, section: MeasurementsSection, robot: Rob
     return (data if payload is None else data.carrying(robot, payload)).loaded(robot)
 
 
-def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+def _clock(section: MeasurementsSection, job: Job, of: OneClock | None) -> Clock | None:
     """Return what a job says of the clock of a stream, None of other tables."""
     if section.readings is None:
         for key in ("clock", "clock_of", "latency", "gap"):
@@ -667,18 +665,18 @@ def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
     own = Path(section.file).stem
     name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
     gap = GAP if section.gap is None else section.gap.si
-    return Clock(section.clock or "free", section.latency is not None, gap, name)
+    return Clock(section.clock or "free", section.latency is not None, gap, name, of)
 
 
 def _of_one_clock(
     section: MeasurementsSection, read: Sequence[tuple[MeasurementsSection, Measurements]]
-) -> Measurements | None:
-    """Return the stream by whose clock another one goes, None where it has its own."""
+) -> OneClock | None:
+    """Return the clock of the stream by which another one goes, None where it has its own."""
     if section.clock_of is None or section.readings is None:
         return None
     for other, data in read:
-        if other.file == section.clock_of and other.clock_of is None and data.stream is not None:
-            return data
+        if other.file == section.clock_of and other.clock_of is None and SKEW in data.uses:
+            return data.clock
     raise JobError(
         f"{section.file}: clock_of: {section.clock_of!r} is not a stream with a clock of its own above this one."
     )

@@ -76,7 +76,6 @@ def read_stream(
     sigma: Sigma = None,
     instrument: LaserTracker | Camera | None = None,
     columns: Mapping[str, str] | Columns | None = None,
-    beside: Measurements | None = None,
 ) -> Measurements:
     """Return what was measured of ``robot`` while it moved, and where the joints were then.
 
@@ -84,22 +83,13 @@ def read_stream(
 
     ``source`` has a column ``time`` by the instrument's clock, and no joints; ``readings`` has ``time`` by the
     controller's, and the joints. ``clock``: whether the instrument's is "free", so that offset and skew are found with
-    the machine, or "given", the same as the controller's; :class:`calib.measuring.Clock` says more. ``beside``: another
-    stream with free clocks, by which this one goes too. All else as of :func:`read_measurements`. Rows for which no
-    joint is known are left out.
+    the machine, or "given", the same as the controller's; :class:`calib.measuring.Clock` says more. All else as of
+    :func:`read_measurements`. Rows for which no joint is known are left out.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
     return stream_of(
-        source,
-        readings,
-        robot,
-        observes,
-        sigma=sigma,
-        instrument=instrument,
-        columns=columns,
-        clock=clock,
-        beside=beside,
+        source, readings, robot, observes, sigma=sigma, instrument=instrument, columns=columns, clock=clock
     )
 
 
@@ -115,7 +105,6 @@ def stream_of(
     offset: str | None = None,
     in_order: bool = False,
     columns: Mapping[str, str] | Columns | None = None,
-    beside: Measurements | None = None,
 ) -> Measurements:
     """Return what :func:`read_stream` does; ``offset`` and ``in_order`` as of :func:`read_measurements`."""
     table, joints = _table(source, AS_WRITTEN if columns is None else columns), Joints.of(robot)
@@ -131,7 +120,7 @@ def stream_of(
     known = clock if isinstance(clock, Clock) else Clock(clock)
     times_of(table)
     own = joint_stream(_table(readings, AS_WRITTEN), robot.readings, known.gap, joints)
-    return streamed(found, own, known, robot, ordered=in_order, beside=beside)
+    return streamed(found, own, known, robot, ordered=in_order)
 
 
 def _table(source: Source, columns: Mapping[str, str] | Columns) -> Table:

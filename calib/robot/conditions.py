@@ -23,9 +23,9 @@ class Conditions:
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     ``payload`` (N, links, 4): what each of the robot's ``links`` carries, its first moment in kg m in the link and its
     mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
+    ``motion`` (N, 2, nr): rates and accelerations of the readings, per s and s^2; None at rest.
     ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them. ``torque_sigma`` (N,): the
     standard deviation of the torques in Nm, None where they are taken as they are.
-    ``motion`` (N, 2, nr): rates and accelerations of the readings, per s and s^2; None at rest.
     """
 
     __repr__ = brief

@@ -201,7 +201,7 @@ class Kinematics:
 
 
 class Weighed:
-    """Masses of a tree, at rest and moving. Not to be shared by threads: it holds scratch memory."""
+    """Masses of a tree, at rest or in motion. Not to be shared by threads: it holds scratch memory."""
 
     def __init__(self, tree: Tree, masses: Sequence[Mass]) -> None:
         model = _model(tree)

@@ -195,8 +195,8 @@ def test_a_latency_is_found_of_the_second_stream_of_a_clock(
 ) -> None:
     made, own, late = two_of_one_clock
     first = calib.measuring.read_stream(own, made.robot, made.joints, sigma=1e-4)
-    clock = Clock(latency=True, name="clock.second")
-    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4, beside=first)
+    clock = Clock(latency=True, name="clock.second", of=first.clock)
+    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4)
     fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), [first, second])
     names = [parameter.name for parameter in fit.parameters][-3:]
     assert names == ["clock.offset", "clock.skew", "clock.second.latency"]
@@ -208,7 +208,7 @@ def test_a_latency_is_found_of_the_second_stream_of_a_clock(
     # The order of tables is nobody's business, and without a latency both come at one time.
     turned = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), [second, first])
     assert turned.value("clock.second.latency") == pytest.approx(fit.values[-1], abs=1e-7)
-    same = calib.measuring.read_stream(own, made.robot, made.joints, sigma=1e-4, beside=first)
+    same = calib.measuring.read_stream(own, made.robot, made.joints, clock=Clock(of=first.clock), sigma=1e-4)
     np.testing.assert_array_equal(same.readings, first.readings)
     assert same.scalars == first.scalars
 
@@ -218,8 +218,8 @@ def test_the_column_of_a_latency_is_minus_the_velocity(
 ) -> None:
     made, own, late = two_of_one_clock
     first = calib.measuring.read_stream(own, made.robot, made.joints, sigma=1e-4)
-    clock = Clock(latency=True, name="clock.b")
-    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4, beside=first)
+    clock = Clock(latency=True, name="clock.b", of=first.clock)
+    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4)
     model = calib.error_model(made.robot, offsets="all")
     problem = initial_problem(model, (first.subset([5, 50]), second.subset([7, 70, 300])))
     x = values_at(made.robot, problem.parameters, problem.reference)
@@ -236,8 +236,10 @@ def test_only_a_free_clock_is_shared(made: Streams) -> None:
     given = calib.measuring.read_stream(
         made.seen | {"time [s]": made.recorded.true_times}, made.robot, made.joints, clock="given"
     )
-    with pytest.raises(CalibError, match="a clock is shared with a stream whose own is free, and arrays is none"):
-        streams.read(made, beside=given)
+    with pytest.raises(CalibError, match="arrays: has no free clock of its own"):
+        assert given.clock
+    with pytest.raises(CalibError, match="clock: is given, and is that of arrays as well, which is free; keep one"):
+        Clock("given", of=streams.read(made).clock)
 
 
 def test_a_subset_keeps_the_clock_of_the_whole(made: Streams) -> None:

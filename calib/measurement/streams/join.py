@@ -12,7 +12,7 @@ from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 from calib.measurement.streams.lags import Lag, Moved, Seen, clock_lag, refined
 from calib.measurement.streams.samples import refuse_no_stream
-from calib.measurement.streams.stream import LATENCY, OFFSET, SKEW, Clock, Stream
+from calib.measurement.streams.stream import LATENCY, OFFSET, SKEW, Clock, OneClock, Stream
 from calib.robot.conditions import in_order, ordinary
 from calib.robot.robot import Robot
 
@@ -35,14 +35,12 @@ def streamed(
     robot: Robot,
     *,
     ordered: bool = False,
-    beside: Measurements | None = None,
 ) -> Measurements:
     """Return measurements with ``times`` whose readings are those of a joint stream, by a clock.
 
     The start of a free clock is where speeds and positions fit the nominal robot
     (:mod:`calib.measurement.streams.lags`). Rows for which no joint is known, between pieces of the stream or beyond
-    its ends, are left out. ``ordered``: the side from which joints were reached is that of their motion. ``beside``: a
-    stream whose free clocks are those of this one as well.
+    its ends, are left out. ``ordered``: the side from which joints were reached is that of their motion.
 
     Raises MeasurementError where the streams have nothing in common, JobError for a clock that the kind cannot show.
     """
@@ -51,8 +49,8 @@ def streamed(
     refuse_no_stream(data.times, data.where)
     if data.other is not None:
         raise JobError(f"{data.where}: a pair_distance has two ends, and a row of a stream is of one moment.")
-    if beside is not None:
-        return _in_order(_beside(data, joints, clock, robot, beside), ordered)
+    if clock.of is not None:
+        return _in_order(_of_one_clock(data, joints, clock, robot, clock.of), ordered)
     if clock.latency and clock.kind == "free":
         raise JobError(
             "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; write "
@@ -106,24 +104,20 @@ def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> B
     return known
 
 
-def _beside(data: Measurements, joints: JointStream, clock: Clock, robot: Robot, first: Measurements) -> Measurements:
+def _of_one_clock(data: Measurements, joints: JointStream, clock: Clock, robot: Robot, first: OneClock) -> Measurements:
     """Return a stream that goes by the clocks of another one, whose middle is where the offset of both is told."""
-    if first.stream is None or SKEW not in first.uses or LATENCY in first.uses or clock.kind != "free":
-        raise JobError(f"{data.where}: a clock is shared with a stream whose own is free, and {first.where} is none.")
     assert data.times is not None, "rows of a stream have times"
-    middle = first.stream.middle
+    middle = first.middle
     stream = Stream(joints, read_only(data.times - middle), middle)
-    shared = {role: first.scalars[first.uses[role]] for role in (OFFSET, SKEW)}
-    shifts = {role: scalar.start for role, scalar in shared.items()}
-    scalars = list(shared.values())
+    shifts = {OFFSET: first.offset.start, SKEW: first.skew.start}
+    scalars = [first.offset, first.skew]
     if clock.latency:
         near = Lag(shifts[OFFSET], shifts[SKEW])
         found = refined(*_moving(data, joints, robot), middle, near).lag
         own = float(0.5 * (data.times[0] + data.times[-1])) - middle
         shifts[LATENCY] = (found.offset - near.offset) - (found.skew - near.skew) * own
-        scalars.append(
-            Scalar(f"{clock.name}.latency", "s", _SCALES[OFFSET], shifts[LATENCY], weak_prior=_WIDTHS[OFFSET])
-        )
+        name, size, wide = f"{clock.name}.latency", _SCALES[OFFSET], _WIDTHS[OFFSET]
+        scalars.append(Scalar(name, "s", size, shifts[LATENCY], weak_prior=wide))
     known = _known(data, stream, shifts)
     rows = replace(data.subset(known), stream=stream.subset(known))
     uses = {role: len(rows.scalars) + k for k, role in enumerate(shifts)}

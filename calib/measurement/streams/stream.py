@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 
 ClockFreedom = Literal["free", "given"]
@@ -23,6 +24,15 @@ ONLY_CLOCK = "clock"
 NO_SHIFTS: Mapping[str, float] = MappingProxyType({})
 
 
+class OneClock(NamedTuple):
+    """The free clock of a stream, ``where`` it is: its offset, told at ``middle`` in s, and its skew."""
+
+    middle: float
+    offset: Scalar
+    skew: Scalar
+    where: str
+
+
 @dataclass(frozen=True, slots=True)
 class Clock:
     """What is known of an instrument's clock beside that of the controller.
@@ -30,7 +40,8 @@ class Clock:
     ``kind``: "free", its offset and skew are found with the machine, or "given", both are one clock. ``latency``:
     whether measurements come later than readings by an unknown time; of a free clock that is part of the offset, and
     only a second stream of that clock shows how much later it comes than the first. ``gap``: in s, from which on a gap
-    in a stream is not bridged. ``name``: of its parameters, ``clock.offset``.
+    in a stream is not bridged. ``name``: of its parameters, ``clock.offset``. ``of``: that of another stream, its
+    ``Measurements.clock``, by which this one goes.
 
     Raises JobError for a number out of range.
     """
@@ -39,12 +50,15 @@ class Clock:
     latency: bool = False
     gap: float = GAP
     name: str = ONLY_CLOCK
+    of: OneClock | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
         if self.kind not in get_args(ClockFreedom):
             raise JobError(f"clock: {self.kind!r} is not one of {', '.join(get_args(ClockFreedom))}.")
         refuse_beyond(self.gap, "gap", "clock: gap")
+        if self.of is not None and self.kind != "free":
+            raise JobError(f"clock: is given, and is that of {self.of.where} as well, which is free; keep one of them.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
