@@ -9,8 +9,9 @@ Such noise has a state: a sum over all earlier rows follows from that over those
 N x N numbers is needed (P. Hartikainen, S. Sarkka, Kalman filtering and smoothing solutions to temporal Gaussian
 process regression models, 2010). Weights are those that fit the autocovariances of the residuals best (C. L. Lawson,
 R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23); over how many times tau the weights are spread, the
-data say. The parameters have followed a part of the noise, the slowest most of all: simulated noise, from which they
-take as much, says by how much the weights are too small.
+data say. The parameters have followed a part of the noise, the slowest most of all; what they leave of each of these
+noises is known, and weights are fitted to that (as restricted maximum likelihood does for one: H. D. Patterson,
+R. Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971).
 
 The estimate stays that of least squares; its covariance is the sandwich ``C (J^T S J + priors) C`` in the place of C.
 """
@@ -36,8 +37,6 @@ _LAGS = 60
 _MOST_ROWS, _RUN = 12000, 3000
 # Fewer rows tell no memory.
 _FEWEST = 60
-# Draws that tell what parameters take, and rounds.
-_DRAWS, _ROUNDS = 8, 3
 # Less than this share of all noise is none.
 _NONE = 0.02
 
@@ -79,7 +78,7 @@ def with_memory(
     scaled = covariance.scaled(1.0 / units)
     C = scaled.common
     more, found = np.zeros_like(C), []
-    for c, component in enumerate(problem.components):
+    for component in problem.components:
         data = problem.measurements[component.measurements]
         if not _in_time(data):
             continue
@@ -91,7 +90,7 @@ def with_memory(
             / sigmas[component.measurements][rows][:, component.columns, None]
         )
         r = (residuals[component.measurements] / sigmas[component.measurements])[rows][:, component.columns]
-        memory = _memory(c, component, part.times, J, r, C, len(data))
+        memory = _memory(component, part.times, J, r, C, len(data))
         if memory is not None:
             found.append(memory)
             share = len(data) / len(rows)
@@ -128,30 +127,36 @@ def _jacobian(problem: Problem, x: Array, part: Measurements, component: Compone
     return np.concatenate(found)
 
 
-def _memory(c: int, component: Component, times: Array, J: Array, r: Array, C: Array, rows: int) -> Memory | None:
+def _memory(component: Component, times: Array, J: Array, r: Array, C: Array, rows: int) -> Memory | None:
     """Return how residuals (n, d) remember, None where they do not; J (n, d, p) and C (p, p) are those of the fit."""
     step = float(np.median(np.diff(times)))
     taus = np.geomspace(_SHORTEST * step, min(_LONGEST, 0.1 * (times[-1] - times[0])), _TIMES)
     lags = _Lags.of(times, step, float(taus[-1]))
-    seen = lags.covariances(r)
-    shares = lags.fitted(seen, taus)
+    shares = lags.fitted(lags.covariances(r), lags.model(taus) - _taken(lags, taus, times, J, C))
     if float(np.sum(shares[1:])) < _NONE * float(np.sum(shares)):
         return None
-    rng, flat = np.random.default_rng(c), J.reshape(-1, len(C))
-    for _ in range(_ROUNDS):
-        n, d = r.shape
-        every = _drawn(rng, shares, taus, times, _DRAWS * d).reshape(n, _DRAWS, d)
-        drawn = []
-        for e in every.swapaxes(0, 1):
-            left = e - (flat @ (C @ (flat.T @ e.ravel()))).reshape(e.shape)
-            drawn.append(lags.covariances(left))
-        # What fits of simulated noise leave of its autocovariances, is missing of those that were seen.
-        lost = lags.model(taus) @ shares - np.mean(drawn, axis=0)
-        shares = lags.fitted(seen + lost, taus)
     kept = np.flatnonzero(shares[1:] > 0.0)
     return Memory(
         component.measurements, component.quantity, float(shares[0]), shares[1:][kept], taus[kept], step, rows
     )
+
+
+def _taken(lags: "_Lags", taus: Array, times: Array, J: Array, C: Array) -> Array:
+    """Return what parameters take (l, k + 1) of the autocovariances of one unit of every noise.
+
+    A fit leaves ``(1 - H) S (1 - H)`` of noise S, with ``H = J C J^T``; nothing of N x N is made of
+    ``H S + S H - H S H = A X^T + X A^T`` with ``A = J C``, ``X = S J - A (J^T S J) / 2``.
+    """
+    n, d, p = J.shape
+    A, found = (J.reshape(-1, p) @ C).reshape(n, d * p), np.empty((len(lags.rows), len(taus) + 1))
+    for k in range(len(taus) + 1):
+        SJ = J if k == 0 else _remembered(times, float(taus[k - 1]), J)
+        G = np.einsum("ndi,ndj->ij", J, SJ, optimize=True)
+        X = SJ.reshape(n, d * p) - 0.5 * (A.reshape(-1, p) @ G).reshape(n, d * p)
+        for row, (lag, own) in enumerate(zip(lags.rows, lags.pairs, strict=True)):
+            both = np.einsum("nq,nq->n", A[lag:], X[: n - lag]) + np.einsum("nq,nq->n", X[lag:], A[: n - lag])
+            found[row, k] = float(np.mean(both[own])) / d if len(own) else 0.0
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,10 +190,10 @@ class _Lags:
         """Return the autocovariances (l, k + 1) of one unit of every noise, that without memory first."""
         return np.column_stack([self.rows == 0, np.exp(-self.times[:, None] / taus)])
 
-    def fitted(self, seen: Array, taus: Array) -> Array:
-        """Return the shares (k + 1,) that fit autocovariances (l,) best; near lags are surest."""
+    def fitted(self, seen: Array, model: Array) -> Array:
+        """Return the shares (k + 1,) that fit autocovariances (l,) best by a model (l, k + 1); near lags are surest."""
         surest = 1.0 / np.sqrt(1.0 + self.times / self.times[1])
-        return np.asarray(nnls(self.model(taus) * surest[:, None], seen * surest)[0])
+        return np.asarray(nnls(model * surest[:, None], seen * surest)[0])
 
 
 def _steps(times: Array, tau: float) -> Array:
@@ -196,14 +201,10 @@ def _steps(times: Array, tau: float) -> Array:
     return np.asarray(np.exp(-np.diff(times, prepend=-np.inf) / tau))
 
 
-def _drawn(rng: np.random.Generator, shares: Array, taus: Array, times: Array, width: int) -> Array:
-    """Return simulated noise (n, width)."""
-    found: Array = np.sqrt(shares[0]) * rng.normal(size=(len(times), width))
-    for share, tau in zip(shares[1:], taus, strict=True):
-        if share > 0.0:
-            keep = _steps(times, tau)
-            found += np.sqrt(share) * _recursive(keep, np.sqrt(1.0 - keep**2)[:, None] * rng.normal(size=found.shape))
-    return found
+def _remembered(times: Array, tau: float, x: Array) -> Array:
+    """Return ``S x`` (n, ...), S being the covariance of one unit of noise that lasts tau."""
+    after = _recursive(_steps(-times[::-1], tau), x[::-1])[::-1]
+    return np.asarray(_recursive(_steps(times, tau), x) + after - x)
 
 
 def _recursive(keep: Array, x: Array) -> Array:
