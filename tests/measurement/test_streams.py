@@ -10,6 +10,7 @@ from calib.foundations.errors import CalibError
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
+from calib.measurement.streams import lags
 from calib.measurement.streams.samples import joint_stream
 from calib.measurement.table import table_from_arrays
 from calib.measuring import Clock, at_rest
@@ -159,6 +160,18 @@ def test_a_motion_that_repeats_itself_is_refused() -> None:
     seen = {"time [s]": u[1000:5000:2]} | {f"{axis} [m]": x[:, j] for j, axis in enumerate("xyz")}
     with pytest.raises(CalibError, match=r"at two lags alike.*a motion that does not repeat itself"):
         calib.measuring.read_stream(seen, robot, joints)
+
+
+def test_a_lag_that_explains_a_few_rows_by_chance_is_no_rival() -> None:
+    def lag(offset: float, left: float, rows: int) -> lags.Refined:
+        return lags.Refined(lags.Lag(offset, 0.0), left, rows)
+
+    true, few = lag(3.0, 9e-5, 500), lag(15.0, 8e-5, 180)
+    assert lags._by_what_they_leave([few, true]) == [true]
+    # As many rows: a rival. Few rows, and nothing else explains them: the recordings overlap a little.
+    rival, bad = lag(15.0, 8e-5, 300), lag(1.0, 5e-3, 500)
+    assert lags._by_what_they_leave([true, rival]) == [rival, true]
+    assert lags._by_what_they_leave([few, bad]) == [few, bad]
 
 
 def test_options_of_clocks_are_checked(made: Streams) -> None:

@@ -42,6 +42,9 @@ _STARTS, _ROWS, _ROUNDS = np.linspace(-1.0, 1.0, 41), 500, 12
 _HIDDEN, _UNITS = 1e-4, np.array([1.0, 1e-3])
 # Of the spread of points, a share that no wrong lag comes down to; and what is rounding, in m.
 _EXPLAINED, _ROUNDING = 0.1, 1e-5
+# A lag that knows less than half of the rows that another knows, which leaves at most twice as much, is chance: its 13
+# numbers for a coordinate follow a short motion well.
+_FEWER, _MORE_LEFT = 0.5, 2.0
 # Lags that a window may have.
 _MOST_PEAKS = 6
 
@@ -109,7 +112,7 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     starts = _lines(peaks._replace(times=peaks.times - middle), seen.where)
     # Recordings of two motions fit best where a clock is bent as far as it may be.
     fitted = [refined(seen, moved, middle, start) for start in starts]
-    found = sorted((one for one in fitted if abs(one.lag.skew) < MOST_SKEW), key=lambda one: one.left)
+    found = _by_what_they_leave([one for one in fitted if abs(one.lag.skew) < MOST_SKEW])
     if not found:
         raise MeasurementError(
             f"{seen.where}: its points move as the nominal tip of {moved.where} only where one clock goes faster than "
@@ -266,10 +269,22 @@ def _through(t: Array, lags: Array) -> Lag:
 
 
 class Refined(NamedTuple):
-    """A lag, and the rms in m of what it leaves of the measured positions."""
+    """A lag, and the rms in m of what it leaves of the ``rows`` that both clocks know."""
 
     lag: Lag
     left: float
+    rows: int
+
+
+def _by_what_they_leave(fitted: list[Refined]) -> list[Refined]:
+    """Return lags, that which leaves least first, without such as explain a few rows by chance."""
+
+    def by_chance(one: Refined) -> bool:
+        return any(
+            one.rows < _FEWER * other.rows and other.left <= _MORE_LEFT * max(one.left, _ROUNDING) for other in fitted
+        )
+
+    return sorted((one for one in fitted if not by_chance(one)), key=lambda one: one.left)
 
 
 def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
@@ -312,7 +327,7 @@ def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
         best = Lag(best.offset + float(step[0]), skew)
         if abs(step[0]) < 1e-6:
             break
-    return Refined(best, left(best))
+    return Refined(best, left(best), int(system(best, t)[2].sum()))
 
 
 def _columns(tips: Array) -> Array:
