@@ -52,7 +52,7 @@ from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
 from calib.measurement.read import read_measurements, stream_of
-from calib.measurement.streams.stream import GAP, ONLY_CLOCK, SKEW, Clock, OneClock
+from calib.measurement.streams.stream import ONLY_CLOCK, SKEW, Clock, OneClock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -664,7 +664,7 @@ def _clock(section: MeasurementsSection, job: Job, of: OneClock | None) -> Clock
     stems = [Path(file).stem for file in streams]
     own = Path(section.file).stem
     name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
-    gap = GAP if section.gap is None else section.gap.si
+    gap = None if section.gap is None else section.gap.si
     return Clock(section.clock or "free", section.latency is not None, gap, name, of)
 
 

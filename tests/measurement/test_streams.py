@@ -174,6 +174,22 @@ def test_a_lag_that_explains_a_few_rows_by_chance_is_no_rival() -> None:
     assert lags._by_what_they_leave([few, bad]) == [few, bad]
 
 
+@pytest.mark.parametrize("rates", [(149.0, 10.0), (10.0, 60.0), (10.0, 10.0)])
+def test_ten_samples_a_second_are_enough_of_a_slow_motion(rates: tuple[float, float]) -> None:
+    made = streams.streams(5, seconds=80.0, rates=rates, lost=0.02)
+    data = streams.read(made)
+    assert data.stream is not None and len(data) > 0.9 * len(made.recorded.times)
+    assert data.scalars[0].start == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
+
+
+def test_rows_farther_apart_than_the_gap_are_called_so(made: Streams) -> None:
+    rare = {name: values[::6] for name, values in made.seen.items()}
+    assert refused(made, rare, made.joints, Clock(gap=0.05)) == (
+        "arrays: its rows are 0.0999 s apart, and gaps from 0.05 s on are not bridged; allow longer gaps, or measure "
+        "more often."
+    )
+
+
 def test_options_of_clocks_are_checked(made: Streams) -> None:
     with pytest.raises(CalibError, match="nothing tells them apart"):
         streams.read(made, clock=Clock("free", latency=True))

@@ -11,7 +11,7 @@ from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 from calib.measurement.streams.lags import Lag, Moved, Seen, clock_lag, refined
-from calib.measurement.streams.samples import refuse_no_stream
+from calib.measurement.streams.samples import not_bridged, refuse_no_stream
 from calib.measurement.streams.stream import LATENCY, OFFSET, SKEW, Clock, OneClock, Stream
 from calib.robot.conditions import in_order, ordinary
 from calib.robot.robot import Robot
@@ -135,7 +135,7 @@ def _lag(data: Measurements, stream: Stream, clock: Clock, robot: Robot) -> Lag 
     seen, moved = _moving(data, stream.joints, robot)
     if clock.latency:
         return refined(seen, moved, stream.middle, Lag(0.0, 0.0)).lag
-    lag = clock_lag(seen, moved, stream.middle, clock.gap)
+    lag = clock_lag(seen, moved, stream.middle, not_bridged(seen.times, clock.gap))
     if not abs(lag.offset) <= _FARTHEST:
         raise MeasurementError(
             f"{data.where}: its clock is {lag.offset:.6g} s apart from that of {moved.where}; allowed are "

@@ -96,6 +96,12 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
                 "part, or look at the unit of 'time'."
             )
     measured = _speeds(seen.times, seen.points, gap)
+    if not measured.known.any():
+        step = float(np.median(np.diff(seen.times)))
+        raise MeasurementError(
+            f"{seen.where}: its rows are {step:.4g} s apart, and gaps from {gap:.4g} s on are not bridged; allow "
+            "longer gaps, or measure more often."
+        )
     grid = np.arange(moved.start, moved.end, _STEP)
     known = moved.known(grid)
     places = np.zeros((len(grid), 3))

@@ -20,6 +20,8 @@ from calib.robot.robot import Reading
 SLOWEST, FASTEST = 1.0, 1e-4
 # Encoders at rest jitter by less, in rad or m.
 _AT_REST = 1e-4
+# Gaps from so many steps of a stream on are not bridged: one lost sample is. In s, at the least and at the most.
+_STEPS, _LEAST_GAP, _MOST_GAP = 2.5, 0.1, 0.25
 # A cubic needs as many samples.
 _FEWEST = 4
 # Samples of which the equations of a cubic are in memory at a time, and beside them.
@@ -28,8 +30,12 @@ _PART, _BESIDE = 50_000, 100
 _MOST = 200_000
 
 
-def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: Joints = ALL_READ) -> JointStream:
+def joint_stream(
+    table: Table, readings: Sequence[Reading], gap: float | None, joints: Joints = ALL_READ
+) -> JointStream:
     """Return the joint readings of a table with ``time``; a ``gap`` in s, or a longer one, is not bridged.
+
+    None is the gap of :func:`not_bridged`.
 
     Columns ``commanded_<joint>`` tell how well joints followed; where there are no others, they stand for the readings.
     ``joints``: which of the URDF's are needed. Raises MeasurementError when a column is missing, when time runs
@@ -62,13 +68,14 @@ def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: 
         raise MeasurementError(
             f"{table.where}: no joint moves by more than {_AT_REST:g} rad or m; a clock shows only while the arm moves."
         )
+    gap = not_bridged(times, gap)
     ends = np.flatnonzero(np.diff(times) >= gap)
     runs = [
         (a, b) for a, b in zip(np.append(0, ends + 1), np.append(ends + 1, len(times)), strict=True) if b - a >= _FEWEST
     ]
     if not runs:
         raise MeasurementError(
-            f"{table.where}: no {_FEWEST} samples follow each other within {gap:g} s; allow longer gaps, or give a "
+            f"{table.where}: no {_FEWEST} samples follow each other within {gap:.4g} s; allow longer gaps, or give a "
             "denser stream."
         )
     stream = JointStream(
@@ -126,6 +133,11 @@ def times_of(table: Table) -> Array:
             f"{times[row - 1]:.6f} s; the rows of a stream are in order of time."
         )
     return read_only_view(times)
+
+
+def not_bridged(times: Array, gap: float | None) -> float:
+    """Return from which gap on, in s, nothing is bridged between rows at times (N,) in s: what is given, or usual."""
+    return float(np.clip(_STEPS * np.median(np.diff(times)), _LEAST_GAP, _MOST_GAP)) if gap is None else gap
 
 
 def refuse_no_stream(times: Array, where: str) -> None:

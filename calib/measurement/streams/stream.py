@@ -18,8 +18,6 @@ from calib.measurement.streams.joints import JointStream
 ClockFreedom = Literal["free", "given"]
 # What unknown numbers are to the rows of a stream.
 OFFSET, SKEW, LATENCY = SHIFTS = ("clock offset", "clock skew", "clock latency")
-# Longer gaps in a stream are not bridged, in s.
-GAP = 0.1
 ONLY_CLOCK = "clock"
 NO_SHIFTS: Mapping[str, float] = MappingProxyType({})
 
@@ -40,15 +38,15 @@ class Clock:
     ``kind``: "free", its offset and skew are found with the machine, or "given", both are one clock. ``latency``:
     whether measurements come later than readings by an unknown time; of a free clock that is part of the offset, and
     only a second stream of that clock shows how much later it comes than the first. ``gap``: in s, from which on a gap
-    in a stream is not bridged. ``name``: of its parameters, ``clock.offset``. ``of``: that of another stream, its
-    ``Measurements.clock``, by which this one goes.
+    in a stream is not bridged; None for 0.1 s or, of slow streams, 2.5 steps, 0.25 s at the most. ``name``: of its
+    parameters, ``clock.offset``. ``of``: that of another stream, its ``Measurements.clock``, by which this one goes.
 
     Raises JobError for a number out of range.
     """
 
     kind: ClockFreedom = "free"
     latency: bool = False
-    gap: float = GAP
+    gap: float | None = None
     name: str = ONLY_CLOCK
     of: OneClock | None = None
 
@@ -56,7 +54,8 @@ class Clock:
         refuse_fields(self)
         if self.kind not in get_args(ClockFreedom):
             raise JobError(f"clock: {self.kind!r} is not one of {', '.join(get_args(ClockFreedom))}.")
-        refuse_beyond(self.gap, "gap", "clock: gap")
+        if self.gap is not None:
+            refuse_beyond(self.gap, "gap", "clock: gap")
         if self.of is not None and self.kind != "free":
             raise JobError(f"clock: is given, and is that of {self.of.where} as well, which is free; keep one of them.")
 
