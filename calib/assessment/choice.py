@@ -57,6 +57,8 @@ from calib.robot.terms import KINDS, JointTerm, kind_of
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 # Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
+# Bytes of derivatives that are kept rather than made again.
+_MOST_KEPT = 2**28
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
 
@@ -245,6 +247,7 @@ class _System:
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
         related, moving = without_rows(self._problem, self._sigmas, self._x)
@@ -258,7 +261,19 @@ class _System:
         self._pull = np.where(stated, self._x / scales(parameters), 0.0)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
-        """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""
+        """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
+
+        They are asked for again and again, and kept unless they are too many.
+        """
+        if self._kept is None:
+            width = 8 * (len(self._problem.parameters) + 1)
+            size = sum(width * sigmas.size for sigmas in self._sigmas)
+            if size > _MOST_KEPT:
+                return self._made()
+            self._kept = tuple(self._made())
+        return self._kept
+
+    def _made(self) -> Iterable[tuple[int, slice, Array, Array]]:
         problem = self._problem
         rates = Rates(problem, problem.machine(self._x), scales(problem.parameters))
         sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
@@ -309,12 +324,14 @@ class _System:
         tableau[range(p), range(p)] += self._priors
         tableau[:, p] += self._priors * self._pull
         _pivot(tableau, self._geometry)
-        left, order = list(range(len(self._columns))), list[int]()
+        blocks, order = _blocks(self._columns), list[int]()
         entered = list(self._geometry)
-        values = np.zeros((1 + (len(left) if most is None else min(most, len(left))), p))
+        values = np.zeros((1 + (len(self._columns) if most is None else min(most, len(self._columns))), p))
         values[0, entered] = -tableau[entered, p]
-        while left and (most is None or len(order) < most):
-            best = left.pop(int(np.argmax(_gains(tableau, [self._columns[c] for c in left]))))
+        left = np.ones(len(self._columns), dtype=bool)
+        while len(order) < len(values) - 1:
+            best = int(np.argmax(_gains(tableau, blocks, left)))
+            left[best] = False
             order.append(best)
             _pivot(tableau, self._columns[best])
             entered += self._columns[best]
@@ -353,13 +370,24 @@ def _pivot(tableau: Array, block: Sequence[int]) -> None:
     tableau[columns] = own
 
 
-def _gains(tableau: Array, left: Sequence[Sequence[int]]) -> Array:
-    """Return how much each block (one or two unknowns) would lower the sum of squares, for each of its unknowns."""
-    gains = np.empty(len(left))
-    for size in {len(block) for block in left}:
-        which = [k for k, block in enumerate(left) if len(block) == size]
-        columns = np.array([left[k] for k in which])
+def _blocks(columns: Sequence[Sequence[int]]) -> list[tuple[IntArray, IntArray]]:
+    """Return blocks (one or two unknowns each) of every size: their numbers (n,), and columns (n, size)."""
+    sizes = np.array([len(block) for block in columns])
+    return [
+        (which, np.array([columns[k] for k in which.tolist()], dtype=np.intp))
+        for which in (np.flatnonzero(sizes == size) for size in np.unique(sizes))
+    ]
+
+
+def _gains(tableau: Array, blocks: Iterable[tuple[IntArray, IntArray]], left: BoolArray) -> Array:
+    """Return how much each block that is ``left`` would lower the sum of squares, for each of its unknowns.
+
+    -inf of the others.
+    """
+    gains = np.full(len(left), -np.inf)
+    for numbers, every in blocks:
+        which, columns = numbers[left[numbers]], every[left[numbers]]
         C = tableau[columns[:, :, None], columns[:, None, :]]
         g = tableau[columns, -1]
-        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0]) / size
+        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0]) / every.shape[1]
     return gains
