@@ -130,7 +130,7 @@ def test_check_as_json(folder: Path) -> None:
     contents = json.loads(said.out)
     assert (said.code, said.err) == (0, "")
     assert (contents["rank"], contents["measured_numbers"], contents["findings"]) == (27, 180, [])
-    assert len(contents["null_space"]) == len(contents["parameters"]) - contents["rank"] == 18
+    assert len(contents["undetermined"]) == len(contents["parameters"]) - contents["rank"] == 18
 
 
 def test_everything_seen_has_no_null_space(folder: Path) -> None:
@@ -252,7 +252,7 @@ def test_help_begins_with_the_way_to_a_calibrated_machine() -> None:
 
 def test_every_command_has_an_example_that_it_takes() -> None:
     found = commands()
-    assert len(found) == 20
+    assert len(found) == 21
     for name, text in found.items():
         (example,) = re.findall(r"^  Example: (.*)", text, re.MULTILINE)
         program, command, *arguments = shlex.split(example)
@@ -265,7 +265,7 @@ def test_every_command_has_an_example_that_it_takes() -> None:
 
 def test_every_command_that_says_something_says_it_as_json_too() -> None:
     for name, text in commands().items():
-        assert ("--json" in text) == (name not in ("demo", "view")), name
+        assert ("--json" in text) == (name not in ("demo", "view", "app")), name
 
 
 @pytest.mark.parametrize(

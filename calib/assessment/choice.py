@@ -19,6 +19,7 @@ at some, as many of every group as of the others. Fits, before and after it, tak
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +58,10 @@ from calib.robot.terms import KINDS, JointTerm, kind_of
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 # Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
+# So many groups of rows there must be for each coefficient.
+_GROUPS_EACH = 2
+# A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
+_BY_CHANCE = 2.0
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
 
@@ -89,12 +94,54 @@ class Step:
     away: HeldOut | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """Compliance by measured torques against compliance by masses: what either says of rows held out.
+
+    In standard deviations of the noise that the geometric fit shows. ``by_torques``: whether these are taken: where
+    they are better by more than a standard error. Masses need no column where the machine is used.
+    """
+
+    masses: HeldOut
+    torques: HeldOut
+
+    @property
+    def by_torques(self) -> bool:
+        """Whether measured torques are taken."""
+        return self.torques.rms < self.masses.rms - self.masses.standard_error
+
+    @property
+    def sentence(self) -> str:
+        """What was taken, and why."""
+        better, worse = (self.torques, self.masses) if self.by_torques else (self.masses, self.torques)
+        why = f"error of rows held out {better.rms / worse.rms:.3f} of that by"
+        if self.by_torques:
+            return f"compliance by measured torques: {why} masses"
+        if better.rms <= worse.rms:
+            return f"compliance by masses: {why} measured torques"
+        return (
+            f"compliance by masses: by measured torques the error of rows held out is {worse.rms / better.rms:.3f} of "
+            "that, which may be chance, and their columns would be needed wherever the machine is used"
+        )
+
+    def record(self) -> dict[str, object]:
+        """Return it as plain data."""
+        return {
+            "by_masses": self.masses.rms,
+            "by_torques": self.torques.rms,
+            "standard_error": self.masses.standard_error,
+            "taken": "torques" if self.by_torques else "masses",
+            "because": self.sentence,
+        }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """Made by :func:`choose_terms`. ``taken``: how many of the ``steps`` after the first are taken.
 
     ``geometric``: the fit without terms from which they start; ``fit``: with those that are taken. ``rows``: how many
-    of its rows the choice looked at. ``taken_back``: how many steps more the data allow, with which no fit converged.
+    of its rows the choice looked at, and ``offered`` how many candidates. ``taken_back``: how many steps more the data
+    allow, with which no fit converged. ``weighed``: how measured torques stood against masses, where rows have torques.
     """
 
     __repr__ = brief
@@ -104,7 +151,9 @@ class Choice:
     geometric: Fit
     fit: Fit
     rows: int
+    offered: int
     taken_back: int = 0
+    weighed: Weighed | None = None
 
     @property
     def model(self) -> ErrorModel:
@@ -154,6 +203,7 @@ def choose_terms(
     count: int = FOLDS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
+    geometric: Fit | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
@@ -161,30 +211,42 @@ def choose_terms(
     Once of poses at random, and once of neighbourhoods in joint space. Of more than 10 000 rows it looks at as many,
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
-    and MeasurementError when all rows are of one group.
+    and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
+    measurements with these options, where it is known already.
     """
     with one_thread():
-        progress("choosing joint terms: fitting geometry")
-        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
+        if geometric is None:
+            progress("choosing joint terms: fitting geometry")
+            geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         sets = geometric.measurements
         group = row_groups(sets)
-        looked_at, place = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
-        group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, place))
+        looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
+        group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, losses, looked_at)
+        system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart))
         progress("choosing joint terms: linearising")
         fold = folds(group, count)
         grams = system.grams(fold)
-        figures, rms = system.judged(fold, group, grams, None, progress)
+        largest = (int(group.max()) + 1) // _GROUPS_EACH
+
+        def selected(among: Sequence[int]) -> _Selected:
+            order = system.way(np.sum(grams, axis=0), among, most=largest, lasting=True).order
+            figures, rms = system.judged(fold, group, grams, among, len(order), progress)
+            return _Selected(tuple(among), order, figures, rms)
+
+        ways = [selected(among) for among in _ways_to_wind_up(chosen_from)]
+        weighed = None
+        if len(ways) > 1:
+            weighed = Weighed(*(way.figures[smallest_unharmed(way.figures)] for way in ways))
+        among, entered, figures, rms = ways[-1 if weighed is not None and weighed.by_torques else 0]
         most, away = smallest_unharmed(figures), list[HeldOut]()
         if most:
             progress("choosing joint terms: judging away from what was measured")
-            fold = folds(place, count)
-            away, _ = system.judged(fold, place, system.grams(fold), most)
+            blocks = folds(place, count)
+            away, _ = system.judged(blocks, place, system.grams(blocks), among, most)
             # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
             if away[0].rms <= _FORETOLD * figures[0].rms:
-                most = largest_unharmed(away)
-        entered = system.way(np.sum(grams, axis=0)).order
+                most = largest_unharmed(away, apart=near.apart)
     steps = tuple(
         Step(
             None if k == 0 else chosen_from[entered[k - 1]],
@@ -202,7 +264,9 @@ def choose_terms(
         if fit.converged:
             break
         taken //= 2
-    return Choice(steps, taken, geometric, fit if taken else geometric, len(group), most - taken)
+    return Choice(
+        steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken, weighed
+    )
 
 
 def _terms(geometric: Fit, steps: Sequence[Step], taken: int) -> tuple[JointTerm, ...]:
@@ -217,6 +281,36 @@ def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[C
     return every if model.dh is None else tuple(one for one in every if not kind_of(one.terms[0]).of_link)
 
 
+class _Selected(NamedTuple):
+    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
+
+    among: tuple[int, ...]
+    entered: tuple[int, ...]
+    figures: list[HeldOut]
+    rms: Mapping[str, Array]
+
+
+def _ways_to_wind_up(offered: Sequence[Candidate]) -> list[list[int]]:
+    """Return the candidates to select among: all, or those without measured torques and those without masses.
+
+    Both say what drives hold, so that one of them is taken for all.
+    """
+    of = [kind_of(one.terms[0]).key for one in offered]
+    every = range(len(offered))
+    if "torque" not in of or not {"elastic", "moments"} & set(of):
+        return [list(every)]
+    return [[k for k in every if of[k] != "torque"], [k for k in every if of[k] not in ("elastic", "moments")]]
+
+
+def _costs(offered: Sequence[Candidate], *, apart: bool) -> Array:
+    """Return how many coefficients each candidate counts as: its own.
+
+    Of poses in places with nothing between them one more where it grows with the reading: beyond these places it grows
+    on, and a wave of two coefficients that says as much there does not.
+    """
+    return np.array([len(one.terms) + (apart and kind_of(one.terms[0]).grows) for one in offered], dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Way:
     """Candidates in the order in which they entered, and changes (steps + 1, p) of the scaled parameters."""
@@ -229,8 +323,14 @@ class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
     def __init__(
-        self, geometric: Fit, offered: Sequence[Candidate], losses: Sequence[Loss] | None, looked_at: BoolArray
+        self,
+        geometric: Fit,
+        offered: Sequence[Candidate],
+        losses: Sequence[Loss] | None,
+        looked_at: BoolArray,
+        costs: Array,
     ) -> None:
+        self._costs = costs
         terms = [term for candidate in offered for term in candidate.terms]
         full = with_terms(geometric.model, terms)
         sets = geometric.measurements
@@ -246,6 +346,7 @@ class _System:
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
+        self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
         related, moving = without_rows(self._problem, self._sigmas, self._x)
         rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
@@ -284,42 +385,61 @@ class _System:
         fold: IntArray,
         group: IntArray,
         grams: Array,
-        most: int | None,
+        among: Sequence[int],
+        steps: int,
         progress: Callable[[str], None] = lambda _: None,
     ) -> tuple[list[HeldOut], Mapping[str, Array]]:
-        """Return what rows held out say of every step, ``most`` of them or all, and the rms of every quantity.
+        """Return what rows held out say of so many ``steps`` among candidates, and the rms of every quantity.
 
         ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``grams``: of every fold.
         """
         total, ways = np.sum(grams, axis=0), list[Array]()
         for k, gram in enumerate(grams):
             progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
-            ways.append(self.way(total - gram, most).values)
+            ways.append(self.way(total - gram, among, steps=steps).values)
         progress("choosing joint terms: judging by what was held out")
         squares, rms = self.squares(fold, np.stack(ways))
         return [held_out(row, group) for row in squares], rms
 
-    def way(self, gram: Array, most: int | None = None) -> _Way:
-        """Return the way that rows with this Gram matrix (p + 1, p + 1) go: candidates, the most helpful first.
+    def way(
+        self,
+        gram: Array,
+        among: Sequence[int],
+        *,
+        steps: int | None = None,
+        most: int | None = None,
+        lasting: bool = False,
+    ) -> _Way:
+        """Return the way that rows with this Gram matrix (p + 1, p + 1) go ``among`` candidates, best first.
 
-        ``most``: how many, all of them when None.
+        At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the best
+        lowers the sum of squares by more than chance would.
         """
         p = len(gram) - 1
         tableau = gram[:p] + self._known[:p]
         tableau[range(p), range(p)] += self._priors
         tableau[:, p] += self._priors * self._pull
         _pivot(tableau, self._geometry)
-        left, order = list(range(len(self._columns))), list[int]()
+        left, order = list(among), list[int]()
         entered = list(self._geometry)
-        values = np.zeros((1 + (len(left) if most is None else min(most, len(left))), p))
+        values = np.zeros((1 + (len(left) if steps is None else min(steps, len(left))), p))
         values[0, entered] = -tableau[entered, p]
-        while left and (most is None or len(order) < most):
-            best = left.pop(int(np.argmax(_gains(tableau, [self._columns[c] for c in left]))))
-            order.append(best)
-            _pivot(tableau, self._columns[best])
-            entered += self._columns[best]
+        squares = gram[p, p]
+        while left and (steps is None or len(order) < steps):
+            gains = _gains(tableau, [self._columns[c] for c in left]) / self._costs[left]
+            k = int(np.argmax(gains))
+            columns = self._columns[left[k]]
+            taken = len(entered) - len(self._geometry) + len(columns)
+            if (most is not None and taken > most) or (
+                lasting and gains[k] * (self._numbers - len(entered)) <= _BY_CHANCE * squares
+            ):
+                break
+            squares -= gains[k] * self._costs[left[k]]
+            order.append(left.pop(k))
+            _pivot(tableau, columns)
+            entered += columns
             values[len(order), entered] = -tableau[entered, p]
-        return _Way(tuple(order), values)
+        return _Way(tuple(order), values[: len(order) + 1])
 
     def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
         """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
@@ -354,12 +474,12 @@ def _pivot(tableau: Array, block: Sequence[int]) -> None:
 
 
 def _gains(tableau: Array, left: Sequence[Sequence[int]]) -> Array:
-    """Return how much each block (one or two unknowns) would lower the sum of squares, for each of its unknowns."""
+    """Return how much each block (one or two unknowns) would lower the sum of squares."""
     gains = np.empty(len(left))
     for size in {len(block) for block in left}:
         which = [k for k, block in enumerate(left) if len(block) == size]
         columns = np.array([left[k] for k in which])
         C = tableau[columns[:, :, None], columns[:, None, :]]
         g = tableau[columns, -1]
-        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0]) / size
+        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0])
     return gains

@@ -229,6 +229,7 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[_Poses, Arr
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
+    warm = warm.in_time(np.zeros(len(q)))
     reference = model.given_frames(tools)
     return _Poses(model.robot, parameters, reference, q, warm), values_at(model.robot, parameters, reference)
 

@@ -12,6 +12,7 @@ size take the smallest whose held-out error is within one standard error of the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -43,6 +44,8 @@ _APART = 3.0
 _ROUNDS = 20
 # By so many standard errors a model must be better where whole neighbourhoods are held out.
 _SURELY = 2.0
+# By a tenth it must be better where neighbourhoods have nothing between them.
+_BY = 0.9
 # By what share of the 95 % quantile the largest error may grow.
 _LARGEST = 0.5
 # Of fewer places that lie apart, each would be judged by too little else.
@@ -169,8 +172,15 @@ def folds(group: IntArray, count: int = FOLDS) -> IntArray:
     return np.asarray(fold[group], dtype=np.intp)
 
 
-def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count: int = FOLDS) -> IntArray:
-    """Return in which neighbourhood of joint space every row (N,) is, from 0, given its group (N,): at most ``count``.
+class Neighbourhoods(NamedTuple):
+    """In which neighbourhood of joint space every row (N,) is, from 0, and whether nothing lies between these."""
+
+    number: IntArray
+    apart: bool
+
+
+def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count: int = FOLDS) -> Neighbourhoods:
+    """Return the neighbourhoods of rows, given their groups (N,): at most ``count``.
 
     Groups whose poses are near to each other are in one (k-means). Where poses lie in three places or more with nothing
     between them, such as small cubes, no place is divided: its halves would vouch for each other.
@@ -182,13 +192,14 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     # Sums of rows in another order differ by rounding, and no draw must depend on that.
     centres = 1e-9 * np.round(centres / 1e-9)
     if len(centres) <= count:
-        return group
+        return Neighbourhoods(group, apart=False)
     part = _parts(centres, count)
     usual = np.median(np.asarray(cKDTree(centres).query(centres, k=2)[0])[:, 1])
     trees = [cKDTree(centres[part == k]) for k in range(part.max() + 1)]
     touching = [[np.min(a.query(b.data)[0]) <= _APART * usual for a in trees] for b in trees]
     places, place = connected_components(np.array(touching), directed=False)
-    return np.asarray((place[part] if places >= _FEWEST_PLACES else part)[group], dtype=np.intp)
+    apart = bool(places >= _FEWEST_PLACES)
+    return Neighbourhoods(np.asarray((place[part] if apart else part)[group], dtype=np.intp), apart)
 
 
 def _parts(points: Array, count: int) -> IntArray:
@@ -373,16 +384,18 @@ def smallest_unharmed(figures: Sequence[HeldOut]) -> int:
     return sound[one_standard_error([figures[k] for k in sound])]
 
 
-def largest_unharmed(figures: Sequence[HeldOut]) -> int:
+def largest_unharmed(figures: Sequence[HeldOut], *, apart: bool) -> int:
     """Return the largest of models, that harm nowhere, whose error is within one standard error of the least.
 
-    The first, unless its error is two standard errors above the least: of few neighbourhoods chance says as much.
+    The first, unless its error is two standard errors above the least: of few neighbourhoods chance says as much. Of
+    neighbourhoods with nothing between them, ``apart``, the smallest instead, and the first unless the least is smaller
+    by a tenth: what holds in a few places may still be wrong in others.
     """
     sound = unharmed(figures)
     least = min((figures[k] for k in sound), key=lambda figure: figure.rms)
-    if figures[0].rms <= least.rms + _SURELY * least.standard_error:
+    if figures[0].rms <= least.rms + _SURELY * least.standard_error or (apart and least.rms > _BY * figures[0].rms):
         return 0
-    return max(k for k in sound if figures[k].rms <= least.rms + least.standard_error)
+    return (min if apart else max)(k for k in sound if figures[k].rms <= least.rms + least.standard_error)
 
 
 def one_standard_error(figures: Sequence[HeldOut]) -> int:

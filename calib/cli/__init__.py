@@ -18,6 +18,7 @@ from calib.cli import init as init  # isort: skip
 from calib.cli import check as check  # isort: skip
 from calib.cli import calibrate as calibrate  # isort: skip
 from calib.cli import view as view  # isort: skip
+from calib.cli import app_ as app_  # isort: skip
 from calib.cli import compensate as compensate  # isort: skip
 from calib.cli import export as export  # isort: skip
 from calib.cli import demo as demo  # isort: skip

@@ -15,8 +15,6 @@ from calib.cli.proposing import (
     OrientationName,
     Tip,
     answers,
-    loaded,
-    looked_at,
     proposed,
     tell_check,
 )
@@ -70,6 +68,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
     with loading():
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
+        from calib.job.looking import looked_at
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("computing what the poses determine")
@@ -80,6 +79,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
 def _check_files(urdf: str, tables: list[Path], given: dict[str, object], telling: Telling, *, every: bool) -> None:
     with loading():
         from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.looking import loaded, looked_at
     found = proposed(urdf, tables, given, ask=False)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = loaded(found, Path("calibration.toml"), say)

@@ -31,6 +31,15 @@ def import_(
         str | None,
         typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
     ] = None,
+    stack: Annotated[
+        str | None,
+        typer.Option(
+            "--stack",
+            metavar="TITLE",
+            help="Put the files one below the other; a column TITLE has their names.",
+            show_default=False,
+        ),
+    ] = None,
     robot: Annotated[
         str | None,
         typer.Option(
@@ -72,7 +81,8 @@ def import_(
 ) -> None:
     """Make one table from files of other programs.
 
-    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean. Of a
+    Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean. Files
+    of which each is one socket or point that was touched: calib import hole_*.csv --stack target -o touched.csv. Of a
     recording of ROS 1, ROS 2 or MCAP the topics are listed; --topic with -o makes a table of one of them.
     Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
@@ -80,7 +90,7 @@ def import_(
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.measurement.formats.recordings import is_recording
-        from calib.measurement.formats.sheet import joined, read_sheet
+        from calib.measurement.formats.sheet import joined, read_sheet, stacked
         from calib.presentation.console import printable
     if any(is_recording(file) for file in files):
         _recording(files, topic, out, Telling(as_json, quiet))
@@ -98,8 +108,11 @@ def import_(
     if robot is not None:
         _own_urdf(files, robot, out, Telling(as_json, quiet))
         return
-    sheet, *others = [read_sheet(file, topic) for file in files]
-    for other in others:
+    if stack is not None and by is not None:
+        raise typer.BadParameter("--stack puts rows one below the other, and --by joins them; take one.")
+    sheets = [read_sheet(file, topic) for file in files]
+    sheet = sheets[0] if stack is None else stacked(sheets, stack)
+    for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
     said = [f"{remark}." for remark in sheet.remarks]

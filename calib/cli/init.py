@@ -15,8 +15,6 @@ from calib.cli.proposing import (
     OrientationName,
     Tip,
     answers,
-    loaded,
-    looked_at,
     proposed,
     tell_check,
 )
@@ -54,6 +52,7 @@ def init(
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.looking import loaded, looked_at
         from calib.presentation.console import printable
     refuse_taken(output)
     if xacro:

@@ -1,10 +1,9 @@
 """Options and steps of commands that look at files of others before there is a job."""
 
 import sys
-import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,8 +11,7 @@ from calib.cli.application import Telling
 from calib_start import loading
 
 if TYPE_CHECKING:
-    from calib.identification.observability import Observability
-    from calib.job.inputs import Inputs
+    from calib.job.looking import Looked
     from calib.job.proposal import Proposal, Question
     from calib.presentation.console import Shown
 
@@ -94,46 +92,17 @@ def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
-    choice = question.choices[number - 1].strip("'")
-    if question.option == "--column":
-        ours, _, theirs = choice.partition("=")
-        return {"columns": {**given.get("columns", {}), ours: theirs}}
-    return {question.about: choice}
-
-
-def loaded(found: "Proposal", path: Path, say: Callable[[str], None]) -> "Inputs":
-    """Return the inputs of the job that a proposal makes, which would be ``path``. Raises CalibError."""
-    from calib.job.inputs import load
-    from calib.job.read import parse_job
-
-    folder = path.absolute().parent
-    return load(path, say, parse_job(tomllib.loads(found.job(folder)), str(path)))
-
-
-class Looked(NamedTuple):
-    """What a check says of inputs: findings, and what their poses can see. ``brief``: of ``advised``, what is shown."""
-
-    findings: list[str]
-    seen: "Observability"
-    advised: list[str]
-    brief: Sequence[str]
-
-
-def looked_at(inputs: "Inputs", *, every: bool = False) -> Looked:
-    """Look at what is wrong with inputs; ``every``: and at all directions of the null space, one by one."""
-    from calib.assessment.advice import null_space_advice, told_briefly
-    from calib.identification.observability import observability
-
-    seen = observability(inputs.model, inputs.identify)
-    advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.undetermined)]
-    brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.undetermined, advised)
-    return Looked([finding.sentence for finding in inputs.findings], seen, advised, brief)
+    answer = question.answered(question.choices[number - 1])
+    if "columns" in answer:
+        return {"columns": {**given.get("columns", {}), **answer["columns"]}}
+    return answer
 
 
 def tell_check(
-    telling: Telling, looked: Looked, reasons: Iterable[str] = (), more: Mapping[str, Any] | None = None
+    telling: Telling, looked: "Looked", reasons: Iterable[str] = (), more: Mapping[str, Any] | None = None
 ) -> None:
     """Print what was looked at; before it the ``reasons`` of a proposal."""
+    from calib.job.looking import NO_FINDINGS
     from calib.presentation.console import printable, warning
     from calib.presentation.tables import null_space_lines
 
@@ -142,13 +111,9 @@ def tell_check(
     def shown() -> "list[Shown]":
         return [
             *map(printable, why),
-            *(map(warning, findings) if findings else [printable("Units, names, limits and rows: no findings.")]),
-            printable(
-                f"{seen.numbers} numbers determine {seen.rank} combinations of {len(seen.parameters)} "
-                f"parameters (condition number {seen.condition:.3g})."
-            ),
+            *(map(warning, findings) if findings else [printable(NO_FINDINGS)]),
+            printable(looked.sentence),
             *null_space_lines(looked.brief, directions=len(seen.undetermined)),
         ]
 
-    told = {"findings": findings, **seen.contents(), "advice": looked.advised}
-    telling.tell(lambda: told | dict(more or {}) | ({"reasons": why} if why else {}), shown)
+    telling.tell(lambda: looked.contents() | dict(more or {}) | ({"reasons": why} if why else {}), shown)

@@ -1,6 +1,7 @@
 """``calib view``: the scene, live."""
 
 import contextlib
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -22,15 +23,25 @@ def view(
     """
     with loading():
         import asyncio
-        import threading
-        import webbrowser
 
-        from calib.presentation.console import printable, show, warning
         from calib.presentation.live import serve
         from calib.results.folder import REPORT_FILE, SCENE_FILE
 
+    serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, shown_at(f"The scene of {results}", open_=open_))
+    # Ctrl-C is how this ends well.
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(serving())
+
+
+def shown_at(what: str, *, open_: bool) -> Callable[[str], None]:
+    """Return what tells a person the address where something is, and opens it in the browser if that is asked."""
+    import threading
+    import webbrowser
+
+    from calib.presentation.console import printable, show, warning
+
     def started(address: str) -> None:
-        show(printable(f"The scene of {results} is at {address} until you press Ctrl-C."))
+        show(printable(f"{what} is at {address} until you press Ctrl-C."))
         if open_:  # a browser of the terminal would keep the server from answering it
             threading.Thread(target=opened, args=(address,), daemon=True).start()
 
@@ -38,7 +49,4 @@ def view(
         if not webbrowser.open(address):
             show(warning("no browser could be opened; open the address by hand."))
 
-    serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, started)
-    # Ctrl-C is how this ends well.
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(serving())
+    return started

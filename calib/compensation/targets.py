@@ -71,6 +71,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
         *TEXT_COLUMNS,
         "time",
         "temperature",
+        "sigma_tau",
         *(f"{what}{name}" for what in (APPROACH, TORQUE) for name in joints),
     }
     for name in columns:

@@ -82,6 +82,7 @@ DISPLAY = {
     "px": Display(1.0, "px"),
     "s": Display(1.0 / MS, "ms"),
     "s/s": Display(1.0 / MICRO, "us/s"),
+    "decade": Display(1.0, "decade"),
 }
 DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"]}
 

@@ -15,6 +15,7 @@ from calib.foundations.ranges import RANGES
 from calib.identification import identifiability, weights
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
+from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
 from calib.identification.learned import solve_learning
@@ -27,6 +28,9 @@ from calib.identification.solver import Solution, solution_at, solve
 from calib.identification.system import Problem, residuals
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
+
+# Searches from where anchors are elsewhere, at most: each time fewer are.
+_MOST_TURNS = 3
 
 
 @checked
@@ -84,7 +88,7 @@ def _identify(
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
     x0 = values_at(model.robot, before.parameters, aligned)
     fitted = not before.parameters or is_fit(sets)
-    nominal = before.machine(x0 if fitted else solve(before, x0, variances).x)
+    nominal = before.machine(x0 if fitted else _with_anchors(before, solve(before, x0, variances), variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
@@ -94,6 +98,9 @@ def _identify(
     before_fit = residuals(model.robot, sets, nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
     problem, found, learned = solve_learning(problem, x0, variances)
+    found = _with_anchors(problem, found, variances)
+    if found.freed:
+        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
@@ -138,6 +145,17 @@ def _identify(
         narrowed=found.narrowed,
         memories=memories,
     )
+
+
+def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
+    """Return the solution, or the one from where anchors are elsewhere, while some fit clearly better there."""
+    for _ in range(_MOST_TURNS):
+        x0 = anchors_anew(problem, found.x)
+        if x0 is None:
+            break
+        again = solve(problem, x0, variances)
+        found = again._replace(evaluations=found.evaluations + again.evaluations)
+    return found
 
 
 def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:

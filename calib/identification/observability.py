@@ -139,9 +139,9 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
             "tool-unseen",
             f"With the tool{whose} the tip link turns by {turned / DEG:.3g} deg at most, or about one direction "
             "only. The data then do not tell an error of the tool point from one of the base or of the joints, so the "
-            "tool point is held near its start value. Positions at such orientations are predicted well, others are "
-            "not. To determine the tool point, add poses that turn the tip link by tens of degrees about two "
-            'directions, or give the tool (tool = "fixed").',
+            "tool point is held near its start value unless they clearly ask for another. Positions at such "
+            "orientations are predicted well, others are not. To determine the tool point, add poses that turn the tip "
+            'link by tens of degrees about two directions, or give the tool (tool = "fixed").',
         )
 
 

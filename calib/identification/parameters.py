@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -88,8 +88,8 @@ class Parameter:
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
     the prior is None until then. ``weak_prior``: the standard deviation of the weak prior that takes its place where
     there is none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever
-    the data determine the parameter. ``centre``: about which value the prior is, where that is neither
-    nominal nor the start.
+    the data determine the parameter. ``freed``: the wider one that it gets where the data clearly ask for a value
+    farther off. ``centre``: about which value the prior is, where that is neither nominal nor the start.
     """
 
     name: str
@@ -100,6 +100,7 @@ class Parameter:
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak_prior: float = math.inf
+    freed: float | None = None
     centre: float | None = None
 
     @property
@@ -111,6 +112,11 @@ class Parameter:
     def nuisance(self) -> bool:
         """Whether nobody knows it and it is of no use elsewhere: a target, or a number of an instrument."""
         return self.kind in ("target", "instrument")
+
+    @property
+    def as_freed(self) -> "Parameter":
+        """The parameter with its wider weak prior, where it has one."""
+        return self if self.freed is None else replace(self, weak_prior=self.freed, freed=None)
 
     @property
     def scale(self) -> float:

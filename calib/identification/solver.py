@@ -9,7 +9,7 @@ damped where it fails. There the noise is estimated, too: where nobody stated it
 not explain the residuals. Ranks, null space and covariance are those of the solution, with the noise that it shows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +49,8 @@ _REMEMBERED, _QUICK, _ALIKE = 5, 0.1, 0.01
 # By how much stronger priors hold in a correction, and where their widths are more than can be searched.
 _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
-# By this share of the cost the data must ask for a frame that narrower priors hold elsewhere.
-# Such a search has few steps, since what there is already is a solution.
-_CLEARLY_HELD, _MOST_STEPS_OF_FREED = 0.05, 12
+# By this share of the cost the data must ask for a place from which narrower priors keep a parameter.
+_CLEARLY_HELD = 0.05
 
 
 class Solution(NamedTuple):
@@ -61,7 +60,8 @@ class Solution(NamedTuple):
     left out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
     own rows are too few for them, ``alone`` (p,) says it. ``start``: the data's rows at the start point, whitened with
     the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
-    scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least.
+    scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least. ``freed``:
+    whether parameters that have a wider prior for that needed it.
     """
 
     x: Array
@@ -76,6 +76,7 @@ class Solution(NamedTuple):
     step: float
     converged: bool
     narrowed: float = 1.0
+    freed: bool = False
 
     @property
     def covariance(self) -> Array:
@@ -104,15 +105,32 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
         if converged:
             break
         z, begin = end.z, end.weighted_by
-    if converged and narrowed > 1.0:
-        search, end = search.with_free_frames(prior.weighed_for_robot(narrowed), end)
+    freed, last = False, end
+    for held, wider, released in _wider(problem, prior, narrowed) if converged else ():
+        ended = search._replace(prior=wider).released(last)
+        if ended is None:
+            continue
+        last, done = ended
+        if done:
+            search, end, narrowed, freed = search._replace(prior=wider), last, held, released
     # What is seen at the start may be less than at the solution.
     _refuse_too_few(problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
     z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
     found = _solution(search, z, end.evaluation, end.weighted_by, first)
-    return found._replace(step=end.length, converged=converged, narrowed=narrowed)
+    return found._replace(step=end.length, converged=converged, narrowed=narrowed, freed=freed)
+
+
+def _wider(problem: LeastSquares, prior: "_Prior", narrowed: float) -> Iterator[tuple[float, "_Prior", bool]]:
+    """Yield wider priors than those of a search, with the factor of the robot's and whether parameters are freed."""
+    freed, some = prior.freed(problem), any(parameter.freed is not None for parameter in problem.parameters)
+    if narrowed > 1.0:
+        yield narrowed, prior.weighed_for_robot(narrowed), False
+    if some:
+        yield narrowed, freed.weighed_for_robot(narrowed), True
+    if narrowed > 1.0:
+        yield 1.0, freed, some
 
 
 class _Prior(NamedTuple):
@@ -145,6 +163,11 @@ class _Prior(NamedTuple):
     def weighed_for_robot(self, factor: float) -> "_Prior":
         """Return the priors with the weights of weak ones of the robot times a factor; frames keep theirs."""
         return self._replace(hold=np.where(self.stated | ~self.of_robot, 1.0, factor) * self.hold)
+
+    def freed(self, problem: LeastSquares) -> "_Prior":
+        """Return the priors with the wider ones of parameters that have such."""
+        wider = [p.hold if p.freed is None else p.scale / p.freed for p in problem.parameters]
+        return self._replace(hold=np.where(self.stated, self.hold, wider))
 
     def beside(self, data: Arrow, z: Array) -> Arrow:
         """Return the rows of the data with those of all priors at z (p,)."""
@@ -329,21 +352,18 @@ class _Search(NamedTuple):
         )
         return noise._replace(prior=prior, redundancies=redundancies)
 
-    def with_free_frames(self, prior: _Prior, end: _Point) -> tuple["_Search", _Point]:
-        """Return the search and where it ends, frames held as usual where narrower priors cost a clearly worse fit.
+    def released(self, held: _Point) -> tuple[_Point, bool] | None:
+        """Return where the search ends from a point that narrower priors held, as :meth:`gauss_newton` does.
 
-        ``end``: where the search with all priors narrower ended; ``prior``: narrower on the robot alone.
-        A tool that is far from the flange is pulled towards it by a narrower prior, and the residuals grow by that.
+        None where they do not cost a clearly worse fit. A tool that is far from the flange is pulled towards it by a
+        narrow prior, and the residuals grow by that.
         """
-        freed = self._replace(prior=prior)
-        noise = freed.noise(end.z, end.evaluation, end.weighted_by)
-        begin = _Point.of(end.z, end.evaluation, end.weighted_by, noise)
-        if begin.gain < _CLEARLY_HELD * begin.cost(noise):
-            return self, end
-        found, converged = freed.gauss_newton(end.z, noise, _MOST_STEPS_OF_FREED)
-        return (freed, found) if converged else (self, end)
+        noise = self.noise(held.z, held.evaluation, held.weighted_by)
+        begin = _Point.of(held.z, held.evaluation, held.weighted_by, noise)
+        clearly = begin.gain >= _CLEARLY_HELD * begin.cost(noise)
+        return self.gauss_newton(held.z, noise) if clearly else None
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise, most_steps: int | None = None) -> tuple[_Point, bool]:
+    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
@@ -358,7 +378,7 @@ class _Search(NamedTuple):
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0
-        for steps in range(most_steps or (_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS)):
+        for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
             if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
                 break
             noise = good.noise

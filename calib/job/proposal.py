@@ -4,7 +4,7 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from calib.foundations.brief import brief
 from calib.measurement.kinds import Kind
@@ -31,6 +31,14 @@ class Question:
         """The question with the option that answers it."""
         how = " or ".join(f"{self.option} {choice}" for choice in self.choices) or self.option
         return f"{self.text}; answer by {how}."
+
+    def answered(self, choice: str) -> dict[str, Any]:
+        """Return one of the choices as an argument of :func:`calib.propose`."""
+        plain = choice.strip("'")
+        if self.option == "--column":
+            ours, _, theirs = plain.partition("=")
+            return {"columns": {ours: theirs}}
+        return {self.about: plain}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -120,9 +120,13 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
             replace(table, use="validate" if judge else "identify") for table, judge in zip(tables, judged, strict=True)
         ), said
     shared = tuple(replace(table, hold_out=_HELD_OUT) for table in tables)
-    return shared, [
-        f"{table.file}: a quarter of its {table.rows} rows is held out to judge the rest." for table in shared
-    ]
+    return shared, [f"{table.file}: {_shares(table)} to judge the rest." for table in shared]
+
+
+def _shares(table: ProposedTable) -> str:
+    if table.observes == "socket":
+        return "a quarter of its sockets, at least one, is held out with all its rows"
+    return f"a quarter of its {table.rows} rows is held out"
 
 
 def reading_that_fits(file: Path, robot: Robot, observes: Kind) -> str:

@@ -1,6 +1,7 @@
 """What a table says of its rows beside readings: sides of approach, temperatures and torques."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,9 +20,9 @@ _SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
 def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
     """Return what a table says beside readings.
 
-    In columns ``temperature``, ``tau_<joint>``, and ``direction`` or ``direction_<joint>``; ``in_order``: the order of
-    the rows says it instead of the latter. Raises MeasurementError for a word that is no side, a unit of another
-    dimension, and where sides are given twice.
+    In columns ``temperature`` (and ``time``, by which what is slow remembers it), ``tau_<joint>`` and ``sigma_tau``,
+    ``direction`` or ``direction_<joint>``; ``in_order``: the order of the rows says it instead of the latter. Raises
+    MeasurementError for a word that is no side, a unit of another dimension, and where sides are given twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
     said = [name for name in ("direction", *own.values()) if name in table.columns]
@@ -45,7 +46,23 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     for k, reading in enumerate(readings):
         if f"{TORQUE}{reading.name}" in table.columns:
             torque[:, k] = numbers(table, f"{TORQUE}{reading.name}", "torque")
-    return Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
+    told = Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
+    if "sigma_tau" in table.columns:
+        told = replace(told, torque_sigma=_sigmas(table))
+    if temperature is None or "time" not in table.columns:
+        return told
+    return told.in_time(numbers(table, "time", "time"))
+
+
+def _sigmas(table: Table) -> Array:
+    found = numbers(table, "sigma_tau", "torque")
+    if np.any(found < 0.0):
+        row = int(np.argmax(found < 0.0))
+        raise MeasurementError(
+            f"{table.where}:{table.lines[row]}: column 'sigma_tau': {found[row]:g} is not a standard deviation; "
+            "allowed is 0 Nm or more."
+        )
+    return read_only(found)
 
 
 def _sides(table: Table, name: str) -> Array:

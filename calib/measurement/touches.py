@@ -35,7 +35,7 @@ _SIZES: Mapping[TestKind, tuple[str, ...]] = {
 }
 # Of cones and spheres: a test takes three or so, and all are sought at once.
 _MOST_PLACES = 100
-_PASSED_OVER = frozenset({"time", "temperature", "tool", "setup", "sigma"})
+_PASSED_OVER = frozenset({"time", "temperature", "sigma_tau", "tool", "setup", "sigma"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

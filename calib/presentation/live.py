@@ -8,7 +8,6 @@ what moves is computed by the calibrated model.
 import contextlib
 import json
 import os
-import socket
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from calib.robot.conditions import ordinary
 from calib.robot.links import arm_of
 from calib.robot.robot import Deviations
 
-ADDRESS = "127.0.0.1"
 # How often a folder is looked at for newer results, in s.
 _EVERY = 1.0
 # Shown of joints without limits: one turn, or one metre, to both sides.
@@ -60,13 +58,13 @@ async def _run(
 ) -> None:
     import asyncio  # noqa: PLC0415 - calib must load none of these on import
 
-    from tornado.httpserver import HTTPServer  # noqa: PLC0415
-    from tornado.web import Application, RequestHandler  # noqa: PLC0415
     from tornado.websocket import WebSocketClosedError, WebSocketHandler  # noqa: PLC0415
 
-    listening: set[Any] = set()
+    from calib.presentation.local import Guarded, listening  # noqa: PLC0415
 
-    class Page(RequestHandler):
+    pages_open: set[Any] = set()
+
+    class Page(Guarded):
         def get(self, name: str) -> None:
             try:
                 with reading_folder(folder):
@@ -74,14 +72,6 @@ async def _run(
                 self.finish(contents)
             except OutputError:  # a page that older results have not, or that is a link or no file
                 self.send_error(404)
-
-        def set_default_headers(self) -> None:
-            self.set_header("Cache-Control", "no-store")
-            # No page of another site may show this one in a frame, take it for its own, or learn its address.
-            self.set_header("X-Frame-Options", "DENY")
-            self.set_header("X-Content-Type-Options", "nosniff")
-            self.set_header("Cross-Origin-Resource-Policy", "same-origin")
-            self.set_header("Referrer-Policy", "no-referrer")
 
     class Live(WebSocketHandler):
         def prepare(self) -> None:
@@ -91,7 +81,7 @@ async def _run(
                 self.send_error(403)
 
         async def open(self, *_: str, **__: str) -> None:
-            listening.add(self)
+            pages_open.add(self)
             await self.tell({"readings": sliders(model)})
 
         async def on_message(self, message: str | bytes) -> None:
@@ -107,22 +97,13 @@ async def _run(
                 super().log_exception(*what)
 
         def on_close(self) -> None:
-            listening.discard(self)
+            pages_open.discard(self)
 
-    # A page of another site may send its readers here by a name of its own; it is not answered.
-    app = Application(websocket_max_message_size=_LONGEST_MESSAGE, log_function=lambda _: None)
     names = "|".join(map(_literally, pages))
-    app.add_handlers(r"(127\.0\.0\.1|localhost)", [(rf"/({names})?", Page), ("/live", Live)])
-    server = HTTPServer(app)
-    try:
-        listener = socket.create_server((ADDRESS, port))
-    except OSError as e:
-        raise OutputError(f"port {port}: cannot be listened on ({e.strerror}).") from e
-    listener.setblocking(False)
-    server.add_socket(listener)
-    started(f"http://{ADDRESS}:{listener.getsockname()[1]}/")
-    seen = stamp(folder)
-    try:
+    routes = [(rf"/({names})?", Page), ("/live", Live)]
+    async with listening(routes, port, websocket_max_message_size=_LONGEST_MESSAGE) as address:
+        started(address)
+        seen = stamp(folder)
         while True:
             await asyncio.sleep(_EVERY)
             now = stamp(folder)
@@ -131,12 +112,9 @@ async def _run(
                     model, seen = load_machine(folder), now
                 except CalibError:  # half way through an exchange; the next look finds it
                     continue
-                telling = [asyncio.create_task(page.tell({"reload": True})) for page in listening]
+                telling = [asyncio.create_task(page.tell({"reload": True})) for page in pages_open]
                 if telling:  # who does not read is not waited for
                     await asyncio.wait(telling, timeout=_EVERY)
-    finally:
-        server.stop()
-        await server.close_all_connections()
 
 
 def sliders(model: CalibratedMachine) -> list[dict[str, Any]]:

@@ -85,6 +85,8 @@ def choice_sheet(choice: Choice) -> Sheet:
     some = f"; by {choice.rows} of {every} rows, taken at random" if choice.rows < every else ""
     if choice.taken_back:
         some += f"; {choice.taken_back} more are taken back, as no fit with them converges"
+    if choice.weighed is not None:
+        some += f"; {choice.weighed.sentence}"
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)
@@ -100,7 +102,7 @@ def choice_sheet(choice: Choice) -> Sheet:
         ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
         frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
         tuple(rows),
-        f"one-standard-error rule: {choice.taken} of {len(steps) - 1} candidates; relative to geometry alone{some}",
+        f"one-standard-error rule: {choice.taken} of {choice.offered} candidates; relative to geometry alone{some}",
         brief=True,
     )
 

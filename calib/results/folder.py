@@ -20,6 +20,7 @@ from calib.foundations.units import DEG, MM
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
+from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import (
     CALIBRATED_FILE,
     GAUSSIAN_FILE,
@@ -34,6 +35,7 @@ from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
 from calib.presentation.hand_eye import camera_info, static_transform, urdf_joint
 from calib.presentation.inline import Page
+from calib.presentation.machine_scene import machine_scene
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
@@ -148,11 +150,14 @@ def report(found: Calibration | Fit) -> Page:
 
 
 @checked
-def scene(found: Calibration | Fit) -> Page:
+def scene(found: Calibration | Fit | CalibratedMachine) -> Page:
     """Return the 3D scene of a calibration as one HTML page that needs no other file; a notebook shows it in place.
 
-    Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them.
+    Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them. Of a machine: its joints move
+    one after the other, beside the nominal arm.
     """
+    if isinstance(found, CalibratedMachine):
+        return Page(render_scene(machine_scene(found)))
     return Page(render_scene(scene_of(judged(found))))
 
 
@@ -254,6 +259,7 @@ def result(found: Calibration) -> dict[str, Any]:
             for level in found.levels
         ],
         "choice": None if found.choice is None else found.choice.records(),
+        "wind_up": None if found.choice is None or found.choice.weighed is None else found.choice.weighed.record(),
         "cameras": {
             one.camera: {
                 "on": one.parent,

@@ -7,18 +7,17 @@ import numpy as np
 from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import PoseError
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import squared_bound
 from calib.measurement.kinds import Kind, size
 from calib.measurement.measurements import Measurements, numbered
+from calib.presentation.machine_scene import led_apart
 from calib.presentation.scene import Mark, MarkKind, Scene, magnification
 from calib.results.calibration import Calibration
-from calib.robot.conditions import Conditions, joined
-from calib.robot.links import Arm, arm_of
-from calib.robot.robot import Deviations
+from calib.robot.conditions import joined
+from calib.robot.links import arm_of
 
 # Ellipsoids of all rows would hide one another, and take longer than the fit.
 _MOST_REGIONS = 60
@@ -48,7 +47,11 @@ def scene_of(found: Calibration) -> Scene:
     calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
     scales = magnification(before - measured, extent), magnification(after - measured, extent)
-    nominal, apart = _nominal(found, readings, conditions, root, scales[0])
+    # Its tool goes to where the errors before calibration, drawn as often, end.
+    bases = fit.machine.frames.base, fit.nominal.frames.base
+    nominal, apart = led_apart(
+        robot, fit.deviations, readings, conditions, lambda times: _beyond(*bases, times) @ root, scales[0]
+    )
     marks, notes = _targets(found, extent)
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
@@ -83,7 +86,17 @@ def scene_of(found: Calibration) -> Scene:
             "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
         },
         regions=_regions(found, sets) if with_points else {},
+        times=_times(sets),
     )
+
+
+def _times(sets: Sequence[JudgedSet]) -> Array | None:
+    """Return when rows were measured (N,), in s since the first of all, NaN where nobody says; None for no streams."""
+    if all(judged.data.stream is None for judged in sets):
+        return None
+    told = [np.full(len(j.data), np.nan) if j.data.times is None else j.data.times for j in sets]
+    times = np.concatenate(told)
+    return np.asarray(times - np.nanmin(times))
 
 
 def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
@@ -214,26 +227,6 @@ def _carried(found: Calibration, judged: JudgedSet) -> Array:
 def _turned(found: Calibration, judged: JudgedSet, residuals: Array) -> Array:
     """Return residuals of positions (N, 3) in the axes of the first set-up."""
     return np.asarray((_carried(found, judged)[:, :3, :3] @ residuals[:, :3, None])[:, :, 0])
-
-
-def _nominal(
-    found: Calibration, readings: Array, conditions: Conditions, root: Array, apart: float
-) -> tuple[Arm, float]:
-    """Return the nominal arm, its difference from the calibrated one taken ``apart`` times, or as often as loops allow.
-
-    Deviations and base are led on beyond the nominal ones, to first order, so that its tool goes to where the errors
-    before calibration, drawn as often, end.
-    """
-    fit = found.fit
-    for times in (*(apart / k for k in (1.0, 2.0, 5.0, 10.0, 100.0) if apart / k > 1.0), 1.0):
-        d = fit.deviations
-        try:
-            led = Deviations((1.0 - times) * d.placements, (1.0 - times) * d.offsets, (1.0 - times) * d.terms)
-            base = _beyond(fit.machine.frames.base, fit.nominal.frames.base, times)
-            return arm_of(fit.robot, led, readings, base @ root, conditions), times
-        except PoseError:  # a loop that does not close so far away
-            continue
-    raise AssertionError("the nominal robot closed its loops when it was read")
 
 
 def _beyond(start: Array, end: Array, times: float) -> Array:

@@ -1,13 +1,15 @@
 """What a row carries beside its readings, where joints stand differently for the same reading."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.errors import RobotError
+from calib.robot.warming import lagged
 
 # Lengths are stated at this temperature (ISO 1), in degC.
 REFERENCE_TEMPERATURE = 20.0
@@ -21,6 +23,9 @@ class Conditions:
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     ``payload`` (N, links, 4): what each of the robot's ``links`` carries, its first moment in kg m in the link and its
     mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
+    ``motion`` (N, 2, nr): rates and accelerations of the readings, per s and s^2; None at rest.
+    ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them. ``torque_sigma`` (N,): the
+    standard deviation of the torques in Nm, None where they are taken as they are.
     """
 
     __repr__ = brief
@@ -30,16 +35,35 @@ class Conditions:
     torque: Array | None = None
     payload: Array | None = None
     gravity: Array | None = None
+    lagged: Array | None = None
+    torque_sigma: Array | None = None
+    motion: Array | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        every = self.approach, self.temperature, self.torque, self.payload, self.gravity
+        every = [getattr(self, field.name) for field in fields(self)]
         if all(told is None for told in every):
             return self
         return Conditions(*(None if told is None else told[rows] for told in every))
+
+    def in_time(self, times: Array) -> "Conditions":
+        """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
+
+            calib.measuring.Conditions(temperature=celsius).in_time(seconds)
+
+        The rows are all of one session, in any order. Before the first one the machine had its temperature for long.
+        Raises RobotError where there is no temperature, or not a time for each.
+        """
+        if self.temperature is None:
+            raise RobotError("in_time: the rows have no temperature; state it first.")
+        if np.shape(times) != self.temperature.shape:
+            raise RobotError(
+                f"in_time: times of shape {np.shape(times)}; needed is one for each of {len(self.temperature)} rows."
+            )
+        return replace(self, lagged=lagged(times, self.temperature))
 
 
 NO_CONDITIONS = Conditions()
@@ -50,34 +74,38 @@ def ordinary(readings: Array) -> Conditions:
 
     Reached from neither side, at the reference temperature, no torque measured.
     """
-    return Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
+    told = Conditions(np.zeros_like(readings), np.full(len(readings), REFERENCE_TEMPERATURE), np.zeros_like(readings))
+    return told.in_time(np.zeros(len(readings)))
 
 
 def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
     """Return the conditions of rows one part after the other, each part being how many rows it has, and theirs.
 
-    None where one part has none; but a part that tells no load has that of the robot.
+    None where one part has none; but a part that tells no load has that of the robot, and one without motion rests.
     """
 
     def of_all(found: Sequence[Array | None]) -> Array | None:
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
-    def loads(found: Sequence[Array | None]) -> Array | None:
+    def filled(found: Sequence[Array | None], unsaid: float) -> Array | None:
         like = next((values for values in found if values is not None), None)
         if like is None:
             return None
         sizes = [rows for rows, _ in parts]
         return of_all(
-            [np.full((n, *like.shape[1:]), np.nan) if v is None else v for n, v in zip(sizes, found, strict=True)]
+            [np.full((n, *like.shape[1:]), unsaid) if v is None else v for n, v in zip(sizes, found, strict=True)]
         )
 
     return Conditions(
         of_all([told.approach for _, told in parts]),
         of_all([told.temperature for _, told in parts]),
         of_all([told.torque for _, told in parts]),
-        loads([told.payload for _, told in parts]),
-        loads([told.gravity for _, told in parts]),
+        filled([told.payload for _, told in parts], np.nan),
+        filled([told.gravity for _, told in parts], np.nan),
+        of_all([told.lagged for _, told in parts]),
+        of_all([told.torque_sigma for _, told in parts]),
+        filled([told.motion for _, told in parts], 0.0),
     )
 
 

@@ -17,6 +17,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import (
@@ -32,7 +33,7 @@ from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
 from calib.robot.terms import JointTerm
-from calib.robot.transmission import Flexures, Transmission, flexures
+from calib.robot.transmission import Bases, Flexures, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 # In rad and m. Degrees taken for radians, and millimetres for metres, are still within.
@@ -166,8 +167,6 @@ class Robot:
     ``setup``: the one in which it stands; :attr:`load` is what bears on it there.
     """
 
-    __repr__ = brief
-
     urdf: Urdf
     base: str
     tip: str
@@ -187,6 +186,13 @@ class Robot:
     links: tuple[str, ...] = ()
     loads: Mapping[str, Load] = field(default_factory=dict)
     setup: str = ""
+
+    def __repr__(self) -> str:
+        beside = [f"{len(self.terms)} joint terms"] if self.terms else []
+        beside += [f"{len(self.loops)} closed loops"] if self.loops else []
+        joints = listed([reading.name for reading in self.readings])
+        said = "; ".join([f"{len(self.readings)} joints {joints}", *beside])
+        return f"<Robot {self.urdf.where} from {self.base!r} to {self.tip!r}: {said}>"
 
     @checked
     def with_loads(self, loads: Mapping[str, Load]) -> "Robot":
@@ -447,7 +453,7 @@ class TipModel:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
         return by_reading
 
-    def _positions(self, readings: Array, conditions: Conditions, bases: Array | None = None) -> Array:
+    def _positions(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
         moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
         q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets

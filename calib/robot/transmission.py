@@ -1,9 +1,9 @@
-"""What lies between a motor and its joint, and between two joints; each linear in its coefficient.
+"""What lies between a motor and its joint, and between two joints.
 
 A reading u becomes the joint coordinate ``u + sum_t a_t basis_t(row)``, which the coupling then carries on to the
-joints. The bases depend on the row alone and not on what is identified, so that derivatives by the coefficients are
-exact. What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in coordinates of their own
-(:mod:`calib.robot.flexures`), which are zero but for their terms.
+joints. The bases depend on the row and, but for the time constant of a memory, not on what is identified; derivatives
+by the coefficients are exact. What they are, each kind says for itself: :mod:`calib.robot.terms`. Links give way in
+coordinates of their own (:mod:`calib.robot.flexures`), which are zero but for their terms.
 """
 
 from collections.abc import Iterable, Sequence
@@ -58,6 +58,13 @@ def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Con
     return None
 
 
+class Bases(NamedTuple):
+    """What terms add per unit of their coefficients, and what that changes by each: (N, shares), mostly one."""
+
+    adds: Array
+    changes: Array
+
+
 class Transmission:
     """The terms of a robot with given coefficients (nt,).
 
@@ -87,7 +94,7 @@ class Transmission:
         # Of flexures, any reading: what they add does not follow it.
         reading = np.where(self._coordinate < len(readings), self._coordinate, 0)
         lengths = np.array([0.0] * len(readings) + [link_length(segments[flexure.joint]) for flexure in moved.every])
-        self._bases_of: list[tuple[slice | IntArray, Basis]] = []
+        self._bases_of: list[tuple[slice | IntArray, tuple[Basis, Basis]]] = []
         self._slopes_of: list[tuple[slice | IntArray, Slope]] = []
         for kind in KINDS:
             those = np.flatnonzero([kind_of(terms[t]) is kind for t in number.tolist()])
@@ -96,23 +103,30 @@ class Transmission:
                 of_kind = tuple(terms[t] for t in number[those].tolist())
                 shares = Shares(of_kind, coordinate, reading[those], lengths[coordinate])
                 columns = _columns(those)
-                self._bases_of.append((columns, kind.basis(shares)))
+                own_coefficients = np.asarray(coefficients)[number[those]]
+                self._bases_of.append((columns, kind.bases(shares, own_coefficients)))
                 if slope := kind.slope(shares):
                     self._slopes_of.append((columns, slope))
 
-    def bases(self, readings: Array, conditions: Conditions) -> Array:
-        """Return the bases (N, shares) at readings (N, nr), in rad or m per unit of each coefficient.
+    def bases(self, readings: Array, conditions: Conditions) -> Bases:
+        """Return the bases at readings (N, nr), in rad or m per unit of each coefficient.
 
         Raises RobotError for a term that needs a condition which the rows do not have.
         """
         if missing := lacking(self._terms, self._readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
-        rows, found = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
-        for columns, basis in self._bases_of:
-            found[:, columns] = basis(rows)
-        return found
+        rows, adds = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
+        for columns, (basis, _) in self._bases_of:
+            adds[:, columns] = basis(rows)
+        if all(basis is change for _, (basis, change) in self._bases_of):
+            return Bases(adds, adds)
+        changes = adds.copy()
+        for columns, (basis, change) in self._bases_of:
+            if change is not basis:
+                changes[:, columns] = change(rows)
+        return Bases(adds, changes)
 
-    def moved(self, readings: Array, conditions: Conditions, bases: Array | None = None) -> Array:
+    def moved(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
         """Return the coordinates (N, c) at readings (N, nr), with what the terms add to them; ``bases``: those there.
 
         Raises RobotError for a term that needs a condition which the rows do not have, unless all coefficients are
@@ -122,13 +136,12 @@ class Transmission:
         straight = np.pad(readings, ((0, 0), (0, flexures))) if flexures else readings
         if not self._coefficients.any():
             return straight
-        return np.asarray(
-            straight + (self.bases(readings, conditions) if bases is None else bases) @ self._coefficients
-        )
+        there = self.bases(readings, conditions) if bases is None else bases
+        return np.asarray(straight + there.adds @ self._coefficients)
 
-    def by_terms(self, by_coordinate: Array, bases: Array) -> Array:
+    def by_terms(self, by_coordinate: Array, bases: Bases) -> Array:
         """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c)."""
-        by_share = by_coordinate[:, :, self._coordinate] * bases[:, None]
+        by_share = by_coordinate[:, :, self._coordinate] * bases.changes[:, None]
         return by_share if len(self._coordinate) == len(self._terms) else np.asarray(by_share @ self._to_terms)
 
     def slopes(self, readings: Array) -> Array:

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -73,6 +73,28 @@ class Page:
         """Show the page for a medium ("print") and with features (``prefers_color_scheme="dark"``)."""
         asked = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
         self.ask("Emulation.setEmulatedMedia", media=kind, features=asked)
+
+    def choose(self, selector: str, files: Iterable[Path]) -> None:
+        """Choose files in an input of the page, as a person does in the window that it opens."""
+        root = self.ask("DOM.getDocument")["root"]["nodeId"]
+        node = self.ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        self.ask("DOM.setFileInputFiles", nodeId=node, files=[str(file) for file in files])
+
+    def drop(self, selector: str, files: Iterable[Path]) -> None:
+        """Drag files onto the middle of an element and drop them there."""
+        where = f"(r => [r.x + r.width / 2, r.y + r.height / 2])(document.querySelector({json.dumps(selector)})"
+        x, y = self.evaluate(f"{where}.getBoundingClientRect())")
+        data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.ask("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
+
+    def press(self, key: str) -> None:
+        """Press a key: ``"Tab"``, ``"Enter"``, ``" "``."""
+        code = {"Tab": 9, "Enter": 13, " ": 32}[key]
+        text = {"Enter": "\r", " ": " "}.get(key, "")
+        told = {"key": key, "windowsVirtualKeyCode": code, "text": text}
+        self.ask("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **told)
+        self.ask("Input.dispatchKeyEvent", type="keyUp", **told)
 
     def screenshot(self, file: Path, *, whole: bool = False) -> None:
         """Write what is seen, or the whole page, as PNG."""

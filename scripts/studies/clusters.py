@@ -1,6 +1,6 @@
 """Do chosen joint terms harm where nothing was measured? Machines that were measured in a few small cubes alone.
 
-    python scripts/studies/clusters.py [--machines 100] [--unmodelled 0] [--dataset REPOSITORY]
+    python scripts/studies/clusters.py [--machines 100] [--first 0] [--unmodelled 0] [--dataset REPOSITORY]
 
 A UR10 is simulated, each time with other errors and four uneven gears, and measured in four to eight small cubes of
 joint space, 0.05 mm of noise. Judged are twenty cubes elsewhere: how often is their 95 % quantile larger with the terms
@@ -66,12 +66,12 @@ def p95(fit: calib.Fit, machine: machines.Machine, readings: Array) -> float:
     return 1e3 * float(np.quantile(np.linalg.norm(missed, axis=1), 0.95))
 
 
-def count(many: int, unmodelled: float) -> None:
+def count(seeds: range, unmodelled: float) -> None:
     """Print how often terms harm, and what they bring."""
     model = calib.error_model(machines.load(*UR10), offsets="all", placements="all")
-    ratios = np.ones(many)
+    ratios = dict.fromkeys(seeds, 1.0)
     taken = 0
-    for seed in range(many):
+    for seed in seeds:
         data, machine, elsewhere = simulated(seed, unmodelled)
         choice = choose_terms(model, data)
         if choice.taken:
@@ -79,10 +79,11 @@ def count(many: int, unmodelled: float) -> None:
             ratios[seed] = p95(choice.fit, machine, elsewhere) / p95(choice.geometric, machine, elsewhere)
             if ratios[seed] > 1.0:
                 print(f"machine {seed}: {ratios[seed]:.3f} of geometry, {choice.taken} steps", flush=True)
-    worse = int(np.sum(ratios > 1.0))
+    found = np.array(list(ratios.values()))
+    worse = int(np.sum(found > 1.0))
     print(
-        f"{many} machines, {taken} given terms: p95 elsewhere is larger in {worse}; of geometry's it is "
-        f"{np.exp(np.mean(np.log(ratios))):.2f} on average, {ratios.max():.3f} at most"
+        f"{len(seeds)} machines, {taken} given terms: p95 elsewhere is larger in {worse}; of geometry's it is "
+        f"{np.exp(np.mean(np.log(found))):.2f} on average, {found.max():.3f} at most"
     )
 
 
@@ -115,13 +116,14 @@ def main() -> None:
     """Simulate or read, choose, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--machines", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="the first machine's number (default: 0)")
     parser.add_argument("--unmodelled", type=float, default=0.0)
     parser.add_argument("--dataset", type=Path)
     chosen = parser.parse_args()
     if chosen.dataset is not None:
         real(chosen.dataset)
     if chosen.machines:
-        count(chosen.machines, chosen.unmodelled)
+        count(range(chosen.first, chosen.first + chosen.machines), chosen.unmodelled)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ TITLES = {
 
 PAGE = """# Joint terms on a real UR10
 
-Made by `python scripts/studies/ur10_terms.py <ur10_leica folder> --markdown docs/ur10_terms.md`.
+Made by `python scripts/studies/ur10_terms.py <ur10_leica folder> --machines {machines} --markdown docs/ur10_terms.md`.
 
 A UR10 measured with a Leica T-Mac ([ur10_leica_job.py](../scripts/examples/ur10_leica_job.py) says where the data are).
 Two thirds of the rows to identify, errors of the last third, {splits} random splits; positions. What a joint term is
@@ -171,7 +171,7 @@ def main() -> int:
         ]
         table += [f"| {' | '.join(row)} |" for row in rows]
         text = [
-            PAGE.format(splits=len(splits)),
+            PAGE.format(splits=len(splits), machines=arguments.machines),
             *table,
             "",
             *said,

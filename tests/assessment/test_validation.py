@@ -119,11 +119,14 @@ def test_a_model_that_harms_somewhere_is_not_taken() -> None:
     # A row that lies off has what the model changes on top.
     assert smallest_unharmed([first, HeldOut(0.5, 0.05, 1.0, 3.9)]) == 1
     assert smallest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 1
-    assert largest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 2
-    assert largest_unharmed([first, HeldOut(0.4, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)]) == 1
+    assert largest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)], apart=False) == 2
+    assert largest_unharmed([first, HeldOut(0.52, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)], apart=True) == 1
+    assert largest_unharmed([first, HeldOut(0.4, 0.05, 1.0, 3.0), HeldOut(0.5, 0.05, 1.0, 3.0)], apart=False) == 1
     # Of few neighbourhoods chance says as much.
-    assert largest_unharmed([first, HeldOut(0.8, 0.11, 1.0, 3.0)]) == 0
-    assert largest_unharmed([first, HeldOut(0.8, 0.09, 1.0, 3.0)]) == 1
+    assert largest_unharmed([first, HeldOut(0.8, 0.11, 1.0, 3.0)], apart=False) == 0
+    assert largest_unharmed([first, HeldOut(0.8, 0.09, 1.0, 3.0)], apart=False) == 1
+    assert largest_unharmed([first, HeldOut(0.95, 0.01, 1.0, 3.0)], apart=False) == 1
+    assert largest_unharmed([first, HeldOut(0.95, 0.01, 1.0, 3.0)], apart=True) == 0
 
 
 def in_cubes(places: int, rows: int, width: float) -> tuple[calib.Measurements, np.ndarray]:
@@ -138,23 +141,25 @@ def in_cubes(places: int, rows: int, width: float) -> tuple[calib.Measurements, 
 @pytest.mark.parametrize("places", [3, 5, 8])
 def test_places_that_lie_apart_are_not_divided(places: int) -> None:
     data, cube = in_cubes(places, 30, 0.2)
-    found = neighbourhoods([data], row_groups([data]))
+    found, apart = neighbourhoods([data], row_groups([data]))
+    assert apart
     pairs = {(int(a), int(b)) for a, b in zip(cube, found, strict=True)}
     assert len(pairs) == places  # one for one
     order = np.random.default_rng(0).permutation(len(data))
     moved = data.subset(order)
-    np.testing.assert_array_equal(neighbourhoods([moved], row_groups([moved])), found[order])
+    np.testing.assert_array_equal(neighbourhoods([moved], row_groups([moved])).number, found[order])
 
 
 def test_poses_all_over_are_divided_into_neighbourhoods() -> None:
     _, data = measured(300)
-    found = neighbourhoods([data], row_groups([data]), 10)
+    found, apart = neighbourhoods([data], row_groups([data]), 10)
+    assert not apart
     assert len(np.unique(found)) == 10
     # Rows are nearer to their own middle than to any other one's.
     middles = np.array([data.readings[found == k].mean(axis=0) for k in range(10)])
     nearest = np.argmin(np.linalg.norm(data.readings[:, None] - middles, axis=2), axis=1)
     assert np.mean(nearest == found) > 0.95
-    assert len(np.unique(neighbourhoods([data.subset(range(7))], row_groups([data.subset(range(7))]), 10))) == 7
+    assert len(np.unique(neighbourhoods([data.subset(range(7))], row_groups([data.subset(range(7))]), 10).number)) == 7
 
 
 def test_which_rows_are_looked_at_does_not_depend_on_their_order() -> None:

@@ -121,15 +121,17 @@ _TERMS_OF = {"harmonics": "@first", "moments": "@third", "thermal": "@first"}
 
 
 # All at once with wind-up and bending of one arm they cannot be told apart: tests/identification/test_bearings.py.
-_BY_THEMSELVES = ("torsion", "lateral", "lateral_moments")
+# What is remembered of a session is not of single rows: tests/identification/test_memory.py.
+_BY_THEMSELVES = ("torsion", "lateral", "lateral_moments", "warming")
 
 
 def _of_masses() -> list[Kind]:
-    return [kind for kind in KINDS if kind.masses != "none" and kind.key not in _BY_THEMSELVES]
+    return [kind for kind in KINDS if kind.masses != "none" and kind.key not in _BY_THEMSELVES and kind not in _told()]
 
 
 def _told() -> list[Kind]:
-    return [kind for kind in KINDS if kind.lacking(JointTerm("", kind.names[0]), 0, NO_CONDITIONS)]
+    told = [kind for kind in KINDS if kind.lacking(JointTerm("", kind.names[0]), 0, NO_CONDITIONS)]
+    return [kind for kind in told if kind.key not in _BY_THEMSELVES]
 
 
 def _of_readings() -> list[Kind]:
@@ -388,7 +390,7 @@ EXEMPT: Mapping[str, str] = {
         for key in ("date", "note", "operator", "serial")
     },
     **dict.fromkeys(
-        (f"measurements.{key}" for key in ("readings", "clock", "latency", "gap")),
+        (f"measurements.{key}" for key in ("readings", "clock", "clock_of", "latency", "gap")),
         "streams, whose clocks are found; tests/job/test_streams.py",
     ),
     "accept": "answers checks of the verdict; tests/assessment/test_trust.py",

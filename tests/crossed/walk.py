@@ -76,6 +76,7 @@ ELSEWHERE = {
     "planning": "plan walks it",
     "init": "makes a job of tables before there is one; tests/proposal/test_init.py",
     "import": "makes tables of files of others; tests/proposal/test_import.py",
+    "app": "check and calibrate behind a page; tests/app",
     "board": "draws what is to be printed; tests/job/test_photographs.py",
     "propose": "init in other words; tests/proposal/test_init.py",
     "measuring": "what features of measurements are made of",

@@ -24,7 +24,10 @@ MADE = (
     *("TableError", "Targets", "Touches", "Trace"),
 )
 # Conditions say nothing where they are NaN, and are held against the rows that they are of; sight may have no end.
-LATER = {"Conditions": ("payload", "gravity", "temperature", "torque", "approach"), "Sight": ("nearest", "farthest")}
+LATER = {
+    "Conditions": ("payload", "gravity", "temperature", "torque", "approach", "lagged", "torque_sigma"),
+    "Sight": ("nearest", "farthest"),
+}
 FRONT = (calib, calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner)
 
 
@@ -165,7 +168,7 @@ def test_nonsense_is_refused_when_it_is_said(name: str) -> None:
         (lambda: calib.Payload(-1.0), "payload: mass is -1 kg; allowed is 0, or 1e-06 to 100000 kg."),
         (
             lambda: calib.JointTerm("joint_2", "cos", 10**9),
-            "joint term of 'joint_2': order is 1000000000; allowed are 0 to 1000.",
+            "joint term of 'joint_2': order is 1000000000; allowed are 0 to 1000000.",
         ),
         (lambda: calib.Priors(length=-1.0), "prior length: -1.0 is not a positive number; leave it out for no prior."),
         (

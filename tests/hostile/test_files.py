@@ -233,6 +233,7 @@ COMMANDS = (
     ("compensate", "there", TABLE, "-o", "there"),
     ("demo", "there"),
     ("view", "there"),
+    ("app", "--folder", TABLE),
     ("sensitivity", JOB, "--errors", "there", "--plot", "there"),
     ("performance", "there", TABLE, "--probe", TABLE),
     ("cell", "there", "there", "-o", "there", "--scene", "there", "--mesh-root", "there"),

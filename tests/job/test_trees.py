@@ -255,3 +255,52 @@ def test_wrong_frames_are_one_sentence(cell: tuple[Path, Tree], case: str) -> No
     assert (said.code, said.out, said.err.count("\n")) == (1, "", 1)
     assert sentence in said.err
     assert not (folder / "none").exists()
+
+
+UNRELATED = {
+    "two links of one name": (
+        ('<link name="right_hand"/>', '<link name="right_hand"/><link name="right_hand"/>'),
+        RIGHT,
+        "link 'right_hand' is declared already in line",
+    ),
+    "a base that nothing shows": (
+        ("", ""),
+        RIGHT + TOUCH.replace('tip = "left_hand"', 'tip = "left_hand"\nsetup = "other"'),
+        "nothing shows where the base is in the set-up 'other'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNRELATED)
+def test_frames_that_nothing_relates_and_names_that_come_twice(cell: tuple[Path, Tree], case: str) -> None:
+    folder, _ = cell
+    (old, new), sections, sentence = UNRELATED[case]
+    text = (folder / "tree.urdf").read_text(encoding="utf-8")
+    (folder / "other.urdf").write_text(text.replace(old, new, 1), encoding="utf-8")
+    (folder / "wrong.toml").write_text(JOB.replace("tree.urdf", "other.urdf") + sections, encoding="utf-8")
+    said = run("calibrate", folder / "wrong.toml", "-o", folder / "none")
+    assert (said.code, said.out, said.err.count("\n")) == (1, "", 1)
+    assert sentence in said.err, said.err
+    assert not (folder / "none").exists()
+
+
+def test_points_that_differ_row_by_row_on_a_second_arm(cell: tuple[Path, Tree], tmp_path: Path) -> None:
+    """A depth camera on the left hand: each row says where its point is in the tool's frame."""
+    folder, made = cell
+    rng, base = np.random.default_rng(12), anywhere(np.random.default_rng(5))
+    (tmp_path / "tree.urdf").write_text((folder / "tree.urdf").read_text(encoding="utf-8"), encoding="utf-8")
+    for name, n in (("left", 150), ("judge", 40)):
+        q, points = made.draw(rng, n), rng.uniform(-0.1, 0.1, (n, 3))
+        placed = base @ made.link("left_hand", q) @ TOOLS["left_hand"]
+        seen = placed[:, :3, 3] + (placed[:, :3, :3] @ points[:, :, None])[:, :, 0]
+        seen += rng.normal(scale=SIGMA, size=(n, 3))
+        columns = made.columns(q, ("left_hand",)) | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")}
+        columns |= {f"point_{k} [mm]": 1e3 * points[:, i] for i, k in enumerate("xyz")}
+        write_table(tmp_path / f"{name}.csv", columns)
+    judge = LEFT.replace("left.csv", "judge.csv") + 'use = "validate"\n'
+    job = tmp_path / "job.toml"
+    job.write_text(JOB + 'tool = "pose"\n' + LEFT + judge, encoding="utf-8")
+    said = run("calibrate", job, "-o", tmp_path / "out")
+    assert said.code == 0, said
+    found = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert found["validation"]["after"]["position"]["rms"] < 2.5 * SIGMA * 1e3

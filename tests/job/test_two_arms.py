@@ -91,7 +91,7 @@ def test_a_place_that_is_only_guessed(folder: Path) -> None:
 
         def moved(found: re.Match[str], far: float = far, turn: float = turn) -> str:
             xyz, rpy = (np.array(found[k].split(), dtype=float) for k in (2, 4))
-            xyz, rpy = xyz + (far, -far, far), rpy + (0.5 * turn, 0.0, turn)
+            xyz, rpy = xyz + np.array((far, -far, far)), rpy + np.array((0.5 * turn, 0.0, turn))
             return found[1] + " ".join(map(str, xyz)) + found[3] + " ".join(map(str, rpy)) + found[5]
 
         changed, count = place.subn(moved, text)

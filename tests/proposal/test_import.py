@@ -195,3 +195,36 @@ def test_published_joints_and_points(folder: Path, joints: str, points: str) -> 
     assert not found.questions, found.questions
     assert found.tables[0].columns.names["x [mm]"] == "column 7"
     assert found.tables[0].columns.names["joint_1 [deg]"] == "column 1"
+
+
+def test_files_of_which_each_is_one_target(folder: Path) -> None:
+    """As people record a ball in printed sockets: joint angles alone, a file a socket."""
+    for name, rows in (("hole_0", 3), ("hole_1", 2)):
+        (folder / f"{name}.csv").write_text("".join(f"{k}.5,0.1,-0.2\n" for k in range(rows)))
+    said = run("import", "hole_0.csv", "hole_1.csv", "--stack", "target", "-o", "touched.csv")
+    assert (said.code, said.err) == (0, "")
+    assert "2 files one below the other; 'target' is the name of each." in said.out
+    lines = (folder / "touched.csv").read_text().splitlines()
+    assert lines[0] == "column 1,column 2,column 3,target"
+    assert lines[1:] == [*(f"{k}.5,0.1,-0.2,hole_0" for k in range(3)), *(f"{k}.5,0.1,-0.2,hole_1" for k in range(2))]
+
+
+@pytest.mark.parametrize(
+    ("second", "title", "sentence"),
+    [
+        ("1,2\n3,4\n", "target", "hole_0.csv, b.csv: have other columns, 'column 1', 'column 2', 'column 3' and"),
+        ("1,2,3\n3,4,5\n", "column 2", "hole_0.csv: has a column 'column 2' already."),
+        (None, "target", "hole_0.csv: another file is called 'hole_0' too; give each its own name."),
+    ],
+)
+def test_files_that_cannot_stand_below_each_other(folder: Path, second: str | None, title: str, sentence: str) -> None:
+    (folder / "hole_0.csv").write_text("1,2,3\n4,5,6\n")
+    (folder / "sub").mkdir()
+    name = "sub/hole_0.csv" if second is None else "b.csv"
+    (folder / name).write_text(second or "1,2,3\n4,5,6\n")
+    said = run("import", "hole_0.csv", name, "--stack", title, "-o", "out.csv")
+    assert (said.code, said.out) == (1, "")
+    assert sentence in said.err
+    assert not (folder / "out.csv").exists()
+    both = run("import", "hole_0.csv", name, "--stack", title, "--by", "order", "-o", "out.csv")
+    assert both.code == 2

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.gravity import Holding, Payload, Weights
+from calib.robot.gravity import Body, Holding, Payload, Weights
 from calib.robot.joint_terms import foreign, moments, weights_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
@@ -305,7 +305,9 @@ def test_moments_make_up_whatever_masses_there_are(name: str) -> None:
     rng = np.random.default_rng(9)
     robot = load_robot(machines.load(machines.INLINE[name], "tip").urdf, "tip") if name == "skew" else robot_of(name)
     robot = replace(robot, gravity=(0.0, 0.0, -9.81))
-    bodies = tuple((i, rng.uniform(1.0, 5.0), rng.normal(scale=0.3, size=3)) for i in robot.moving)
+    bodies = tuple(
+        Body(i, rng.uniform(1.0, 5.0), rng.normal(scale=0.3, size=3), np.zeros((3, 3))) for i in robot.moving
+    )
     u = rng.uniform(-0.4, 0.4, (200, len(robot.readings)))
     torques = Holding(Weights(robot.mechanism, bodies, np.array(robot.gravity)))(u)
     terms = moments(robot)

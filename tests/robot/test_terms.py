@@ -45,7 +45,7 @@ def drawn(kind: Kind) -> tuple[Robot, Deviations, Array, Conditions]:
     placements = rng.normal(scale=1e-3, size=(len(robot.chain), 6))
     d = Deviations(placements, np.zeros(len(robot.moving)), 10.0 * sizes * rng.uniform(-1, 1, len(sizes)))
     told = Conditions(rng.choice([-1.0, 1.0], (ROWS, 6)), rng.uniform(10, 30, ROWS), rng.uniform(-50, 50, (ROWS, 6)))
-    return robot, d, rng.uniform(-2.0, 2.0, (ROWS, 6)), told
+    return robot, d, rng.uniform(-2.0, 2.0, (ROWS, 6)), told.in_time(rng.uniform(0.0, 7200.0, ROWS))
 
 
 def test_names_and_keys_are_of_one_kind() -> None:

@@ -21,6 +21,7 @@ from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.conditions import joined
 from calib.robot.terms import kind_of
+from calib.robot.torques import expected_torques
 from calib.robot.transmission import lacking
 
 
@@ -39,7 +40,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     for data in measurements:
         if not len(data):
             raise MeasurementError(f"{data.where}: has no rows to identify from.")
-    sets = with_common_names(model, measurements)
+    sets = _with_expected_torques(model, with_common_names(model, measurements))
     _refuse_unturned_tools(model, sets)
     _refuse_unknown_targets(model, sets)
     _refuse_unknown_setups(model, sets)
@@ -59,6 +60,18 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     if twice := sorted(name for name, count in counts.items() if count > 1):
         raise JobError(f"the parameter name {twice[0]!r} means two things; rename a joint, a target or a length.")
     return Problem(model, parameters, reference, sets, relations=model.relations)
+
+
+def _with_expected_torques(model: ErrorModel, sets: tuple[Measurements, ...]) -> tuple[Measurements, ...]:
+    """Return the sets with torques that are to be expected in the place of those that scatter by a stated sigma."""
+    if all(end.conditions.torque_sigma is None for data in sets for end in data.ends):
+        return sets
+    told = iter(expected_torques(model.urdf_robot, [(e.readings, e.conditions) for data in sets for e in data.ends]))
+    found = []
+    for data in sets:
+        own = replace(data, conditions=next(told))
+        found.append(own if data.other is None else replace(own, other=replace(data.other, conditions=next(told))))
+    return tuple(found)
 
 
 def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
@@ -300,14 +313,15 @@ def _without_turns_of_points(
 def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, layout: Layout) -> tuple[Parameter, ...]:
     """Return the parameters with points of tools held where they start, if poses do not show all their directions.
 
-    Wide priors would let errors of the model move such a tool far along curved valleys, to no one's use.
+    Wide priors would let errors of the model move such a tool far along curved valleys, to no one's use; they get them
+    back where the data clearly ask for another place.
     """
 
     def held(parameter: Parameter) -> bool:
         tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
         return parameter.kind == "tool" and component < 3 and bool(unshown[tool])
 
-    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH) if held(q) else q for q in parameters)
+    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=q.weak_prior) if held(q) else q for q in parameters)
 
 
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:

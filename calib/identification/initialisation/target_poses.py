@@ -105,12 +105,25 @@ def _plane(x: Array, beside: Array) -> Array:
 
 
 def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
-    """Return the point at measured distances from points: |x|^2 - l^2 = 2 x c - 2 l o + o^2 - |c|^2, linear."""
+    """Return the point at measured distances from points: |x|^2 - l^2 = 2 x c - 2 l o + o^2 - |c|^2, linear.
+
+    Points that are nearly in a plane tell badly how far off it the point is, and hardly on which side. So both sides
+    are tried, as far off as lengths say.
+    """
     x = np.concatenate([points for _, points, _ in own])
     length = np.concatenate([value[:, 0] for _, _, value in own])
     middle = x.mean(axis=0)
     y = x - middle
+    squares = (y * y).sum(axis=1) - length**2
     offset = [length] if any(data.uses for data, _, _ in own) and np.ptp(length) > 0.0 else []
     A = np.column_stack([2.0 * y, np.ones(len(y)), *offset])
-    z = np.linalg.lstsq(A, (y * y).sum(axis=1) - length**2, rcond=NEGLIGIBLE)[0]
-    return np.asarray(middle + z[:3])
+    straight = np.linalg.lstsq(A, squares, rcond=NEGLIGIBLE)[0][:3]
+    if offset:
+        return np.asarray(middle + straight)
+    axes = np.linalg.svd(y, full_matrices=True)[2]
+    flat = y @ axes[:2].T
+    within = np.linalg.lstsq(np.column_stack([2.0 * flat, np.ones(len(y))]), squares, rcond=NEGLIGIBLE)[0][:2]
+    height = np.sqrt(max(float(np.mean(length**2 - ((flat - within) ** 2).sum(axis=1))), 0.0))
+    tried = np.array([straight, *(within @ axes[:2] + side * height * axes[2] for side in (1.0, -1.0))])
+    missed = np.linalg.norm(y - tried[:, None], axis=2) - length
+    return np.asarray(middle + tried[np.argmin((missed**2).sum(axis=1))])

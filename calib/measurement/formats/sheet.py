@@ -157,6 +157,30 @@ def _in_order(first: Sheet, second: Sheet) -> Sheet:
     return Sheet(_apart(first.titles, second.titles), rows, first.where, (*first.remarks, *second.remarks, said))
 
 
+def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
+    """Return sheets of the same columns one below the other; a last column ``title`` has the name of each row's file.
+
+    For files of which each belongs to one target: what was touched, its name says. Raises MeasurementError where the
+    columns differ, two files have the same name, or ``title`` is one of the columns.
+    """
+    first = sheets[0]
+    for sheet in sheets:
+        if sheet.titles != first.titles:
+            raise MeasurementError(
+                f"{first.where}, {sheet.where}: have other columns, {listed(first.titles)} and {listed(sheet.titles)}."
+            )
+        if title in sheet.titles:
+            raise MeasurementError(f"{sheet.where}: has a column {shown(title)} already.")
+    names = [Path(sheet.where).stem for sheet in sheets]
+    for sheet, name in zip(sheets, names, strict=True):
+        if names.count(name) > 1:
+            raise MeasurementError(f"{sheet.where}: another file is called {shown(name)} too; give each its own name.")
+    rows = tuple((*row, name) for sheet, name in zip(sheets, names, strict=True) for row in sheet.rows)
+    said = f"{len(sheets)} files one below the other; {title!r} is the name of each"
+    remarks = [remark for sheet in sheets for remark in sheet.remarks]
+    return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said))
+
+
 def _naming(sheet: Sheet) -> dict[int, frozenset[str]]:
     """Return the words of columns that may name rows, by number: two or more, each once; decimals name nothing."""
     found: dict[int, frozenset[str]] = {}

@@ -13,6 +13,7 @@ from calib.robot.terms.elastic import Elastic
 from calib.robot.terms.expansion import Expansion
 from calib.robot.terms.gain import Gain
 from calib.robot.terms.harmonic import Harmonic
+from calib.robot.terms.hysteresis import Hysteresis
 from calib.robot.terms.kind import Kind
 from calib.robot.terms.lateral import Lateral, LateralMoment
 from calib.robot.terms.moment import Moment
@@ -20,6 +21,7 @@ from calib.robot.terms.term import JointTerm
 from calib.robot.terms.thermal import Thermal
 from calib.robot.terms.torque import Torque
 from calib.robot.terms.torsion import Torsion
+from calib.robot.terms.warming import Warming
 
 # Terms of one reading have this order among parameters. A link expands before it bends and twists; then bearings tilt.
 KINDS: tuple[Kind, ...] = (
@@ -29,7 +31,9 @@ KINDS: tuple[Kind, ...] = (
     Moment(),
     Torque(),
     Backlash(),
+    Hysteresis(),
     Thermal(),
+    Warming(),
     Expansion(),
     Bending(),
     Torsion(),

@@ -12,6 +12,7 @@ class Gain(Kind):
     key = "gain"
     coefficients = {"angle": Coefficient("1", 1e-3), "length": Coefficient("1", 1e-3)}
     shown = {"1": "ppm"}
+    grows = True
 
     def basis(self, shares: Shares) -> Basis:
         """Return the readings."""

@@ -44,7 +44,7 @@ class Harmonic(Kind):
 
     def well_formed(self, term: JointTerm) -> bool:
         """Return whether it has an order."""
-        return term.order > 0 and term.body == ""
+        return 0 < term.order <= HIGHEST_ORDER and term.body == ""
 
     def group(self, term: JointTerm, dimension: Dimension) -> str:
         """Return the name of the harmonics of one reading."""

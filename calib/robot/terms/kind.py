@@ -100,7 +100,7 @@ class Kind(ABC):
     ``words`` than "all" and "none", and ``options`` beside it. ``coefficients``: by the dimension of the reading; where
     there is none, ``only`` says of what such terms are. ``shown``: what a millionth of a unit is called in tables;
     lengths and angles are in mm and deg there. ``masses``: which ones its basis asks for. ``priors``: the field of
-    :class:`calib.Priors`, by the dimension of the reading.
+    :class:`calib.Priors`, by the dimension of the reading. ``grows``: whether it does with the reading, without end.
     """
 
     names: ClassVar[tuple[str, ...]]
@@ -113,12 +113,21 @@ class Kind(ABC):
     masses: ClassVar[Literal["none", "stated", "unknown"]] = "none"
     priors: ClassVar[Mapping[Dimension, str]] = MappingProxyType({})
     of_link: ClassVar[bool] = False
+    grows: ClassVar[bool] = False
 
     # ---- what it does
 
     @abstractmethod
     def basis(self, shares: Shares) -> Basis:
         """Return what evaluates the bases of these shares."""
+
+    def bases(self, shares: Shares, coefficients: Array) -> tuple[Basis, Basis]:
+        """Return what evaluates the bases of these shares, and the derivatives by their coefficients (shares,).
+
+        They are one, but for kinds of which one coefficient shapes what another is multiplied by.
+        """
+        own = self.basis(shares)
+        return own, own
 
     def slope(self, shares: Shares) -> Slope | None:
         """Return what evaluates how fast the bases follow their own reading; None where that is negligible."""

@@ -6,17 +6,17 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.errors import JobError
 
 WHOLE_ARM = "arm"
-# Of harmonics.
-HIGHEST_ORDER = 1000
+# Of harmonics; and of all terms, a time constant of days in s.
+HIGHEST_ORDER, LARGEST = 1000, 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class JointTerm:
     """One term of one reading; of links and bearings: of those before the joint that ``reading`` names.
 
-    ``kind``: a name of ``calib.robot.terms.NAMED``. ``order``: periods of a harmonic in a turn of the reading, 0
-    for all other kinds. ``body``: of a moment, the joint that carries it and its axis in the joint's frame, as
-    ``joint_4_x``, or ``joint_4_mass``; "" for all other kinds.
+    ``kind``: a name of ``calib.robot.terms.NAMED``. ``order``: periods of a harmonic in a turn of the reading, or the
+    nominal time constant of a memory in s; 0 for all other kinds. ``body``: of a moment, the joint that carries it and
+    its axis in the joint's frame, as ``joint_4_x``, or ``joint_4_mass``; "" for all other kinds.
     """
 
     reading: str
@@ -26,8 +26,8 @@ class JointTerm:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if not 0 <= self.order <= HIGHEST_ORDER:
-            raise JobError(f"joint term of {self.reading!r}: order is {self.order}; allowed are 0 to {HIGHEST_ORDER}.")
+        if not 0 <= self.order <= LARGEST:
+            raise JobError(f"joint term of {self.reading!r}: order is {self.order}; allowed are 0 to {LARGEST}.")
 
     @property
     def owner(self) -> str:

@@ -1,0 +1,218 @@
+"""A look at dropped files, or a calibration, in a process of its own: a request on standard input, lines of JSON back.
+
+Every line is a step (``step``, ``done``, ``of``); the last one has what was ``found``, or the ``sentence`` that says
+why nothing was. The folder of the page is the current one. What is done here is what ``calib import``, ``init``,
+``check`` and ``calibrate`` do, by the same functions.
+"""
+
+import json
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from calib_start import loading
+
+with loading():
+    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS
+    from calib.foundations.errors import CalibError, JobError
+    from calib.foundations.files import read_bytes, write_atomically
+    from calib.foundations.words import shown
+    from calib.job.calibrate import STEPS_OF_LOADING, calibrate
+    from calib.job.inputs import load
+    from calib.job.looking import NO_FINDINGS, looked_at
+    from calib.job.photographs import import_photographs
+    from calib.job.proposal import Proposal
+    from calib.job.propose import propose
+    from calib.job.read import read_board, read_job, read_toml
+    from calib.measurement.formats.sheet import read_sheet, stacked
+    from calib.measurement.raw import raw_table, split_title
+    from calib.presentation.console import Steps
+    from calib.results.report import report_of
+    from calib.robot.load import load_robot
+    from calib.robot.sources import EXAMPLE, resolve
+
+# Tables of text, which are read as they are; others become one first.
+_TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
+_TOUCHED, _MARKS, _FLANGE = "touched.csv", "marks.csv", "flange.urdf"
+_SHOWN_VALUES = 3
+_PATHS = ("urdf", "mesh_roots", "model", "lens_file", "file", "readings", "board")
+
+
+def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
+    """Return how the dropped files are read, and what a check says of the job that they make."""
+    jobs, boards = _settings(asked["settings"])
+    if jobs:
+        if jobs[0] != JOB:
+            write_atomically(Path(JOB), read_bytes(Path(jobs[0]), JobError))
+        return {"reasons": [f"{jobs[0]}: says how the tables are read."], "tables": [], **check(asked, say)}
+    if not asked["robot"] and not (asked["photographs"] and boards):
+        raise JobError("There is no robot yet; drop its URDF, or choose an example.")
+    tables = [_as_text(name) for name in asked["tables"]]
+    if asked["photographs"]:
+        return _photographed(asked, tables, boards, say)
+    reasons: list[str] = []
+    if asked["stack"] and tables:
+        sheet = stacked([read_sheet(table) for table in tables], "target")
+        tables = [_made(_TOUCHED, sheet.csv())]
+        reasons += [f"{tables[0]}: {remark}." for remark in sheet.remarks]
+    say("reading the tables")
+    found = propose(asked["robot"], tables, **asked["answers"])
+    told: dict[str, Any] = {
+        "reasons": [*reasons, *found.reasons],
+        "tables": _grid(found, tables),
+        "links": list(found.robot.urdf.links),
+        "tip": found.robot.tip,
+    }
+    if found.questions:
+        question = found.questions[0]
+        choices = [{"text": choice, "answers": question.answered(choice)} for choice in question.choices]
+        return {**told, "question": {"text": question.text, "option": question.option, "choices": choices}}
+    write_atomically(Path(JOB), found.job(Path.cwd()))
+    return {**told, **check(asked, say)}
+
+
+def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
+    """Return what ``calib check`` says of the job."""
+    _refuse_outside()
+    inputs = load(Path(JOB), say)
+    say("computing what the poses determine")
+    seen = looked_at(inputs)
+    return {
+        "job": Path(JOB).read_text(encoding="utf-8-sig"),
+        "findings": seen.findings or [NO_FINDINGS],
+        "sound": not seen.findings,
+        "determined": seen.sentence,
+        "directions": len(seen.seen.undetermined),
+        "unseen": list(seen.brief),
+    }
+
+
+def run(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
+    """Calibrate, and return the verdict of the report."""
+    _refuse_outside()
+    verdict = report_of(calibrate(JOB, RESULTS, say, say.expect)).verdict
+    tiles = [{"label": tile.label, "value": tile.value} for tile in verdict.tiles]
+    return {"trusted": verdict.trusted, "headline": verdict.headline, "reasons": list(verdict.reasons), "tiles": tiles}
+
+
+VERBS = {"look": look, "check": check, "calibrate": run}
+
+
+def _settings(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return which TOML files are jobs and which are boards. A job that was made here is none that was dropped."""
+    jobs = [name for name in names if "robot" in read_toml(Path(name))]
+    if len(jobs) > 1:
+        raise JobError(f"{' and '.join(map(shown, jobs[:2]))} are both jobs; remove one.")
+    boards = [name for name in names if name not in jobs]
+    return jobs, boards
+
+
+def _as_text(name: str) -> str:
+    """Return the table of text that a file is, or that is made of its records, cells or arrays."""
+    if name.lower().endswith(_TEXT):
+        return name
+    return _made(f"{Path(name).stem}.csv", read_sheet(name).csv())
+
+
+def _made(name: str, text: str) -> str:
+    Path(MADE).mkdir(mode=0o700, exist_ok=True)
+    write_atomically(Path(MADE, name), text)
+    return f"{MADE}/{name}"
+
+
+def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Sequence[str], say: Steps) -> dict[str, Any]:
+    if len(boards) != 1 or len(tables) != 1:
+        raise JobError(
+            "Photographs need one board.toml, which says what is printed on the board, and one table of the joints, or "
+            "of the flange's pose, with the column image."
+        )
+    print_ = read_board(Path(boards[0]))
+    answers, robot = asked["answers"], asked["robot"]
+    arm = None
+    if robot:
+        arm = load_robot(resolve(robot) if robot.startswith(EXAMPLE) else Path(robot), answers.get("tip"))
+    orientation = answers.get("orientation")
+    found = import_photographs(
+        Path(PHOTOGRAPHS),
+        print_,
+        Path(tables[0]),
+        robot=arm,
+        orientation=orientation,
+        progress=say,
+    )
+    table = _made(_MARKS, found.table())
+    link = "flange" if found.urdf else None if arm is None else arm.tip
+    model = _made(_FLANGE, found.urdf) if found.urdf else robot
+    write_atomically(Path(JOB), found.job(model, link, table, boards[0], camera_on=asked["camera_on"]))
+    told = found.contents()
+    reasons = [f"{remark}." for remark in found.remarks]
+    reasons += [f"{one.name} is left out: {one.left_out}." for one in found.photographs if one.left_out]
+    reasons.append(f"{told['corners']} corners of {told['used']} photographs; {told['sigma']:.3f} px each.")
+    return {"reasons": reasons, "tables": [], **check(asked, say)}
+
+
+def _grid(found: Proposal, tables: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the columns of every table: as the file has them, and what those that are read are."""
+    known = {table.file: table for table in found.tables}
+    grids = []
+    for file in tables:
+        raw = raw_table(read_bytes(Path(file), JobError), file)
+        columns = {}
+        for column in raw.columns:
+            columns[column.title] = {"values": list(column.words[:_SHOWN_VALUES]), "unit": column.symbol}
+        table = known.get(file)
+        read = []
+        for ours, theirs in ({} if table is None else table.columns.names).items():
+            name, unit = split_title(ours)
+            read.append({"name": name, "unit": unit, "title": theirs})
+        grids.append(
+            {
+                "file": file,
+                "rows": raw.count,
+                "columns": columns,
+                "read": read,
+                "observes": None if table is None else table.observes,
+                "orientation": None if table is None else table.columns.orientation,
+            }
+        )
+    return grids
+
+
+def _refuse_outside() -> None:
+    """Raise JobError for a job that names files elsewhere: a stranger's job reads what was dropped beside it alone."""
+    waiting: list[Any] = [read_job(Path(JOB)).model_dump()]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Mapping):
+            for key, value in one.items():
+                for name in (value if isinstance(value, (tuple, list)) else (value,)) if key in _PATHS else ():
+                    if isinstance(name, str) and (Path(name).is_absolute() or ".." in Path(name).parts):
+                        raise JobError(f"{JOB}: {key}: {shown(name)} is not in the folder of this page; drop the file.")
+            waiting += one.values()
+        elif isinstance(one, (tuple, list)):
+            waiting += one
+
+
+def tell(contents: Mapping[str, Any]) -> None:
+    """Write one line."""
+    sys.stdout.write(json.dumps(contents) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Do what is asked on standard input."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what is half written is removed
+    asked = json.load(sys.stdin)
+    say = Steps(lambda text, done, of: tell({"step": text, "done": done, "of": of}), STEPS_OF_LOADING + 1)
+    try:
+        tell({"found": VERBS[asked["verb"]](asked, say)})
+    except CalibError as e:
+        tell({"sentence": str(e)})
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

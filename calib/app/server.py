@@ -1,0 +1,180 @@
+"""The requests of the page, each behind guards: this computer alone, a secret in the address, no other page."""
+
+import asyncio
+import json
+import secrets
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tornado.web import stream_request_body
+
+from calib.app.folder import LARGEST_FILE, RESULTS, TOO_LARGE, as_zip, private_folder
+from calib.app.session import Session
+from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.files import read_inside
+from calib.presentation.local import Guarded, listening
+from calib.results.folder import REPORT_FILE, SCENE_FILE
+from calib.robot.sources import examples
+
+_PAGES = {"": ("page.html", "text/html"), "app.js": ("app.js", "text/javascript"), "app.css": ("app.css", "text/css")}
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; "
+    "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
+)
+# Report and scene hold names from files: whatever they were made to do, they could not speak to this server.
+_SANDBOX = "sandbox allow-scripts allow-popups"
+_LARGEST_PAGE = 200_000_000
+_PIECE = 1 << 20
+
+
+async def serve(folder: Path | None, port: int, started: Callable[[str], None]) -> None:
+    """Serve the page until it is cancelled. ``folder``: where files are kept, else for as long as the page is served.
+
+    ``port`` 0: any free one. ``started`` is told the address, which holds a secret: who has it may use the page.
+    Raises OutputError where folder or port cannot be had.
+    """
+    with private_folder(folder) as place:
+        session, secret = Session(place), secrets.token_urlsafe(16)
+        given = {"session": session}
+        routes = [
+            (rf"/{secret}/(app\.js|app\.css|)", _Page, given),
+            (rf"/{secret}/state", _State, given),
+            (rf"/{secret}/examples", _Examples, given),
+            (rf"/{secret}/files/(.{{1,500}})", _Files, given),
+            (rf"/{secret}/(look|check|calibrate|cancel)", _Verb, given),
+            (rf"/{secret}/results/({REPORT_FILE}|{SCENE_FILE})", _Results, given),
+            (rf"/{secret}/calibration\.zip", _Folder, given),
+        ]
+        async with listening(routes, port) as address:
+            started(f"{address}{secret}/")
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await session.cancel()
+
+
+class _Ours(Guarded):
+    """A request of the page. One that changes something must come from a page of this server."""
+
+    def initialize(self, session: Session) -> None:
+        self.session = session
+
+    def prepare(self) -> None:
+        own = f"http://{self.request.host}"
+        if self.request.method not in ("GET", "HEAD") and self.request.headers.get("Origin") != own:
+            self.refuse(403, "This request does not come from the page.")
+
+    def refuse(self, status: int, sentence: str) -> None:
+        self.set_status(status)
+        self.finish({"sentence": sentence})
+
+    def data_received(self, chunk: bytes) -> None:
+        raise NotImplementedError  # asked for by tornado of handlers that take a body piece by piece, as _Files does
+
+
+class _Page(_Ours):
+    def get(self, name: str) -> None:
+        file, kind = _PAGES[name]
+        self.set_header("Content-Type", f"{kind}; charset=utf-8")
+        self.set_header("Content-Security-Policy", _POLICY)
+        self.finish(files("calib.app").joinpath("pages", file).read_bytes())
+
+
+class _State(_Ours):
+    def get(self) -> None:
+        self.finish(self.session.state())
+
+
+class _Examples(_Ours):
+    def get(self) -> None:
+        try:
+            self.finish({"examples": list(examples())})
+        except CalibError:  # not installed: none can be chosen
+            self.finish({"examples": []})
+
+
+@stream_request_body
+class _Files(_Ours):
+    """A dropped file, taken piece by piece: nothing is read of what does not come from the page or is too large."""
+
+    def prepare(self) -> None:
+        self._pieces: list[bytes] = []
+        super().prepare()
+        length = self.request.headers.get("Content-Length", "0")
+        if not self._finished and length.isdecimal() and int(length) > LARGEST_FILE:
+            self.refuse(413, f"The file {TOO_LARGE}")
+        if self._finished:
+            return
+        self.request.connection.set_max_body_size(LARGEST_FILE)  # type: ignore[union-attr]
+
+    def data_received(self, chunk: bytes) -> None:
+        self._pieces.append(chunk)
+
+    async def put(self, name: str) -> None:
+        try:
+            await self.session.drop(name, b"".join(self._pieces))
+        except CalibError as e:
+            self.refuse(400, str(e))
+            return
+        self.finish(self.session.state())
+
+    async def delete(self, name: str) -> None:
+        try:
+            await self.session.remove(name)
+        except CalibError as e:
+            self.refuse(400, str(e))
+            return
+        self.finish(self.session.state())
+
+
+class _Verb(_Ours):
+    async def post(self, verb: str) -> None:
+        try:
+            said = json.loads(self.request.body or b"{}")
+            if not isinstance(said, dict):
+                raise ValueError("no object")
+        except (ValueError, RecursionError):
+            self.refuse(400, "The page does not know this request.")
+            return
+        try:
+            await self._do(verb, said)
+        except CalibError as e:
+            self.refuse(400, str(e))
+            return
+        self.finish(self.session.state())
+
+    async def _do(self, verb: str, said: dict[str, Any]) -> None:
+        match verb:
+            case "look":
+                await self.session.look(said)
+            case "check":
+                await self.session.check(str(said.get("job", "")))
+            case "calibrate":
+                await self.session.calibrate()
+            case _:
+                await self.session.cancel()
+
+
+class _Results(_Ours):
+    def get(self, name: str) -> None:
+        try:
+            contents = read_inside(self.session.folder / RESULTS, name, OutputError, _LARGEST_PAGE)
+        except OutputError:
+            self.send_error(404)
+            return
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Content-Security-Policy", _SANDBOX)
+        self.finish(contents)
+
+
+class _Folder(_Ours):
+    async def get(self) -> None:
+        archive = await asyncio.to_thread(as_zip, self.session.folder)
+        self.set_header("Content-Type", "application/zip")
+        self.set_header("Content-Disposition", 'attachment; filename="calibration.zip"')
+        with archive:
+            while piece := archive.read(_PIECE):
+                self.write(piece)
+                await self.flush()

@@ -1,0 +1,207 @@
+"""One person's files and answers, and the one child process that works on them; what the page shows is its state."""
+
+import asyncio
+import contextlib
+import json
+import re
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calib.app.folder import JOB, RESULTS, kind_of, remove, take
+from calib.foundations.errors import JobError, OutputError
+from calib.foundations.files import write_atomically
+from calib.foundations.words import shown
+from calib.robot.sources import EXAMPLE
+
+_CHILD = (sys.executable, "-P", "-W", "ignore", "-m", "calib.app.child")
+# A line of a child has at most all columns of all tables.
+_LONGEST_LINE = 50_000_000
+# How long a child that is to end may tidy up, in s.
+_PATIENCE = 5.0
+_ANSWERS = ("tip", "angles", "lengths", "orientation", "observes")
+_MOST_COLUMNS, _LONGEST_TEXT, _LONGEST_JOB = 1000, 500, 500_000
+_CAMERAS = ("tip", "floor")
+_ERROR = re.compile(r"[^\n]*\S\s*\Z")
+
+
+class Session:
+    """What was dropped and said so far. One child works at a time: a new look ends the look before it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._files: dict[str, int] = {}
+        self._asked: dict[str, Any] = {"robot": "", "answers": {}, "stack": False, "camera_on": "tip"}
+        self._look: dict[str, Any] | None = None
+        self._results: dict[str, Any] | None = None
+        self._sentence = ""
+        self._busy: dict[str, Any] | None = None
+        self._begun = 0.0
+        self._work: asyncio.Task[None] | None = None
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the page shows, as plain data."""
+        busy = None
+        if self._busy is not None:
+            busy = {**self._busy, "seconds": round(time.monotonic() - self._begun)}
+        return {
+            "files": [{"name": name, "kind": kind_of(name), "size": size} for name, size in self._files.items()],
+            **self._asked,
+            "look": self._look,
+            "results": self._results,
+            "sentence": self._sentence,
+            "busy": busy,
+        }
+
+    async def drop(self, name: str, data: bytes) -> None:
+        """Take a dropped file. Raises CalibError."""
+        self._refuse_while_calibrating()
+        await self.cancel()
+        plain = take(self.folder, name, data, self._files)
+        self._files[plain] = len(data)
+        if kind_of(plain) == "robot":
+            self._asked["robot"] = plain
+        self._changed()
+
+    async def remove(self, name: str) -> None:
+        """Remove a dropped file."""
+        self._refuse_while_calibrating()
+        if name not in self._files:
+            raise OutputError(f"{shown(name)}: there is no such file.")
+        await self.cancel()
+        del self._files[name]
+        remove(self.folder, name)
+        if self._asked["robot"] == name:
+            self._asked["robot"] = next((file for file in self._files if kind_of(file) == "robot"), "")
+        self._changed()
+
+    async def look(self, said: Mapping[str, Any]) -> None:
+        """Begin to look at the files with what the page says of them. Raises CalibError."""
+        self._refuse_while_calibrating()
+        await self.cancel()
+        self._asked = self._understood(said)
+        self._changed()
+        of = {kind: [name for name in self._files if kind_of(name) == kind] for kind in ("table", "photograph")}
+        settings = [name for name in self._files if kind_of(name) == "settings"]
+        asked = {**self._asked, "tables": of["table"], "photographs": of["photograph"], "settings": settings}
+        self._begin("look", asked)
+
+    async def check(self, job: str) -> None:
+        """Begin to check a job as the page has it. Raises CalibError."""
+        self._refuse_while_calibrating()
+        if len(job) > _LONGEST_JOB:
+            raise JobError(f"The job is longer than {_LONGEST_JOB} characters.")
+        await self.cancel()
+        write_atomically(self.folder / JOB, job)
+        self._results = None
+        if self._look is not None:
+            self._look = {**self._look, "job": job, "findings": None}
+        self._begin("check", {})
+
+    async def calibrate(self) -> None:
+        """Begin the calibration. Raises CalibError."""
+        self._refuse_while_calibrating()
+        await self.cancel()
+        if self._look is None or self._look.get("findings") is None:
+            raise JobError("There is no job yet that could be calibrated.")
+        self._results = None
+        self._begin("calibrate", {})
+
+    async def cancel(self) -> None:
+        """End the child process, if there is one, and wait until it has."""
+        if self._work is not None:
+            self._work.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._work
+            self._work = self._busy = None  # also where it had not begun yet
+
+    def _refuse_while_calibrating(self) -> None:
+        if self._busy is not None and self._busy["verb"] == "calibrate":
+            raise JobError("A calibration is under way; wait for its end, or cancel it.")
+
+    def _changed(self) -> None:
+        self._look = self._results = None
+        self._sentence = ""
+
+    def _understood(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the page says, each of its kind. Raises JobError; what it means the look finds out."""
+        robot, camera_on = said.get("robot", ""), said.get("camera_on", "tip")
+        answers = said.get("answers", {})
+        if not (isinstance(robot, str) and isinstance(answers, dict) and camera_on in _CAMERAS):
+            raise JobError("The page does not know this request.")
+        if not (robot in ("", *self._files) or robot.startswith(EXAMPLE)):
+            raise JobError(f"{shown(robot)}: is no file that was dropped, and no example.")
+        columns = answers.get("columns", {})
+        texts = [answers[key] for key in _ANSWERS if key in answers]
+        if not isinstance(columns, dict) or len(columns) > _MOST_COLUMNS:
+            raise JobError("The page does not know this request.")
+        texts += [*columns, *columns.values()]
+        if not all(isinstance(text, str) and len(text) <= _LONGEST_TEXT for text in texts):
+            raise JobError(f"An answer is no text of at most {_LONGEST_TEXT} characters.")
+        kept = {key: answers[key] for key in _ANSWERS if answers.get(key)} | ({"columns": columns} if columns else {})
+        return {"robot": robot, "answers": kept, "stack": said.get("stack") is True, "camera_on": camera_on}
+
+    def _begin(self, verb: str, asked: Mapping[str, Any]) -> None:
+        self._sentence = ""
+        self._busy = {"verb": verb, "step": "starting", "done": 0, "of": 1}
+        self._begun = time.monotonic()
+        self._work = asyncio.create_task(self._run(verb, asked))
+
+    async def _run(self, verb: str, asked: Mapping[str, Any]) -> None:
+        pipe = asyncio.subprocess.PIPE
+        # Ctrl-C in the terminal is for the server, which ends the child in its turn.
+        child = await asyncio.create_subprocess_exec(
+            *_CHILD, stdin=pipe, stdout=pipe, stderr=pipe, cwd=self.folder, limit=_LONGEST_LINE, start_new_session=True
+        )
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stderr is not None
+        # Both are read at once: a child that has said much to one would wait for its reader.
+        trouble = asyncio.create_task(child.stderr.read())
+        told: dict[str, Any] = {}
+        try:
+            child.stdin.write(json.dumps({"verb": verb, **asked}).encode())
+            child.stdin.close()
+            async for line in child.stdout:
+                told = json.loads(line)
+                if "step" in told:
+                    self._busy = {"verb": verb, **told}
+            await child.wait()
+            self._take(verb, told, (await trouble).decode(errors="replace"))
+        finally:
+            await _ended(child)
+            trouble.cancel()
+            self._busy = None
+
+    def _take(self, verb: str, told: Mapping[str, Any], trouble: str) -> None:
+        """Keep what a child has found, or why it has found nothing."""
+        found = told.get("found")
+        if found is None:
+            last = _ERROR.search(trouble)
+            why = f" ({last[0].strip()[:_LONGEST_TEXT]})" if last else ""
+            self._sentence = told.get("sentence") or f"This ended by an error of the program; please report it{why}."
+        elif verb == "calibrate":
+            self._results = found
+        elif verb == "look":
+            self._look = found
+        else:
+            self._look = {**(self._look or {}), **found}
+
+    def has_results(self) -> bool:
+        """Return whether the folder has results of the job that is shown."""
+        return self._results is not None and (self.folder / RESULTS).is_dir()
+
+
+async def _ended(child: asyncio.subprocess.Process) -> None:
+    """End a child that still works: it tidies up, or is killed."""
+    if child.returncode is not None:
+        return
+    with contextlib.suppress(ProcessLookupError):
+        child.terminate()
+        try:
+            await asyncio.wait_for(child.wait(), _PATIENCE)
+        except TimeoutError:
+            child.kill()
+            await child.wait()

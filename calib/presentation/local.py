@@ -1,0 +1,51 @@
+"""Pages that are served to this computer alone: one address, one port, and guards against pages of other sites."""
+
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.web import Application, RequestHandler
+
+from calib.foundations.errors import OutputError
+
+ADDRESS = "127.0.0.1"
+# A page of another site may send its readers here by a name of its own; it is not answered.
+_OURSELVES = r"(127\.0\.0\.1|localhost)"
+# The largest body of a request that does not say otherwise.
+_LARGEST_BODY = 1_000_000
+
+
+class Guarded(RequestHandler):
+    """Answers so that no page of another site may show this one in a frame, use it as its own, or learn its address."""
+
+    def set_default_headers(self) -> None:
+        """Set the headers of every answer."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Frame-Options", "DENY")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Referrer-Policy", "no-referrer")
+
+
+@contextlib.asynccontextmanager
+async def listening(routes: Sequence[Any], port: int, **settings: Any) -> AsyncIterator[str]:
+    """Serve tornado's ``routes`` while the block runs, and give the address. ``port`` 0: any free one.
+
+    Raises OutputError where the port cannot be had.
+    """
+    app = Application(log_function=lambda _: None, **settings)
+    app.add_handlers(_OURSELVES, list(routes))
+    server = HTTPServer(app, max_body_size=_LARGEST_BODY)
+    try:
+        listener = socket.create_server((ADDRESS, port))
+    except OSError as e:
+        raise OutputError(f"port {port}: cannot be listened on ({e.strerror}).") from e
+    listener.setblocking(False)
+    server.add_socket(listener)
+    try:
+        yield f"http://{ADDRESS}:{listener.getsockname()[1]}/"
+    finally:
+        server.stop()
+        await server.close_all_connections()

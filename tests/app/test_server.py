@@ -1,0 +1,302 @@
+"""The requests of the page: who may ask, what files may hold, and how work is cancelled."""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+import zipfile
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import psutil
+import pytest
+
+from tests.support.cases import CASE, JOB, TABLE, URDF, run
+
+MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"
+PANDA = "example:panda_description/urdf/panda.urdf"
+
+
+class Server:
+    """``calib app`` in a process, and its page's requests without a browser."""
+
+    def __init__(self, *arguments: str | Path) -> None:
+        command = [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", MAIN, "app"]
+        self.process = subprocess.Popen(
+            [*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert self.process.stdout is not None
+        said = ""
+        while "Ctrl-C" not in said:
+            line = self.process.stdout.readline()
+            assert line, self.process.communicate()
+            said += line
+        match = re.search(r"(http://127\.0\.0\.1:\d+)(/[\w-]{22}/)", said.replace("\n", ""))
+        assert match is not None, said
+        self.origin, self.page = match[1], match[1] + match[2]
+
+    def end(self) -> tuple[int, str]:
+        self.process.send_signal(signal.SIGINT)
+        error = self.process.communicate(timeout=60)[1]
+        return self.process.returncode, error
+
+    def ask(
+        self, method: str, path: str, body: bytes | dict[str, Any] | None = None, **headers: str | None
+    ) -> tuple[int, Any]:
+        """Return status and answer; ``headers`` in the place of those that the page's own requests have."""
+        data = json.dumps(body).encode() if isinstance(body, dict) else body
+        given = {"Origin": self.origin, **headers}
+        request = urllib.request.Request(self.page + path, data, method=method)
+        for name, value in given.items():
+            if value is not None:
+                request.add_header(name, value)
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                status, content = answer.status, answer.read()
+        except urllib.error.HTTPError as e:
+            status, content = e.code, e.read()
+        try:
+            return status, json.loads(content)
+        except ValueError:
+            return status, content
+
+    def drop(self, name: str, data: bytes | str) -> tuple[int, Any]:
+        return self.ask("PUT", "files/" + quote(name, safe=""), data.encode() if isinstance(data, str) else data)
+
+    def settled(self) -> dict[str, Any]:
+        end = time.monotonic() + 240
+        while time.monotonic() < end:
+            _, state = self.ask("GET", "state")
+            if state["busy"] is None:
+                found: dict[str, Any] = state
+                return found
+            time.sleep(0.2)
+        raise TimeoutError(state)
+
+    def look(self, **said: Any) -> dict[str, Any]:
+        status, answer = self.ask("POST", "look", said)
+        assert status == 200, answer
+        return self.settled()
+
+    def clear(self) -> None:
+        for file in self.ask("GET", "state")[1]["files"]:
+            assert self.ask("DELETE", "files/" + quote(file["name"]))[0] == 200
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    served = Server()
+    yield served
+    if served.process.poll() is None:
+        served.process.kill()
+        served.process.communicate()
+
+
+@pytest.fixture
+def empty(server: Server) -> Iterator[Server]:
+    yield server
+    server.ask("POST", "cancel")
+    server.clear()
+
+
+def test_only_the_page_itself_may_ask(empty: Server) -> None:
+    port = empty.origin.rpartition(":")[2]
+    family = [psutil.Process(empty.process.pid)]
+    found = [c for member in family for c in member.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+    assert [c.laddr.ip for c in found] == ["127.0.0.1"]
+    for origin in (None, "null", "http://evil.example", f"http://evil.example:{port}", "http://127.0.0.1:1"):
+        for method, path in (
+            ("POST", "look"),
+            ("POST", "calibrate"),
+            ("PUT", "files/a.csv"),
+            ("DELETE", "files/a.csv"),
+        ):
+            assert empty.ask(method, path, b"{}", Origin=origin)[0] == 403
+    for host in ("evil.example", f"evil.example:{port}", "0.0.0.0", "[::1]"):
+        assert empty.ask("GET", "state", Host=host)[0] == 404
+        assert empty.ask("POST", "look", {}, Host=host, Origin=f"http://{host}")[0] == 404
+    assert empty.ask("GET", "state")[1]["files"] == []
+    # Without the secret there is nothing, whoever asks.
+    secret = empty.page
+    try:
+        for other in (f"{empty.origin}/", f"{empty.origin}/{'x' * 22}/"):
+            empty.page = other
+            assert [empty.ask("GET", path)[0] for path in ("", "state", "app.js", "calibration.zip")] == [404] * 4
+            assert empty.ask("PUT", "files/a.csv", b"1")[0] in (404, 405)
+    finally:
+        empty.page = secret
+    with urllib.request.urlopen(secret) as answer:
+        assert answer.headers["X-Frame-Options"] == "DENY"
+        assert "default-src 'none'; script-src 'self'" in answer.headers["Content-Security-Policy"]
+        text = answer.read().decode()
+    assert re.findall(r"""(?:src|href)="([^"]+)""", text) == [
+        *("data:,", "app.css", "app.js"),
+        *("results/report.html", "results/scene.html", "calibration.zip"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("look", b"[]"),
+        ("look", b"\xff"),
+        ("look", b"[" * 50_000),
+        ("look", b'{"robot": 1}'),
+        ("look", b'{"answers": []}'),
+        ("look", b'{"answers": {"columns": []}}'),
+        ("look", b'{"camera_on": "moon"}'),
+        ("look", b'{"answers": {"tip": 1}}'),
+        ("look", b'{"answers": {"columns": {"x": null}}}'),
+        ("look", b'{"robot": "/etc/passwd"}'),
+        ("look", b'{"robot": "../arm.urdf"}'),
+        ("calibrate", b"{}"),
+    ],
+)
+def test_requests_without_sense_are_answered_in_words(empty: Server, path: str, body: bytes) -> None:
+    status, answer = empty.ask("POST", path, body)
+    assert (status, list(answer)) == (400, ["sentence"])
+    assert answer["sentence"].endswith(".")
+
+
+def test_files_have_a_size_and_a_kind(empty: Server) -> None:
+    assert empty.drop("a.exe", b"MZ")[1]["sentence"].startswith("'a.exe': is no robot, table, photograph or job;")
+    assert empty.drop("../../x.csv", b"1,2\n")[1]["files"] == [{"name": "x.csv", "kind": "table", "size": 4}]
+    assert empty.ask("DELETE", "files/..%2F..%2Fx.csv")[1]["sentence"] == "'../../x.csv': there is no such file."
+    # Refused before it is read.
+    status = empty.ask("PUT", "files/large.csv", b"", **{"Content-Length": "200000001"})[0]
+    assert status == 413
+
+
+BOMB = '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><robot name="&b;"/>'
+ENTITY = '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="&a;"><link name="l"/></robot>'
+JOINTS = "".join(f"{k}.1,{k}.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0\n" for k in range(9))
+HOSTILE = {
+    "bomb": ({"arm.urdf": BOMB, "m.csv": JOINTS}, r"arm\.urdf.*DOCTYPE|arm\.urdf.*entit"),
+    "entity": ({"arm.urdf": ENTITY, "m.csv": JOINTS}, r"arm\.urdf.*DOCTYPE|arm\.urdf.*entit"),
+    "no xml": ({"arm.urdf": b"\x00\xff" * 500, "m.csv": JOINTS}, r"arm\.urdf"),
+    "no robot": ({"m.csv": JOINTS}, "There is no robot yet"),
+    "zeros": ({"m.csv": b"\x00" * 5000}, r"m\.csv"),
+    "ragged": ({"m.csv": "a,b,c\n1,2,3\n1,2\n"}, r"m\.csv:3: "),
+    "empty": ({"m.csv": ""}, r"m\.csv"),
+    "script": ({"<script>alert(1)</script>.csv": "a,b\n1,2\n1\n"}, r"script_\.csv:3: "),
+    "no workbook": ({"m.xlsx": b"PK\x03\x04" + b"x" * 100}, r"m\.xlsx"),
+    "no arrays": ({"m.npz": b"\x93NUMPY"}, r"m\.npz"),
+    "deep": ({"m.json": "[" * 100_000}, r"m\.json"),
+    "no job": ({"j.toml": "a = ["}, r"j\.toml: is not TOML"),
+    "two jobs": ({"a.toml": "[robot]\n", "b.toml": "[robot]\n"}, "'a.toml' and 'b.toml' are both jobs; remove one"),
+    "no photographs": ({"p.png": b"\x89PNG", "b.toml": 'kind = "charuco"\n', "m.csv": "image\np.png\n"}, r"b\.toml"),
+    "files elsewhere": (
+        {
+            "j.toml": 'schema = 1\n[robot]\nurdf = "example:panda_description/urdf/panda.urdf"\n[error_model]\n'
+            'offsets = "all"\n[[measurements]]\nfile = "/etc/passwd"\nobserves = "position"\n'
+        },
+        r"calibration\.toml: file: '/etc/passwd' is not in the folder of this page; drop the file\.",
+    ),
+    "files above": (
+        {
+            "j.toml": 'schema = 1\n[robot]\nurdf = "../arm.urdf"\n[error_model]\noffsets = "all"\n'
+            '[[measurements]]\nfile = "m.csv"\nobserves = "position"\n'
+        },
+        r"calibration\.toml: urdf: '\.\./arm\.urdf' is not in the folder of this page; drop the file\.",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_gets_its_sentence(empty: Server, name: str) -> None:
+    files, sentence = HOSTILE[name]
+    for file, data in files.items():
+        assert empty.drop(file, data)[0] == 200
+    own = "arm.urdf" if "arm.urdf" in files else "" if name == "no robot" else PANDA
+    state = empty.look(robot=own)
+    assert re.search(sentence, state["sentence"]), state["sentence"]
+    assert "root:" not in state["sentence"]
+    assert "\n" not in state["sentence"]
+    assert state["look"] is None
+    assert empty.ask("POST", "calibrate")[0] == 400
+
+
+def drop_case(server: Server) -> None:
+    for file in (JOB, URDF, TABLE, "validation.csv"):
+        assert server.drop(file, (CASE / file).read_bytes())[0] == 200
+
+
+def test_a_dropped_job_is_checked_changed_and_calibrated_as_by_the_command(tmp_path: Path) -> None:
+    server = Server("--folder", tmp_path / "work")
+    try:
+        drop_case(server)
+        state = server.look()
+        assert state["sentence"] == ""
+        assert state["look"]["job"] == (CASE / JOB).read_text(encoding="utf-8")
+        assert "parameters (condition number" in state["look"]["determined"]
+        # A job that is changed for the worse is not calibrated.
+        assert server.ask("POST", "check", {"job": state["look"]["job"] + "\nwrong = 1\n"})[0] == 200
+        assert "wrong" in server.settled()["sentence"]
+        assert server.ask("POST", "calibrate")[0] == 400
+        assert server.ask("POST", "check", {"job": state["look"]["job"]})[0] == 200
+        assert server.settled()["look"]["findings"] == state["look"]["findings"]
+        assert server.ask("POST", "calibrate")[0] == 200
+        status, answer = server.drop("more.csv", b"1\n")
+        assert (status, answer["sentence"]) == (
+            400,
+            "A calibration is under way; wait for its end, or cancel it.",
+        )
+        assert server.settled()["results"]["trusted"] is True
+        status, archive = server.ask("GET", "calibration.zip")
+        names = zipfile.ZipFile(BytesIO(archive)).namelist()
+        assert {f"calibration/{name}" for name in (JOB, URDF, TABLE)} < set(names)
+        assert "calibration/results/result.json" in names
+        request = urllib.request.urlopen(server.page + "results/report.html")
+        assert request.headers["Content-Security-Policy"].startswith("sandbox")
+        # What the command makes of the same job, byte for byte but for the folder's name.
+        shutil.copytree(tmp_path / "work", tmp_path / "own", ignore=shutil.ignore_patterns("results"))
+        assert run("calibrate", tmp_path / "own" / JOB, "-o", tmp_path / "own" / "results", "-q").code == 0
+        for file in ("model.json", "calibrated.urdf", "residuals.csv"):
+            own, other = (tmp_path / side / "results" / file for side in ("own", "work"))
+            assert own.read_bytes() == other.read_bytes()
+        assert server.end() == (0, "")
+        assert (tmp_path / "work" / "results" / "report.html").exists()
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
+    server = Server()
+    try:
+        drop_case(server)
+        state = server.look()
+        for ending in ("cancel", "end"):
+            assert server.ask("POST", "calibrate")[0] == 200
+            children: list[psutil.Process] = []
+            while not children:
+                children = psutil.Process(server.process.pid).children(recursive=True)
+            if ending == "cancel":
+                assert server.ask("POST", "cancel")[1]["busy"] is None
+                state = server.ask("GET", "state")[1]
+                assert (state["results"], state["sentence"]) == (None, "")
+                assert server.ask("GET", "results/report.html")[0] == 404
+            else:
+                folder = Path(children[0].cwd())
+                assert server.end() == (0, "")
+                assert not folder.exists()
+            assert psutil.wait_procs(children, timeout=20)[1] == []
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "there.csv").write_text("1")
+    said = run("app", "--folder", tmp_path)
+    assert (said.code, said.out) == (1, "")
+    assert said.err == f"Error: {tmp_path}: is there, and no empty folder; choose another.\n"
+    assert run("app", "--port", "70000").code == 2

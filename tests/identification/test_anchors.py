@@ -1,0 +1,83 @@
+"""Anchors in unknown places, of which lengths alone tell: on the right side of the arm, and the tool with them."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.identification.identify import residuals_of
+from calib.identification.initialisation.anchors import anchors_anew
+from calib.identification.initialisation.problem import initial_problem
+from calib.identification.initialisation.target_poses import _centre
+from calib.identification.machine import values_at
+from tests.support import machines
+from tests.support.machines import Array
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SIGMA = 2e-5
+TOOL = (0.08, 0.05, 0.25)
+
+
+def lengths(
+    robot: calib.Robot, readings: Array, points: Array, places: Array, target: Array, rng: np.random.Generator
+) -> calib.Measurements:
+    measured = np.linalg.norm(points - places[target], axis=1) + rng.normal(scale=SIGMA, size=len(points))
+    columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {"length [m]": measured, "target": [f"anchor {t}" for t in target]}
+    return calib.read_measurements(columns, robot, "distance", sigma=SIGMA)
+
+
+def session(anchors: int, each: int) -> tuple[calib.Robot, calib.Measurements, calib.Measurements]:
+    """A UR10 of which every placement and zero is off, lengths to anchors all around it, and others to judge by."""
+    rng = np.random.default_rng(4)
+    robot, true = machines.load(*UR10), machines.arm(*UR10).moved(rng)
+    places = rng.uniform(-2.0, 2.0, (anchors, 3))
+    sets = []
+    for n in (each, 2):
+        target = np.repeat(np.arange(anchors), n)
+        readings = true.draw(rng, len(target))
+        points = (true.tips(readings) @ machines.pose(TOOL))[:, :3, 3]
+        sets.append(lengths(robot, readings, points, places, target, rng))
+    return robot, sets[0], sets[1]
+
+
+def test_lengths_find_tool_and_anchors() -> None:
+    robot, data, rest = session(60, 8)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    fit = calib.identify(model, data)
+    assert fit.converged
+    # Some anchors begin in a wrong place, where residuals of theirs would be centimetres.
+    assert np.sqrt(np.mean(fit.residuals[0] ** 2)) < 1.1 * SIGMA
+    (missed,) = residuals_of(fit, [rest], fit.machine)
+    assert np.sqrt(np.mean(missed**2)) < 3 * SIGMA
+
+
+def test_an_anchor_on_the_wrong_side_is_put_where_its_rows_put_it() -> None:
+    robot, data, _ = session(30, 8)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    fit = calib.identify(model, data)
+    problem = initial_problem(model, (data,))
+    x = values_at(model.robot, problem.parameters, fit.machine.frames, fit.machine.deviations)
+    assert anchors_anew(problem, x) is None
+    own = [k for k, p in enumerate(problem.parameters) if p.name.startswith("target.anchor 7.")]
+    wrong = x.copy()
+    wrong[own] += (0.5, -0.7, 0.4)
+    found = anchors_anew(problem, wrong)
+    assert found is not None
+    np.testing.assert_allclose(found, x, atol=2e-3)
+    others = np.setdiff1d(np.arange(len(x)), own)
+    assert np.array_equal(found[others], x[others])
+
+
+@pytest.mark.parametrize("thickness", [0.02, 0.1, 0.6])
+def test_points_that_are_nearly_in_a_plane_tell_the_side(thickness: float) -> None:
+    """Points are off by what a nominal robot is, of which the linear equations make half a metre, and a wrong side."""
+    rng = np.random.default_rng(2)
+    robot, places = machines.load(*UR10), np.array([[0.3, -0.2, 1.5]])
+    none = np.zeros((10, 6))
+    for _ in range(20):
+        turn = machines.anywhere(rng)[:3, :3]
+        points = rng.uniform(-0.5, 0.5, (10, 3)) * (1.0, 1.0, thickness) @ turn.T
+        place = turn @ places[0]
+        data = lengths(robot, none, points, place[None], np.zeros(10, dtype=int), rng)
+        off = points + rng.normal(scale=1e-3, size=points.shape)
+        assert np.linalg.norm(_centre([(data, off, data.value)]) - place) < 0.05

@@ -1,0 +1,115 @@
+"""Compliance by measured torques that scatter and are off, of arms whose masses nobody knows as they are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.choice import choose_terms
+from calib.foundations.errors import MeasurementError
+from calib.presentation.sheets import choice_sheet
+from tests.support import machines, sagging
+from tests.support.gears import UR10, geared
+
+Array = np.ndarray
+LIFT, ELBOW = "shoulder_lift_joint", "elbow_joint"
+SOFT = {LIFT: 1.2e-5, ELBOW: 2e-5}
+OFFSETS = {LIFT: 8.0, ELBOW: -5.0}
+SIGMA = 3e-5
+
+
+def measured(seed: int, noise: float, n: int = 160, heavier: float = 0.0, stated: bool = True) -> calib.Measurements:
+    """Rows with torques that scatter by ``noise`` Nm; ``heavier``: kg on the hand of which nobody tells."""
+    rng = np.random.default_rng([seed, 12])
+    robot, plain = machines.load(*UR10), machines.arm(*UR10)
+    joints, u = list(plain.ranges), plain.draw(rng, n)
+    arm, torques = sagging.Sagging(UR10[0], {}), np.zeros((n, 6))
+    hand = {"wrist_3_link": (heavier, (0.0, 0.0, 0.1))} if heavier else {}
+    for row in range(n):
+        places = arm._places(dict(zip(joints, u[row], strict=True)))
+        for name in SOFT:
+            torques[row, joints.index(name)] = -arm._torque(name, places, sagging.DOWN, hand)
+    extra = -torques * [SOFT.get(name, 0.0) for name in joints]
+    true = machines.Machine(geared(plain.moved(rng), lambda _: extra), machines.anywhere(rng), {"tool": sagging.BALL})
+    x = true.see(u)[:, :3, 3] + SIGMA * rng.standard_normal((n, 3))
+    columns: dict[str, object] = {f"{name} [rad]": u[:, k] for k, name in enumerate(joints)}
+    columns |= {f"{axis} [m]": x[:, k] for k, axis in enumerate("xyz")}
+    for name in SOFT:
+        k = joints.index(name)
+        columns[f"tau_{name} [Nm]"] = torques[:, k] + OFFSETS[name] + noise * rng.standard_normal(n)
+    if stated:
+        columns["sigma_tau [Nm]"] = np.full(n, noise)
+    return calib.read_measurements(columns, robot, sigma=SIGMA)
+
+
+def model(**more: object) -> calib.ErrorModel:
+    return machines.model(machines.load(*UR10), **{"offsets": "all", "placements": "all", "torque": list(SOFT), **more})
+
+
+def test_noise_of_torques_with_a_stated_sigma_does_not_bias_compliances() -> None:
+    """Twelve Nm of noise on thirty and fifteen Nm; without its sigma, compliances come out far too small."""
+    found = {said: [] for said in (True, False)}
+    for seed in range(3):
+        for said, values in found.items():
+            fit = calib.identify(model(), measured(seed, 12.0, 240, stated=said))
+            values.append([fit.value(f"{name}.torque") / value for name, value in SOFT.items()])
+    np.testing.assert_allclose(np.mean(found[True], axis=0), 1.0, atol=0.06)
+    assert np.mean(found[False], axis=0)[1] < 0.75
+
+
+def test_what_the_urdf_does_not_know_is_in_the_torques_all_the_same() -> None:
+    """Four kilograms on the hand, of which nobody tells: by torque the compliance is right, by masses it is not."""
+    data = measured(5, 5.0, heavier=4.0)
+    by_torque = calib.identify(model(), data)
+    by_masses = calib.identify(model(torque="none", elastic=list(SOFT)), data)
+    for name, value in SOFT.items():
+        assert by_torque.value(f"{name}.torque") == pytest.approx(value, rel=0.06)
+        assert abs(by_masses.value(f"{name}.elastic") / value - 1.0) > 0.1
+
+
+def test_an_offset_of_the_sensor_is_found_where_the_joints_zero_is_known() -> None:
+    """With zeros that are free it is a joint's offset, and the result says that they cannot be told apart."""
+    robot, data = machines.load(*UR10), measured(6, 0.5)
+    free = [name for name in (joint.name for joint in robot.readings) if name not in SOFT]
+    others = [f"{joint.name}.t?" for joint in robot.readings]
+    known = model(offsets=free, placements=others, torque_offsets="free")
+    fit = calib.identify(known, data)
+    assert {f"{name}.torque_offset" for name in SOFT} <= {p.name for p in fit.parameters}
+    both = calib.identify(model(torque_offsets="free"), data)
+    assert any("torque_offset" in str(direction) for direction in both.null_space) or {
+        f"{name}.torque_offset" for name in SOFT
+    } & {*both.weak, *both.unidentifiable}
+
+
+def test_the_choice_weighs_torques_against_masses_and_says_why() -> None:
+    plain = calib.error_model(machines.load(*UR10), offsets="all", placements="all")
+    heavy = choose_terms(plain, measured(8, 3.0, heavier=6.0))
+    assert heavy.weighed is not None
+    assert heavy.weighed.by_torques
+    assert {term.kind for term in heavy.terms} >= {"torque"}
+    assert not {term.kind for term in heavy.terms} & {"elastic", "moment"}
+    assert heavy.weighed.sentence in choice_sheet(heavy).caption
+    known = choose_terms(plain, measured(9, 12.0))
+    assert known.weighed is not None
+    assert known.weighed.record()["taken"] == "masses"
+    assert "torque" not in {term.kind for term in known.terms}
+    untold = replace(measured(9, 12.0), conditions=calib.measuring.Conditions())
+    assert choose_terms(plain, untold).weighed is None
+
+
+def test_what_is_expected_does_not_change_when_it_is_asked_again() -> None:
+    data = measured(7, 20.0)
+    once = calib.identify(model(), data)
+    again = calib.identify(model(), once.measurements)
+    assert [again.value(f"{name}.torque") for name in SOFT] == pytest.approx(
+        [once.value(f"{name}.torque") for name in SOFT], rel=1e-9
+    )
+
+
+def test_a_sigma_below_zero_is_refused_with_its_line() -> None:
+    robot = machines.load(*UR10)
+    columns: dict[str, object] = {f"{reading.name} [rad]": np.zeros(2) for reading in robot.readings}
+    columns |= {f"{axis} [m]": np.zeros(2) for axis in "xyz"} | {"sigma_tau [Nm]": np.array([1.0, -1.0])}
+    with pytest.raises(MeasurementError, match=r"column 'sigma_tau': -1 is not a standard deviation; allowed is 0 Nm"):
+        calib.read_measurements(columns, robot)
