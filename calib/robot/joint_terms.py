@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.flexures import link_length
+from calib.robot.flexures import followed, link_length
 from calib.robot.gravity import Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
@@ -150,12 +150,27 @@ def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Se
     load = robot.load
     return Weights(
         robot.mechanism,
-        tuple(bodies),
+        (*bodies, *_payload(robot)) if bodies else (),
         read_only(load.gravity),
         units,
         tuple(robot.carrier(link) for link in robot.links) if bodies else (),
         read_only(robot.moments(load.payload)),
+        _own(robot, bodies),
     )
+
+
+def _own(robot: Robot, bodies: Sequence[tuple[int, float, Array]]) -> tuple[tuple[int, int, Array], ...]:
+    """Return what links that give way weigh themselves, as :class:`Weights` has it: payloads are at their ends."""
+    of_chain, found = segments(robot), []
+    for k, flexure in enumerate(robot.flexures.every):
+        segment = of_chain[flexure.joint]
+        masses = np.zeros(3)
+        for joint, mass, centre in bodies:
+            if joint == segment.parent:
+                masses += mass * followed(flexure, segment, of_chain[joint].frame[:3, :3].T @ centre)
+        if masses.any():
+            found.append((len(robot.readings) + k, segment.parent, read_only(masses)))
+    return tuple(found)
 
 
 def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
@@ -168,7 +183,7 @@ def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
 
 
 def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
-    """Return all masses: chain joint that carries it, mass in kg, centre (3,) in its link in m."""
+    """Return the masses of all links: chain joint that carries it, mass in kg, centre (3,) in its link in m."""
     index = {robot.urdf.joint(joint.name).child: i for i, joint in enumerate(robot.chain)}
     bodies: list[tuple[int, float, Array]] = []
     for link, (mass, centre) in inertials(robot.urdf).items():
@@ -180,11 +195,16 @@ def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
             f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up and bending under "
             "gravity need; give every <link> an <inertial>, or free moments instead of elastic."
         )
-    if (payload := robot.load.payload) is not None:
-        at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
-        if at >= 0:
-            bodies.append((at, payload.mass, read_only(payload.position)))
     return tuple(bodies)
+
+
+def _payload(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
+    """Return the payload as a mass, if there is one that the base does not carry."""
+    payload = robot.load.payload
+    if payload is None:
+        return ()
+    at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
+    return ((at, payload.mass, read_only(payload.position)),) if at >= 0 else ()
 
 
 def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] | None:
