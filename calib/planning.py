@@ -3,6 +3,7 @@
 from calib.assessment.candidates import Candidates, PlannedMeasurement, Sight, possible, random_candidates, roughly
 from calib.assessment.planning import Forecast, Plan, plan
 from calib.assessment.telling import most_telling
+from calib.assessment.views import Views, plan_views, view_candidates
 from calib.robot.collision import SelfCollision, self_collision
 
 __all__ = [
@@ -12,10 +13,13 @@ __all__ = [
     "PlannedMeasurement",
     "SelfCollision",
     "Sight",
+    "Views",
     "most_telling",
     "plan",
+    "plan_views",
     "possible",
     "random_candidates",
     "roughly",
     "self_collision",
+    "view_candidates",
 ]

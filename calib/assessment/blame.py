@@ -1,13 +1,15 @@
 """Which is to blame: lens, print, arm or corners - what each explains on photographs held out, and what it leaves open.
 
 First nothing is wrong but where camera and board are: the lens as it was given, the print as it was to be, the arm
-nominal. Then one cause at a time is let free, and photographs held out are foretold better by what it explains *alone*;
-and each is taken away while all others stay free, which shows what it explains *beside* them. What alone explains
-nearly all, and beside the others nothing, they could explain as well: of such causes the simplest is named, as a print
-that is too large is likelier than an arm whose every link is. Where none alone explains nearly all, none is named.
+nominal. Then one cause at a time is let free, also where the job holds it, and photographs held out are foretold better
+by what it explains *alone*; and each is taken away while all others stay free, which shows what it explains *beside*
+them. How well corners are found, photographs say by themselves: each has a pose of its own there, so that no arm takes
+part. Where that is most, corners are named. Else it is the simplest cause that alone explains most of what is beyond
+corners, as a print that is too large is likelier than an arm whose every link is: if it explains nearly all. Else the
+only one without which all others together leave most of it. Where there is none such, none is named.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
@@ -15,21 +17,28 @@ from typing import Literal
 
 import numpy as np
 
+from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of
+from calib.identification.initialisation.lenses import legible, photographs_of
+from calib.identification.photographs import Optics, poses_of
+from calib.identification.photographs import fit as bundle
+from calib.measurement.boards import can_be_bent
+from calib.measurement.lens import BENT, CENTRE, FOCAL
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import SCALE, seen_by
 
 CauseName = Literal["scale", "shape", "lens", "arm", "corners"]
 # From the simplest on.
 _CAUSES: tuple[CauseName, ...] = ("scale", "shape", "lens", "arm")
-# Nearly all is explained by one cause: so much of what all explain together, as squares.
-_NEARLY_ALL = 0.9
-# What all causes explain is nothing to speak of below this share of what is left, as squares.
-_LITTLE = 0.25
+# As squares: what of all beyond corners one cause explains that is named, and of which share of all corners are most.
+_NEARLY_ALL, _MOST = 0.9, 0.5
+_Squares = Iterable[tuple[CauseName, float | None]]
+# What is free of a lens that was given.
+_NUMBERS = (*FOCAL, *CENTRE, *BENT)
 
 _WORDS: Mapping[CauseName, str] = {
     "lens": "the lens, which is not as it was given",
@@ -51,29 +60,31 @@ _NEXT: Mapping[CauseName, str] = {
 class Cause:
     """One cause: what it explains of photographs held out, ``alone`` and ``beside`` all others, in px.
 
-    Two-dimensional rms; None where it was not free. ``tool``: by how much less sure the tool's place is as the cause
-    is not known, in quadrature, in m.
+    Two-dimensional rms; None where it cannot be free, or a fit failed. ``tool``: by how much less sure the tool's place
+    is as the cause is not known, in quadrature, in m; None where the job holds it, so that no uncertainty counts it.
     """
 
     name: CauseName
     alone: float | None
     beside: float | None
-    tool: float
+    tool: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What every cause explains of ``whole``, in px, and what all leave, ``left``.
+    """What every cause explains of ``whole``, in px, what all leave, ``left``, and what ``corners`` have by themselves.
 
     ``tool``: standard deviation of the tool's place in m. ``named``: the simplest cause that alone explains nearly all,
-    None where there is none.
+    None where there is none. ``lens_held``: whether the job takes the lens as given.
     """
 
     causes: tuple[Cause, ...]
     whole: float
     left: float
+    corners: float
     tool: float
     named: CauseName | None
+    lens_held: bool
 
     @property
     def sentence(self) -> str:
@@ -81,77 +92,160 @@ class Blame:
         if self.named is None:
             return "No one cause explains by itself what photographs held out ask for."
         if self.named == "corners":
-            return f"What is left is {_WORDS['corners']}: nothing else explains much of the photographs held out."
+            return f"Most is {_WORDS['corners']}: photographs by themselves, without any arm, are foretold no better."
         return f"Most is explained by {_WORDS[self.named]}."
+
+    @property
+    def lens_is_wrong(self) -> bool:
+        """Whether the lens is taken as given, and free it would at least halve the mean square of what is left."""
+        lens = next(cause for cause in self.causes if cause.name == "lens")
+        return self.lens_held and lens.beside is not None and lens.beside > self.left
 
     @property
     def advice(self) -> str:
         """What to photograph next."""
-        worst = max(self.causes, key=lambda cause: cause.tool)
-        name = worst.name if worst.tool > 0.5 * self.tool else "corners"
+        told = max(self.causes, key=lambda cause: cause.tool or 0.0)
+        name = told.name if (told.tool or 0.0) > 0.5 * self.tool else "corners"
         return f"To be surer where the tool is, {_NEXT[name]}."
 
 
 def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     """Return what explains the photographs of boards that are held out, or all where none are; None without boards."""
-    own = fit.measurements
-    used = [one for one in sets if one.use == "validation"] or list(sets)
-    judged = [one for one in used if one.data.board is not None]
-    free = [name for name in _CAUSES if _of(fit, name).any() and not (name == "lens" and _found(own))]
-    if not judged or not free:
+    judged, free = _tried(fit, sets)
+    if not free:
         return None
-    left = _square([one.after for one in judged])
-    whole = _without(fit, judged, free)
-    if whole is None:
+    whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
+    if whole is None or left is None or corners is None:
         return None
-    alone: dict[CauseName, float | None] = {}
-    beside: dict[CauseName, float | None] = {}
-    for name in free:
-        alone[name] = _without(fit, judged, [other for other in free if other != name]) if len(free) > 1 else left
-        beside[name] = _without(fit, judged, [name]) if len(free) > 1 else whole
+    several = len(free) > 1
+    alone = {name: _left(fit, judged, (name,)) if several else left for name in free}
+    others = {name: [other for other in free if other != name] for name in free}
+    beside = {name: _left(fit, judged, others[name]) if several else whole for name in free}
+    held = _held(fit, free)
     tool = np.array([p.kind == "tool" and p.unit == "m" for p in fit.parameters])
     causes = tuple(
-        Cause(name, _gain(whole, alone.get(name)), _gain(beside.get(name), left), _share(fit, tool, _of(fit, name)))
+        Cause(
+            name,
+            _gain(whole, alone.get(name)),
+            _gain(beside.get(name), left),
+            None if name in held or name not in free else _share(fit, tool, _of(fit, name)),
+        )
         for name in _CAUSES
     )
     return Blame(
         causes,
         float(np.sqrt(whole)),
         float(np.sqrt(left)),
+        float(np.sqrt(corners)),
         float(np.sqrt(np.trace(fit.covariance[np.ix_(tool, tool)]))),
-        _named(whole, left, alone),
+        _named(whole, left, corners, alone.items(), beside.items()),
+        "lens" in held,
     )
 
 
-def _found(own: Sequence[Measurements]) -> bool:
-    """Return whether nobody gave the numbers of the lens."""
-    return all(data.camera is None or data.camera.unknown or data.camera.found for data in own)
+def named_cause(fit: Fit, sets: Sequence[JudgedSet]) -> CauseName | None:
+    """Return the cause that :func:`blame` names, by the few of its fits that this takes."""
+    judged, free = _tried(fit, sets)
+    if not free:
+        return None
+    whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
+    if whole is None or left is None or corners is None:
+        return None
+    alone = ((name, _left(fit, judged, (name,))) for name in free)
+    beside = ((name, _left(fit, judged, [other for other in free if other != name])) for name in free)
+    return _named(whole, left, corners, alone, beside)
 
 
-def _without(fit: Fit, judged: Sequence[JudgedSet], held: Collection[CauseName]) -> float | None:
-    """Return the mean square, in px^2, of photographs held out where some causes are held; None if that fails."""
-    own = [_held(data, held) for data in fit.measurements]
+def _tried(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[list[JudgedSet], list[CauseName]]:
+    """Return photographs of boards to judge by, and the causes that may be free."""
+    used = [one for one in sets if one.use == "validation"] or list(sets)
+    judged = [one for one in used if one.data.board is not None]
+    seen = [one.data for one in judged]
+    return judged, [name for name in _CAUSES if judged and _can_be_free(fit, seen, name)]
+
+
+def _can_be_free(fit: Fit, seen: Sequence[Measurements], name: CauseName) -> bool:
+    """Return whether a cause can be what is wrong: an arm that is sought, a lens that somebody gave."""
+    boards = [data.board for data in seen if data.board is not None]
+    if name == "arm":
+        return bool(_of(fit, name).any())
+    if name == "lens":
+        cameras = [data.camera for data in seen if data.camera is not None]
+        return not all(camera.unknown or camera.found for camera in cameras)
+    if name == "scale":
+        return any(board.scale_sigma > 0.0 for board in boards)
+    return all(board.shape != "flat" or can_be_bent(board.marks) for board in boards)
+
+
+def _held(fit: Fit, free: Sequence[CauseName]) -> list[CauseName]:
+    """Return the causes that the job holds although they could be free."""
+    return [name for name in free if not _of(fit, name).any()]
+
+
+def _all_free(fit: Fit, judged: Sequence[JudgedSet], free: Sequence[CauseName]) -> float | None:
+    """Return the mean square, in px^2, of photographs held out where all causes are free, as in most jobs."""
+    return _left(fit, judged, free) if _held(fit, free) else _square([one.after for one in judged])
+
+
+def _left(fit: Fit, judged: Sequence[JudgedSet], freed: Collection[CauseName]) -> float | None:
+    """Return the mean square, in px^2, of photographs held out where some causes alone are free; None if that fails."""
+    own = [_with(data, freed) for data in fit.measurements]
     frames = [escape(p.name) for p in fit.parameters if not p.of_robot and not p.nuisance]
-    named = [escape(p.name) for p in fit.parameters if p.of_robot and "arm" not in held]
+    named = [escape(p.name) for p in fit.parameters if p.of_robot and "arm" in freed]
     try:
         again = identify(fit.model, own, free=[*frames, *named], losses=fit.losses)
-        return _square(residuals_of(again, [_held(one.data, held) for one in judged], again.machine))
+        return _square(residuals_of(again, [_with(one.data, freed) for one in judged], again.machine))
     except (IdentificationError, MeasurementError):
         return None
 
 
-def _held(data: Measurements, held: Collection[CauseName]) -> Measurements:
-    """Return what a camera saw, with lens and board as they were given where these are held."""
+def _with(data: Measurements, freed: Collection[CauseName]) -> Measurements:
+    """Return what a camera saw, with lens and board as they were given but for what is free."""
     camera, board = data.camera, data.board
     if camera is None or board is None:
         return data
-    if "lens" in held:
+    if "lens" in freed:
+        camera = replace(camera, free=camera.free or _NUMBERS)
+    elif not (camera.unknown or camera.found):
         camera = replace(camera, free=())
-    if "scale" in held:
+    if "scale" not in freed:
         board = replace(board, scale_sigma=0.0)
-    if "shape" in held:
+    if "shape" not in freed:
         board = replace(board, shape="flat")
+    elif board.shape == "flat" and can_be_bent(board.marks):
+        board = replace(board, shape="quadratic")
     return seen_by(data, camera, board)
+
+
+def _corners(fit: Fit, judged: Sequence[JudgedSet]) -> float | None:
+    """Return the mean square, in px^2, that lens, board and a pose of its own leave of each photograph.
+
+    Robots take no part in it: it is how well corners are found. It allows for what was fitted. None where photographs
+    are too few for that.
+    """
+    sets, squares, rows = [*fit.measurements, *(one.data for one in judged)], 0.0, 0
+    for name in dict.fromkeys(_pair(data) for data in sets if data.board is not None):
+        same = [_with(data, ("lens", "shape")) for data in sets if data.board is not None and _pair(data) == name]
+        camera = same[0].camera
+        assert camera is not None, "pixels were seen by a camera"
+        lens = lens_of(fit, camera)[0]
+        photographs = legible([one for data in same for one in photographs_of(data)], lens)
+        if not photographs:
+            return None
+        optics = Optics(lens, np.zeros(photographs[0].modes.shape[2]))
+        found = bundle(photographs, camera.free, optics, poses_of(photographs, optics)[0])
+        count = sum(len(r) for r in found.residuals)
+        freedom = 2 * count - 6 * len(photographs) - len(camera.free) - len(optics.shape)
+        if freedom <= 0:
+            return None
+        squares += count * 2.0 * sum(float(np.sum(r * r)) for r in found.residuals) / freedom
+        rows += count
+    return squares / rows if rows else None
+
+
+def _pair(data: Measurements) -> tuple[str, str]:
+    assert data.camera is not None and data.board is not None, "asked of photographs of boards"
+    return data.camera.name, data.board.name
 
 
 def _square(residuals: Sequence[Array]) -> float:
@@ -162,14 +256,23 @@ def _gain(without: float | None, now: float | None) -> float | None:
     return None if without is None or now is None else float(np.sqrt(max(without - now, 0.0)))
 
 
-def _named(whole: float, left: float, alone: Mapping[CauseName, float | None]) -> CauseName | None:
-    """Return the simplest cause that alone explains nearly all; corners where there is little to explain."""
-    if whole - left < _LITTLE * left:
+def _named(whole: float, left: float, corners: float, alone: _Squares, beside: _Squares) -> CauseName | None:
+    """Return the cause that is to be named, by mean squares in px^2: see the module's first lines.
+
+    ``alone``: what each leaves by itself, from the simplest on; ``beside``: what all others leave.
+    """
+    if corners > _MOST * whole:
         return "corners"
-    for name, square in alone.items():
-        if square is not None and whole - square > _NEARLY_ALL * (whole - left):
+    beyond = whole - corners
+    for name, square in alone:
+        # Less than nearly all, and yet most: a richer cause that explains more may only imitate it.
+        share = 0.0 if square is None else (whole - square) / beyond
+        if share > _NEARLY_ALL:
             return name
-    return None
+        if share > _MOST:
+            break
+    needed = [name for name, square in beside if square is not None and square - left > _MOST * beyond]
+    return needed[0] if len(needed) == 1 else None
 
 
 def _of(fit: Fit, name: CauseName) -> BoolArray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.assessment.blame import Blame
 from calib.assessment.effects import NO_EFFECT, Effect, Rounding, Step, Strain, Stretch, Timing, memory
 from calib.assessment.gain import ONE_POSE, gain
 from calib.assessment.judged import Check, JudgedSet
@@ -31,6 +32,8 @@ ENOUGH = 10.0
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
 
+# Rows whose errors by every cause are in memory at a time.
+_BLOCK = 5000
 # A scatter of a nanometre is rounding, of data without noise.
 ROUNDING = 1e-9
 
@@ -263,7 +266,11 @@ def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slic
     known = machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
     if data.position is None or not known:
         return np.zeros(len(data))
-    return np.asarray(np.sum(common_errors(machine, data)[:, columns] ** 2, axis=(1, 2)))
+    found = np.empty(len(data))
+    for start in range(0, len(data), _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, len(data)))
+        found[rows] = np.sum(common_errors(machine, data.subset(rows))[:, columns] ** 2, axis=(1, 2))
+    return found
 
 
 def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
@@ -659,6 +666,17 @@ def lens(fit: Fit) -> Check:
         'lens was calibrated for this, accept = ["lens"].'
     )
     return _check("lens", len(given), 0.0, False, said)
+
+
+def wrong_lens(blame: Blame) -> Check:
+    """Whether photographs held out contradict a lens that is taken as given; no answer of a user makes it right."""
+    lens = next(cause for cause in blame.causes if cause.name == "lens")
+    without = float(np.hypot(blame.left, lens.beside or 0.0))
+    said = (
+        f"A lens is taken as given, and is another one: with it {without:.2g} px of photographs held out are left, and "
+        f'{blame.left:.2g} px with the lens free. Write lens = "free", and the size of the images.'
+    )
+    return _check("lens", without / blame.left, float(np.sqrt(2.0)), not blame.lens_is_wrong, said)
 
 
 def warnings(findings: Sequence[Finding]) -> Check:

@@ -203,6 +203,7 @@ def choose_terms(
     count: int = FOLDS,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
+    geometric: Fit | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
@@ -210,11 +211,13 @@ def choose_terms(
     Once of poses at random, and once of neighbourhoods in joint space. Of more than 10 000 rows it looks at as many,
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
-    and MeasurementError when all rows are of one group.
+    and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
+    measurements with these options, where it is known already.
     """
     with one_thread():
-        progress("choosing joint terms: fitting geometry")
-        geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
+        if geometric is None:
+            progress("choosing joint terms: fitting geometry")
+            geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         sets = geometric.measurements
         group = row_groups(sets)
         looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)

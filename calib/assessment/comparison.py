@@ -202,13 +202,15 @@ def compare_models(
     fold = _folds(group, scheme)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}
+    # Joint terms are chosen about a geometry that is often a model of its own, fitted to all folds by then.
+    geometries: dict[int, list[Fit]] = {id(models[name]): [] for name in choose if not models[name].terms}
     crossed: dict[str, CrossValidation] = {}
     refused: dict[str, str] = {}
     for i, (name, model) in enumerate(models.items()):
         texts = (f"{name}: all rows", *(f"{name}: fold {k + 1} of {number}" for k in range(number)))
         left = (number + 1) * (len(models) - i)
         told = iter([(text, left - k) for k, text in enumerate(texts)])
-        find = _finder(model, name in choose, model_sigmas, losses, told, progress)
+        find = _finder(model, name in choose, model_sigmas, losses, told, progress, geometries.get(id(model)))
         try:
             fits[name] = find(ChosenRows.of(sets, [np.ones(len(data), dtype=np.bool_) for data in sets]))
             crossed[name] = predict_held_out(find, model, sets, group, fold)
@@ -245,16 +247,25 @@ def _finder(
     losses: Sequence[Loss] | None,
     told: Iterator[tuple[str, int]],
     progress: Callable[[str, int], None],
+    geometries: list[Fit] | None,
 ) -> Callable[[ChosenRows], Fit]:
-    """Return what identifies a model from some rows, joint terms chosen from these alone, and tells of every fit."""
+    """Return what identifies a model from some rows, joint terms chosen from these alone, and tells of every fit.
+
+    ``geometries``: what a model leaves there that has no terms, and one that adds terms to it takes from there, in the
+    same order of rows.
+    """
 
     def find(rows: ChosenRows) -> Fit:
         progress(*next(told))
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
         here = model.within(rows.sets)
         if choosing:
-            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses).fit
-        return identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
+            known = geometries.pop(0) if geometries else None
+            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses, geometric=known).fit
+        fit = identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
+        if geometries is not None:
+            geometries.append(fit)
+        return fit
 
     return find
 

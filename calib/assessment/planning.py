@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.assessment import design
 from calib.assessment.candidates import PlannedMeasurement, random_candidates, rows, working_rows
-from calib.assessment.design import Design, Space
+from calib.assessment.design import Design, DesignRows, Space
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
@@ -18,7 +18,7 @@ from calib.foundations.linear import one_thread
 from calib.foundations.ranges import refuse_beyond
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import indices
-from calib.identification.parameters import scales
+from calib.identification.parameters import Parameter, scales
 
 _RANDOM_DESIGNS = 100
 _MOST_POSES = 500
@@ -103,48 +103,72 @@ def plan(
     how = measurement or PlannedMeasurement()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
+    model.urdf_robot.own(candidates)
+    working = candidates if how.working is None else how.working
+    with one_thread():
+        return planned(
+            candidates,
+            rows(model, how, candidates),
+            working_rows(model, how, working),
+            None if measured is None or not len(measured) else rows(model, how, measured),
+            model.parameters(),
+            count,
+            criterion,
+            target,
+            progress,
+        )
+
+
+def planned(
+    candidates: Array,
+    of_candidates: DesignRows,
+    of_working: DesignRows,
+    given: DesignRows | None,
+    parameters: Sequence[Parameter],
+    count: int,
+    criterion: Criterion,
+    target: float | None,
+    progress: Callable[[int, int], None],
+) -> Plan:
+    """Return the plan of candidates (N, nr) whose rows, and those of what is measured already, are known.
+
+    Raises JobError when there are fewer candidates than ``count``, or when they determine nothing.
+    """
     if count < 1:
         raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
     if target is not None:
         refuse_beyond(target, "sigma", "target")
-    model.urdf_robot.own(candidates)
-    working, seed = how.working, 0
     if count > len(candidates):
         raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
-    with one_thread():
-        parts = rows(model, how, candidates), working_rows(model, how, candidates if working is None else working)
-        given = None if measured is None or not len(measured) else rows(model, how, measured)
-        prior = _priors(model)
-        judged = design.space(parts[0], criterion, parts[1], given, prior)
-        by_error = judged if criterion == "I" else design.space(parts[0], "I", parts[1], given, prior)
-        counts = _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
-        # The best sequence of many begins with that of few.
-        order = design.sequence(judged, max(counts))
-        found = design.choose(judged, count, order=order, progress=progress)
-        floor = design.parts_of(by_error, range(len(candidates)))[1]
-        forecasts = tuple(
-            _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
-            for n in counts
-        )
-        random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
-        enough = None if target is None else _enough(by_error, floor, target)
+    seed, prior = 0, _priors(parameters)
+    judged = design.space(of_candidates, criterion, of_working, given, prior)
+    by_error = judged if criterion == "I" else design.space(of_candidates, "I", of_working, given, prior)
+    counts = _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
+    # The best sequence of many begins with that of few.
+    order = design.sequence(judged, max(counts))
+    found = design.choose(judged, count, order=order, progress=progress)
+    floor = design.parts_of(by_error, range(len(candidates)))[1]
+    forecasts = tuple(
+        _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
+        for n in counts
+    )
+    random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
     return Plan(
         read_only(candidates[list(_near_each_other(candidates, found.chosen))]),
         _near_each_other(candidates, found.chosen),
-        len(model.parameters()),
+        len(parameters),
         judged.seen,
         forecasts,
         _indices(judged, found.chosen),
         {name: float(np.median([r[name] for r in random])) for name in random[0]},
-        enough,
+        None if target is None else _enough(by_error, floor, target),
         _root(floor),
         found.converged,
     )
 
 
-def _priors(model: ErrorModel) -> Array:
+def _priors(parameters: Sequence[Parameter]) -> Array:
     """Return the standard deviations (p,) of priors in parameter scales: 1 where there is one, else infinite."""
-    parameters = model.parameters()
     known = np.array([np.inf if parameter.prior is None else parameter.prior for parameter in parameters])
     return np.asarray(known / scales(parameters))
 

@@ -8,7 +8,7 @@ import typer
 
 from calib.cli.application import PREPARE, Telling, command
 from calib.cli.options import Json, Quiet
-from calib.foundations.choices import Criterion, Observed
+from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
 
 Source = Annotated[
@@ -34,7 +34,7 @@ def plan(
     measured: Annotated[Path | None, _option("--measured", "FILE", "Poses measured already, to be completed.")] = None,
     working: Annotated[Path | None, _option("--working", "FILE", "Poses where the tool must be accurate.")] = None,
     tip: Annotated[str | None, _option("--tip", "LINK", "Tip link of a URDF, or of a job with several.")] = None,
-    observes: Annotated[Observed, typer.Option(help="What is measured.")] = "position",
+    observes: Annotated[Planned, typer.Option(help="What is measured; pixels: beside a job's.")] = "position",
     criterion: Annotated[Criterion, typer.Option(help="What is optimised: see docs/assessment.md.")] = "I",
     sigma: Annotated[str, _option("--sigma", "LENGTH", "Sigma of one measured coordinate.")] = "0.05 mm",
     sigma_angle: Annotated[str, _option("--sigma-angle", "ANGLE", "Sigma of one measured angle.")] = "0.1 mrad",
@@ -56,20 +56,35 @@ def plan(
 
     Poses are chosen from random candidates within the joints' limits, or from a table. With --tracker and --facing they
     are poses that the tracker sees. If the URDF has collision shapes, they are free of self-collision.
+    Of photographs: calib plan marks.toml --observes pixels -n 12 -o next.csv chooses those to take beside the job's.
     """
     with loading():
         from calib.assessment.candidates import PlannedMeasurement, possible, random_candidates
         from calib.assessment.planning import plan as plan_of
         from calib.cli import plan_inputs as given
+        from calib.cli.plan_photographs import plan_photographs
         from calib.foundations import rigid
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
         from calib.presentation.console import printable, warning
         from calib.presentation.plan_tables import enough_sentence, forecast_table, index_table
-        from calib.robot.collision import self_collision
     refuse_taken(out)
     telling = Telling(as_json, quiet)
+    if observes == "pixels":
+        of_trackers = {
+            "--tracker": tracker,
+            "--facing": facing,
+            "--farthest": farthest,
+            "--measured": measured,
+            "--tip": tip,
+        }
+        if said := [name for name, value in of_trackers.items() if value is not None]:
+            raise typer.BadParameter(f"{said[0]} is not of photographs; the job says what there is.")
+        plan_photographs(
+            arm, out, count, candidates, working, criterion, target, collisions, mesh_root or (), seed, telling
+        )
+        return
     with telling.progress(steps=4) as say:
         say("reading the arm")
         robot, model, roots = given.arm(arm, tip, observes, tuple(mesh_root or ()))
@@ -81,14 +96,10 @@ def plan(
         )
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
         notes = given.untold(model)
-        collision = None
-        if collisions and b"<collision" in robot.urdf.source:
+        if collisions:
             say("reading the collision shapes")
-            collision = self_collision(robot, roots)
-            notes += (
-                ["None of the URDF's collision shapes can be read; --mesh-root may help."] if collision is None else []
-            )
-            notes += [] if collision is None else list(collision.notes)
+        collision, more = given.collision(robot, roots, wanted=collisions)
+        notes += more
         say("sampling candidates")
         if _NUMBER.fullmatch(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)

@@ -18,6 +18,7 @@ from calib.identification.error_model import ErrorModel, error_model
 from calib.job.inputs import load_arm
 from calib.measurement.columns import stacked
 from calib.measurement.table import read_table
+from calib.robot.collision import SelfCollision, self_collision
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
@@ -49,6 +50,16 @@ def arm(
     model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)
     return robot, model, (*own, *roots)
+
+
+def collision(robot: Robot, roots: tuple[Path, ...], *, wanted: bool) -> tuple[SelfCollision | None, list[str]]:
+    """Return how the arm touches itself, None where that is not wanted or not known, and what is to be said of it."""
+    if not wanted or b"<collision" not in robot.urdf.source:
+        return None, []
+    found = self_collision(robot, roots)
+    if found is None:
+        return None, ["None of the URDF's collision shapes can be read; --mesh-root may help."]
+    return found, list(found.notes)
 
 
 def untold(model: ErrorModel) -> list[str]:

@@ -4,6 +4,8 @@ from typing import Literal
 
 # What instruments tell of the tool.
 Observed = Literal["position", "pose"]
+# What a plan is of: of pixels, beside photographs that a job has.
+Planned = Literal["position", "pose", "pixels"]
 # How designs of poses are judged.
 Criterion = Literal["D", "A", "I"]
 # What commands are to reach, and in whose frame that is said.

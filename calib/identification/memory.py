@@ -139,10 +139,12 @@ def _memory(c: int, component: Component, times: Array, J: Array, r: Array, C: A
         return None
     rng, flat = np.random.default_rng(c), J.reshape(-1, len(C))
     for _ in range(_ROUNDS):
+        n, d = r.shape
+        every = _drawn(rng, shares, taus, times, _DRAWS * d).reshape(n, _DRAWS, d)
         drawn = []
-        for _ in range(_DRAWS):
-            e = _drawn(rng, shares, taus, times, r.shape[1])
-            drawn.append(lags.covariances(e - (flat @ (C @ (flat.T @ e.ravel()))).reshape(e.shape)))
+        for e in every.swapaxes(0, 1):
+            left = e - (flat @ (C @ (flat.T @ e.ravel()))).reshape(e.shape)
+            drawn.append(lags.covariances(left))
         # What fits of simulated noise leave of its autocovariances, is missing of those that were seen.
         lost = lags.model(taus) @ shares - np.mean(drawn, axis=0)
         shares = lags.fitted(seen + lost, taus)

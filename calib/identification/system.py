@@ -271,13 +271,14 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
         for rows in _blocks(data):
             with _naming(data, rows):
                 readings = data.readings_at(at.frames.scalars, rows)
-                tips = links[data.tip].tips(readings, data.conditions.subset(rows))
+                told = data.conditions_at(at.frames.scalars, rows, moving=robot.weights is not None)
+                tips = links[data.tip].tips(readings, told)
                 others = None
                 if data.other is not None:
                     others = links[data.tip].tips(data.other.readings[rows], data.other.conditions.subset(rows))
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
-                    base[own] = rigid.inverse(links[link].tips(readings[own], data.conditions.subset(rows).subset(own)))
+                    base[own] = rigid.inverse(links[link].tips(readings[own], told.subset(own)))
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
             placed = base @ (tips @ at.frames.tools[data.tool[rows]])
             placed = _shifted(placed, data.points, rows)
@@ -437,7 +438,7 @@ class Rates:
         for rows in _blocks(data):
             base, group, others = _bases(frames, data, rows), data.setup[rows], None
             with _naming(data, rows):
-                told = data.conditions.subset(rows)
+                told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:

@@ -52,7 +52,7 @@ from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
 from calib.measurement.read import read_measurements, stream_of
-from calib.measurement.streams.stream import GAP, ONLY_CLOCK, Clock
+from calib.measurement.streams.stream import GAP, ONLY_CLOCK, SKEW, Clock, OneClock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.deviation import axis_frame
 from calib.robot.dh import Free
@@ -137,10 +137,17 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     stamps |= {folder / name: stamp(folder / name) for name in named}
     arms = _arms(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
-    sets = [
-        _shared_out(_measurements(section, job, robot, folder, arms, prints, lenses, doubts), section)
-        for section in sections
-    ]
+    # Rows held out are those of a table above: it is read once.
+    tables: list[tuple[MeasurementsSection, Measurements]] = []
+    sets: list[Measurements] = []
+    for section in sections:
+        own = section.model_copy(update={**_OF_HELD_OUT, "use": "identify"})
+        data = next((read for other, read in tables if other == own), None)
+        if data is None:
+            of = _of_one_clock(section, tables)
+            data = _measurements(section, job, robot, folder, arms, prints, lenses, doubts, of)
+            tables.append((own, data))
+        sets.append(_shared_out(data, section))
     sets, optics = _with_optics(job, sets, prints, progress)
     _refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
@@ -436,10 +443,13 @@ def _refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None
                 )
 
 
+# What a table says otherwise of those of its rows that are held out.
+_OF_HELD_OUT = {"use": "validate", "model_sigma": None, "model_sigma_angle": None, "loss": "linear"}
+
+
 def _with_held_out(job: Job) -> Job:
     """Return the job in which a table that holds out rows stands a second time, for these, behind all others."""
-    of_these = {"use": "validate", "model_sigma": None, "model_sigma_angle": None, "loss": "linear"}
-    again = [section.model_copy(update=of_these) for section in job.measurements if section.hold_out is not None]
+    again = [section.model_copy(update=_OF_HELD_OUT) for section in job.measurements if section.hold_out is not None]
     return job.model_copy(update={"measurements": (*job.measurements, *again)})
 
 
@@ -590,8 +600,9 @@ def _measurements(
     prints: Mapping[str, Print],
     lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
+    of: OneClock | None,
 ) -> Measurements:
-    clock = _clock(section, job)
+    clock = _clock(section, job, of)
     if section.instrument is not None and section.instrument in arms:
         if clock is not None:
             raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
@@ -642,10 +653,10 @@ def _under_its_load(data: Measurements, section: MeasurementsSection, robot: Rob
     return (data if payload is None else data.carrying(robot, payload)).loaded(robot)
 
 
-def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
+def _clock(section: MeasurementsSection, job: Job, of: OneClock | None) -> Clock | None:
     """Return what a job says of the clock of a stream, None of other tables."""
     if section.readings is None:
-        for key in ("clock", "latency", "gap"):
+        for key in ("clock", "clock_of", "latency", "gap"):
             if getattr(section, key) is not None:
                 raise JobError(f"{section.file}: {key}: is of a stream, and no readings are named.")
         return None
@@ -654,7 +665,21 @@ def _clock(section: MeasurementsSection, job: Job) -> Clock | None:
     own = Path(section.file).stem
     name = ONLY_CLOCK if len(streams) == 1 else f"{ONLY_CLOCK}.{own if stems.count(own) == 1 else section.file}"
     gap = GAP if section.gap is None else section.gap.si
-    return Clock(section.clock or "free", section.latency is not None, gap, name)
+    return Clock(section.clock or "free", section.latency is not None, gap, name, of)
+
+
+def _of_one_clock(
+    section: MeasurementsSection, read: Sequence[tuple[MeasurementsSection, Measurements]]
+) -> OneClock | None:
+    """Return the clock of the stream by which another one goes, None where it has its own."""
+    if section.clock_of is None or section.readings is None:
+        return None
+    for other, data in read:
+        if other.file == section.clock_of and other.clock_of is None and SKEW in data.uses:
+            return data.clock
+    raise JobError(
+        f"{section.file}: clock_of: {section.clock_of!r} is not a stream with a clock of its own above this one."
+    )
 
 
 def _columns(section: MeasurementsSection) -> Columns:

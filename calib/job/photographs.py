@@ -38,6 +38,8 @@ LEAST_PHOTOGRAPHS = 3
 # What is written of a pixel and of its sigma: a ten-thousandth.
 _DIGITS = 4
 _FLANGE = ("flange_x", "flange_y", "flange_z", "flange_rz", "flange_ry", "flange_rx")
+# One of these columns beside a position makes it a pose.
+_TURNED = {"qw", "rx", "r11"}
 _MARKS = ("u [px]", "v [px]", "board_x [mm]", "board_y [mm]", "board_z [mm]", "sigma [px]")
 
 
@@ -157,7 +159,10 @@ def import_photographs(
     sizes = [one.size for one in seen if not one.left_out]
     size = max(dict.fromkeys(sizes), key=sizes.count, default=(0, 0))
     named = {one.name: _named(one.name, by_image) for one in seen}
-    photographs = tuple(one._replace(left_out=_unfit(one, size, named[one.name])) for one in seen)
+    owner = {row: name for name, row in reversed(named.items())}
+    photographs = tuple(
+        one._replace(left_out=_unfit(one, size, named[one.name], owner.get(named[one.name]))) for one in seen
+    )
     taken = {name: by_image[row] for name, row in named.items() if row is not None}
     lost = [image for image in by_image if image not in named.values()]
     if lost:
@@ -195,8 +200,13 @@ def _look(file: Path, detect: Callable[[Array], Detection]) -> Photograph:
     return Photograph(file.name, (grey.shape[1], grey.shape[0]), found, _why(found), thumbnail(grey))
 
 
-def _unfit(one: Photograph, size: tuple[int, int], row: str | None) -> str:
-    """Return why a photograph is left out among others: nothing where it is of their size, and has readings."""
+def _unfit(one: Photograph, size: tuple[int, int], row: str | None, owner: str | None) -> str:
+    """Return why a photograph is left out among others: nothing where it is of their size, and has readings.
+
+    ``owner``: the photograph that has its ``row``, if it has one.
+    """
+    if row is not None and owner not in (None, one.name):
+        return f"has the readings of {owner}"
     if not one.left_out and one.size != size:
         return f"has {one.size[0]} x {one.size[1]} pixels, and most have {size[0]} x {size[1]}"
     return one.left_out or ("" if row is not None else "has no row in the readings")
@@ -226,11 +236,15 @@ def _readings(
     if IMAGE not in names:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
     images = _images(sheet, names.index(IMAGE))
-    if set(POSITION) <= set(names) and ({"qw", "rx"} & set(names)):
-        return _of_flange(path, images, robot, orientation)
-    own = [k for k, name in enumerate(names) if name != IMAGE]
+    own, said = [k for k, name in enumerate(names) if name != IMAGE], f"{path} has readings of the joints"
+    if set(POSITION) <= set(names) and _TURNED & set(names):
+        joints = [] if robot is None else [reading.name for reading in robot.readings]
+        if not joints or not set(joints) <= set(names):
+            return _of_flange(path, images, robot, orientation)
+        own = [k for k in own if names[k] in joints]
+        said += ", which are taken; its poses of the flange are not needed"
     rows = {image: tuple(row[k] for k in own) for image, row in zip(images, sheet.rows, strict=True)}
-    return tuple(sheet.titles[k] for k in own), rows, (f"{path} has readings of the joints",), ""
+    return tuple(sheet.titles[k] for k in own), rows, (said,), ""
 
 
 def _images(sheet: Sheet, column: int) -> list[str]:
@@ -254,7 +268,10 @@ def _of_flange(
     else:
         values, names = _inverse(path, robot, poses, images), tuple(reading.name for reading in robot.readings)
         units = ["m" if reading.dimension == "length" else "rad" for reading in robot.readings]
-        said = f"{path} has poses of the flange: readings are those with which the robot of the URDF is there"
+        said = (
+            f"{path} has poses of the flange: readings are those with which the robot of the URDF is there; where the "
+            "controller computes with the numbers of its own arm, its joints are others, and a calibration needs these"
+        )
         urdf = ""
     titles = tuple(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
     rows = {image: tuple(f"{value:.9f}" for value in row) for image, row in zip(images, values, strict=True)}

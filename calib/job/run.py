@@ -58,9 +58,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
     if choice is None and not inputs.job.levels and trace is None:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
-    if not inputs.job.levels and trace is None:
-        found = replace(found, blame=blame(fit, found.sets))
-    return replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
+    found = replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
+    return found if inputs.job.levels or trace is not None else found.blaming(blame(fit, found.sets))
 
 
 def _choose(inputs: Inputs, progress: Progress) -> Choice | None:

@@ -337,13 +337,15 @@ class MeasurementsSection(_Section):
     """``[[measurements]]``: one table. ``hold_out``: share of its groups of rows by which the rest is judged.
 
     Of a stream, ``readings`` is the file of its joints, and ``clock`` says whether both are one clock; ``latency``, of
-    a given clock, whether readings come late; longer gaps than ``gap`` are not bridged.
+    a given clock, or of that of another stream, ``clock_of``, whether measurements come late; longer gaps than ``gap``
+    are not bridged.
     ``board``: the board.toml of what a camera saw.
     """
 
     file: Name
     readings: Name | None = None
     clock: Literal["free", "given"] | None = None
+    clock_of: Name | None = None
     latency: Literal["free"] | None = None
     gap: Annotated[Quantity, PlainValidator(quantity("gap"))] | None = None
     observes: Kind = "position"

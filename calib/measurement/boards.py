@@ -27,6 +27,8 @@ _QUADRATIC = ("bend_x", "bend_y", "twist", "aspect", "shear")
 # Marks are told by their places; what is nearer than this, in m, is one place.
 _ONE_PLACE = 1e-6
 _FLAT = 1e-9
+# A shape takes the places of so many marks.
+_LEAST_MARKS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +57,9 @@ class Board:
         refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")
         if self.shape not in get_args(BoardShape):
             raise JobError(f"board: shape is {self.shape!r}; allowed are {', '.join(get_args(BoardShape))}.")
-        if self.shape != "flat" and len(self.marks) < 6:
+        if self.shape != "flat" and len(self.marks) < _LEAST_MARKS:
             raise JobError(f"board: a {self.shape} shape needs the places of six marks or more; write a board.toml.")
-        if self.shape == "quadratic" and np.ptp(self.marks[:, 2]) > _FLAT:
+        if self.shape == "quadratic" and not can_be_bent(self.marks):
             raise JobError("board: its marks are not in a plane, so that its shape cannot be quadratic.")
         object.__setattr__(self, "modes", shape_modes(self.marks, self.shape))
 
@@ -115,6 +117,11 @@ def shape_modes(marks: Array, shape: BoardShape) -> Array:
         rest = np.linalg.svd(taken, full_matrices=True)[0][:, taken.shape[1] :]
         own = np.column_stack([own, rest])
     return read_only(np.sqrt(n) * own.reshape(n, 3, -1))
+
+
+def can_be_bent(marks: Array) -> bool:
+    """Return whether marks (m, 3) are enough, and in a plane, so that their board can have a quadratic shape."""
+    return len(marks) >= _LEAST_MARKS and float(np.ptp(marks[:, 2])) <= _FLAT
 
 
 def places_of(marks: Array, modes: Array, values: Array) -> tuple[Array, Array]:

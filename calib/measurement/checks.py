@@ -14,6 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.units import DEG, MM
 from calib.measurement.measurements import Measurements
+from calib.measurement.streams.stream import OFFSET
 from calib.robot.robot import Reading
 
 # Controllers and rounding pass a limit by little: a warning from 1 mrad (1 mm) plus 0.1 % of the joint's largest limit.
@@ -65,6 +66,7 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     return (
         *_of_readings(_only(measurements, told), [readings[k] for k in told], reach),
         *_unused(measurements),
+        *_commanded(measurements),
         *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
         *_repeated(measurements),
     )
@@ -96,6 +98,21 @@ def _unused(m: Measurements) -> Iterable[Finding]:
             "warning",
             "joint-unused",
             f"{m.where}: joints that move nothing that was measured, and are left out: {names}.",
+        )
+
+
+def _commanded(m: Measurements) -> Iterable[Finding]:
+    if m.stream is not None and m.stream.joints.commanded:
+        delay = (
+            f"the delay that all have in common is in {m.scalars[m.uses[OFFSET]].name}"
+            if OFFSET in m.uses
+            else 'write latency = "free", and the delay that all have in common is found'
+        )
+        yield Finding(
+            "warning",
+            "commanded-readings",
+            f"{m.stream.joints.where}: says what joints were commanded to do, and not where they were; {delay}, but by "
+            "how much each of them is late, and what friction leaves, is in the results: log actual readings.",
         )
 
 

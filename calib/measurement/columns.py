@@ -1,6 +1,6 @@
 """Columns of a table by name: those that must be there, those that nobody knows, and numbers in SI units."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import cast
 
 import numpy as np
@@ -40,11 +40,16 @@ def require(table: Table, names: Iterable[str], what: str) -> None:
 
 
 def refuse_unknown(
-    table: Table, readings: Iterable[str], unread: Collection[str] = (), idle: Collection[str] = ()
+    table: Table,
+    readings: Iterable[str],
+    unread: Collection[str] = (),
+    idle: Collection[str] = (),
+    of_joints: Sequence[str] = (TORQUE, APPROACH),
 ) -> None:
     """Refuse a column that would be passed over in silence, and a joint with the name of another column.
 
     ``unread``: joints of the URDF that no column tells; ``idle``: such as may have a column that nothing needs.
+    ``of_joints``: with what names of columns begin that tell something else of a joint.
     """
     joints = frozenset(readings)
     for name in sorted(joints & KNOWN):
@@ -52,7 +57,7 @@ def refuse_unknown(
             f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
         )
     moving = {*joints, *idle}
-    known = moving | KNOWN | {f"{what}{name}" for what in (TORQUE, APPROACH) for name in moving}
+    known = moving | KNOWN | {f"{what}{name}" for what in of_joints for name in moving}
     for name in table.columns:
         # Euler angles are refused by what is wrong with them, where an orientation is asked for.
         if name not in known and name in unread:

@@ -8,13 +8,13 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
-from calib.foundations.errors import MeasurementError, naming_rows
+from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.words import listed
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
 from calib.measurement.scalars import Scalar
-from calib.measurement.streams.stream import SHIFTS, Stream
+from calib.measurement.streams.stream import LATENCY, OFFSET, SHIFTS, SKEW, OneClock, Stream
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import Payload
 from calib.robot.robot import Deviations, Robot
@@ -113,11 +113,26 @@ class Measurements:
         """Return what the scalars (s,) make of the clock of a stream."""
         return {role: float(scalars[self.uses[role]]) for role in SHIFTS if role in self.uses}
 
+    @property
+    def clock(self) -> OneClock:
+        """The free clock of a stream, for another stream that goes by it. Raises JobError where there is none."""
+        if self.stream is None or SKEW not in self.uses or LATENCY in self.uses:
+            raise JobError(f"{self.where}: has no free clock of its own, by which another stream could go.")
+        offset, skew = (self.scalars[self.uses[role]] for role in (OFFSET, SKEW))
+        return OneClock(self.stream.middle, offset, skew, self.where)
+
     def readings_at(self, scalars: Array, rows: slice = slice(None)) -> Array:
         """Return the readings (n, k) of rows where scalars (s,) have these values: those of a stream follow them."""
         if self.stream is None:
             return self.readings[rows]
         return self.stream.readings(self.shifts(scalars), rows)
+
+    def conditions_at(self, scalars: Array, rows: slice = slice(None), *, moving: bool = True) -> Conditions:
+        """Return the conditions of rows where scalars (s,) have these values; ``moving``: with how the joints moved."""
+        told = self.conditions.subset(rows)
+        if self.stream is None or not moving:
+            return told
+        return replace(told, motion=self.stream.motion(self.shifts(scalars), rows))
 
     def at_clock(self, scalars: Array) -> "Measurements":
         """Return the rows with the readings that they have where scalars (s,) have these values."""

@@ -32,9 +32,13 @@ TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
 APPROACH = "direction_"
 # What the drive of the joint in the name held, by its own account.
 TORQUE = "tau_"
+# Where the joint in the name was told to be.
+COMMANDED = "commanded_"
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 # Numbers that need no unit.
 UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))
+# What ``calib compensate`` says of its commands, in words.
+_OF_COMMANDS = ("reached", "reason")
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 _MOST_COLUMNS = 1000
@@ -306,6 +310,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     names: set[str] = set()
     wrong: list[str] = []
     unitless: list[str] = []
+    commands: list[str] = []
     for k, title in enumerate(titles):
         try:
             name, symbol = _split(title)
@@ -324,7 +329,9 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             names.add(name)
             if name == "point":
                 raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
-            if not symbol and not (holds_words(name) or name in UNITLESS):
+            if not symbol and name in _OF_COMMANDS:
+                commands.append(name)
+            elif not symbol and not (holds_words(name) or name in UNITLESS):
                 unitless.append(name)
             else:
                 header.append(_Heading(name, _unit(name, symbol)))
@@ -332,6 +339,11 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             wrong.append(str(e))
     if unitless:
         wrong.insert(0, _no_unit(unitless))
+    if commands:
+        listed = " and ".join(map(repr, commands))
+        wrong.insert(
+            0, f"{listed} are words of commands, as calib compensate writes them; give the table it was made of"
+        )
     wrong += [f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours]
     wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
     if wrong:
@@ -341,10 +353,13 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
 
 def _no_unit(names: Sequence[str]) -> str:
     one, other = ("deg", "mm") if names[0][-1:].isdigit() else ("mm", "deg")
+    if names[0] == "time":
+        one, other = "s", "ms"
+    like = f"write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
     if len(names) == 1:
-        return f"column {names[0]!r} has no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
+        return f"column {names[0]!r} has no unit; {like}"
     listed = ", ".join(map(repr, names[:_LISTED])) + (", ..." if len(names) > _LISTED else "")
-    return f"columns {listed} have no unit; write one in brackets, like '{names[0]} [{one}]' or '[{other}]'"
+    return f"columns {listed} have no unit; {like}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -58,8 +58,8 @@ def blame_section(found: Blame) -> Section:
         Row(
             (
                 _CAUSES[cause.name],
-                *("not free" if value is None else f"{value:.3f}" for value in (cause.alone, cause.beside)),
-                f"{cause.tool / MM:.3f}",
+                *("-" if value is None else f"{value:.3f}" for value in (cause.alone, cause.beside)),
+                "held" if cause.tool is None else f"{cause.tool / MM:.3f}",
             ),
             strong=cause.name == found.named,
         )
@@ -71,8 +71,9 @@ def blame_section(found: Blame) -> Section:
         ("cause", *numbers),
         frozenset(numbers),
         tuple(rows),
-        f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; the tool's doubt, "
-        f"{found.tool / MM:.3f} mm in all, is what would go if the cause were known",
+        f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; photographs by "
+        f"themselves, without the arm, leave {found.corners:.3f} px. The tool's doubt, in all "
+        f"{found.tool / MM:.3f} mm, is what would go if the cause were known; what is held counts for nothing there",
         brief=True,
     )
     return Section("blame", "Which is to blame", (Prose((found.sentence, found.advice), brief=True), sheet))

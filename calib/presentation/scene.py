@@ -108,6 +108,7 @@ class Scene:
     ``colourings``: by what rows may be coloured, such as their table, and the name (N) that each has. ``regions``: of
     some rows the half axes (3, 3), as columns, of the ellipsoid around the prediction where the calibrated tool is with
     95 %.
+    ``times`` (N,) in s: of rows of streams, which are played as they came; NaN where nobody says.
     """
 
     title: str
@@ -131,6 +132,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     colourings: Mapping[str, Sequence[str]] = field(default_factory=dict)
     regions: Mapping[int, Array] = field(default_factory=dict)
+    times: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,6 +232,9 @@ def render_scene(scene: Scene) -> str:
         "lengths": [[round(float(e[n]), 4) for e in errors] for n in rows],
         "colourings": _colourings(scene, rows),
         "regions": _regions(scene, rows, T_base_world[:3, :3]),
+        "times": None
+        if scene.times is None
+        else [None if np.isnan(t) else round(float(t), 4) for t in scene.times[rows]],
         "scales": scene.scales,
         "factors": _factors(scene.scales),
         "radius": 0.004 * extent,

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.assessment.blame import Blame
 from calib.assessment.checking import looks_wrong
-from calib.assessment.checks import answered
+from calib.assessment.checks import answered, wrong_lens
 from calib.assessment.choice import Choice
 from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
@@ -111,6 +111,16 @@ class Calibration:
         gone = {old.sentence for old, new in now if new.passed}
         doubts = tuple(doubt for doubt in self.doubts if doubt not in gone)
         return replace(self, doubts=doubts, checks=tuple(new for _, new in now))
+
+    def blaming(self, blame: Blame | None) -> "Calibration":
+        """Return the calibration with what photographs held out say of causes, which may contradict a given lens."""
+        if blame is None or not blame.lens_is_wrong:
+            return replace(self, blame=blame)
+        new = wrong_lens(blame)
+        old = next(check for check in self.checks if check.name == new.name)
+        doubts = (*(doubt for doubt in self.doubts if doubt != old.sentence), new.sentence)
+        checks = tuple(new if check is old else check for check in self.checks)
+        return replace(self, blame=blame, doubts=doubts, checks=checks)
 
     def __repr__(self) -> str:
         by = "held out" if "validation" in self.metrics else "identified from"

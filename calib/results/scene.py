@@ -86,7 +86,17 @@ def scene_of(found: Calibration) -> Scene:
             "set-up": [judged.data.setups[k] for judged in sets for k in judged.data.setup],
         },
         regions=_regions(found, sets) if with_points else {},
+        times=_times(sets),
     )
+
+
+def _times(sets: Sequence[JudgedSet]) -> Array | None:
+    """Return when rows were measured (N,), in s since the first of all, NaN where nobody says; None for no streams."""
+    if all(judged.data.stream is None for judged in sets):
+        return None
+    told = [np.full(len(j.data), np.nan) if j.data.times is None else j.data.times for j in sets]
+    times = np.concatenate(told)
+    return np.asarray(times - np.nanmin(times))
 
 
 def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:

@@ -23,6 +23,7 @@ class Conditions:
     ``temperature`` (N,): of the machine, in degC. ``torque`` (N, nr): what drives were measured to hold, in Nm.
     ``payload`` (N, links, 4): what each of the robot's ``links`` carries, its first moment in kg m in the link and its
     mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
+    ``motion`` (N, 2, nr): rates and accelerations of the readings, per s and s^2; None at rest.
     ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them. ``torque_sigma`` (N,): the
     standard deviation of the torques in Nm, None where they are taken as they are.
     """
@@ -36,6 +37,7 @@ class Conditions:
     gravity: Array | None = None
     lagged: Array | None = None
     torque_sigma: Array | None = None
+    motion: Array | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -79,30 +81,31 @@ def ordinary(readings: Array) -> Conditions:
 def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
     """Return the conditions of rows one part after the other, each part being how many rows it has, and theirs.
 
-    None where one part has none; but a part that tells no load has that of the robot.
+    None where one part has none; but a part that tells no load has that of the robot, and one without motion rests.
     """
 
     def of_all(found: Sequence[Array | None]) -> Array | None:
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
-    def loads(found: Sequence[Array | None]) -> Array | None:
+    def filled(found: Sequence[Array | None], unsaid: float) -> Array | None:
         like = next((values for values in found if values is not None), None)
         if like is None:
             return None
         sizes = [rows for rows, _ in parts]
         return of_all(
-            [np.full((n, *like.shape[1:]), np.nan) if v is None else v for n, v in zip(sizes, found, strict=True)]
+            [np.full((n, *like.shape[1:]), unsaid) if v is None else v for n, v in zip(sizes, found, strict=True)]
         )
 
     return Conditions(
         of_all([told.approach for _, told in parts]),
         of_all([told.temperature for _, told in parts]),
         of_all([told.torque for _, told in parts]),
-        loads([told.payload for _, told in parts]),
-        loads([told.gravity for _, told in parts]),
+        filled([told.payload for _, told in parts], np.nan),
+        filled([told.gravity for _, told in parts], np.nan),
         of_all([told.lagged for _, told in parts]),
         of_all([told.torque_sigma for _, told in parts]),
+        filled([told.motion for _, told in parts], 0.0),
     )
 
 

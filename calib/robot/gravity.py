@@ -1,13 +1,18 @@
-"""What every coordinate holds against gravity: torques, and forces where it slides, at nominal geometry.
+"""What every coordinate holds: torques, and forces where it slides, at nominal geometry.
+
+Against gravity, and, while the arm moves, against the inertia of its links.
 
 The potential energy V of the machine's links is a function of the coordinates u alone: the readings and, where links
 give way, the ways in which they do; passive joints of closed loops follow. What coordinate i holds is dV/du_i: by
 virtual work ``(dq/du)^T g(q)``, with the gravity torques g of the tree of joints and the rates dq/du at which all
-joints, passive ones too, follow the coordinates.
+joints, passive ones too, follow the coordinates. Of rows that tell how joints moved, g(q) gives way to the inverse
+dynamics ``M(q) a + C(q, v) v + g(q)`` of the tree (R. Featherstone, *Rigid body dynamics algorithms*, 2008, chapter 5);
+where loops close, gravity alone counts.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,9 +88,21 @@ def checked_payload(payload: Payload | None, links: Sequence[str], where: str) -
     return payload
 
 
+class Body(NamedTuple):
+    """A mass in kg that a ``joint`` of the chain carries, its ``centre`` (3,) in m in the joint's link.
+
+    ``inertia`` (3, 3): about the centre, along the link's axes, in kg m^2.
+    """
+
+    joint: int
+    mass: float
+    centre: Array
+    inertia: Array
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Weights:
-    """A nominal machine with masses. ``bodies``: chain joint that carries it, mass in kg, centre (3,) in its link in m.
+    """A nominal machine with masses, ``bodies``.
 
     ``units``: masses that nobody knows, by name: the chain joint that carries one, and (4,) its first moment in kg m in
     that joint's frame, then its mass in kg. ``gravity`` (3,) in m/s^2, in the base link. ``hands``: the chain joints
@@ -96,7 +113,7 @@ class Weights:
     """
 
     mechanism: Mechanism
-    bodies: tuple[tuple[int, float, Array], ...]
+    bodies: tuple[Body, ...]
     gravity: Array
     units: tuple[tuple[str, int, Array], ...] = ()
     hands: tuple[int, ...] = ()
@@ -125,11 +142,13 @@ class Holding:
     def __call__(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
         """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr).
 
-        Under gravity and payloads that are ``told`` of the rows, else those of the robot.
+        Under gravity and payloads that are ``told`` of the rows, else those of the robot; rows that moved are told how.
+        The inertia of a payload that is the robot's own counts, that of another one does not; nor does that of links in
+        how they themselves give way.
         """
         q, follow = self._posed(readings)
         gravity = self._gravity(len(q), told)
-        found = _by_virtual_work(self._masses.holding(q, gravity), follow)
+        found = _by_virtual_work(self._of_bodies(q, gravity, told), follow)
         if self._weights.own:
             placed = self._links.placements(q)
             for (coordinate, _, masses), at in zip(self._weights.own, placed, strict=True):
@@ -138,6 +157,14 @@ class Holding:
             rows, more = other
             found[rows] += self._carried(q[rows], follow[rows] if follow.ndim == 3 else follow, gravity[rows], more)
         return found
+
+    def _of_bodies(self, q: Array, gravity: Array, told: Conditions) -> Array:
+        """Return what the joints of the tree hold (N, nj)."""
+        if told.motion is None or self._closure is not None:
+            return self._masses.holding(q, gravity)
+        own = self._weights.mechanism.coupling[:, : told.motion.shape[2]]
+        rates, accelerations = np.moveaxis(told.motion @ own.T, 1, 0)
+        return self._masses.driving(q, rates, accelerations, gravity)
 
     def of_units(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
         """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr)."""
@@ -208,8 +235,8 @@ def _frame(s: Skeleton, segment: int) -> Frame:
 
 
 def _masses(s: Skeleton, weights: Weights) -> list[Mass]:
-    frames = [end_frame(s, int(weights.mechanism.carrying[joint])) for joint, _, _ in weights.bodies]
+    frames = [end_frame(s, int(weights.mechanism.carrying[body.joint])) for body in weights.bodies]
     return [
-        Mass(joint, mass, T[:3, :3] @ centre + T[:3, 3])
-        for (joint, T), (_, mass, centre) in zip(frames, weights.bodies, strict=True)
+        Mass(joint, body.mass, T[:3, :3] @ body.centre + T[:3, 3], T[:3, :3] @ body.inertia @ T[:3, :3].T)
+        for (joint, T), body in zip(frames, weights.bodies, strict=True)
     ]

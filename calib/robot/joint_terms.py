@@ -10,7 +10,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
 from calib.robot.flexures import followed, link_length
-from calib.robot.gravity import Holding, Weights
+from calib.robot.gravity import Body, Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
 from calib.robot.terms import KINDS, NAMED, JointTerm, kind_of
@@ -142,7 +142,7 @@ def _fewest(robot: Robot, terms: Sequence[JointTerm], first: int = 0) -> tuple[J
     return tuple(found)
 
 
-def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Sequence[str]) -> Weights:
+def _weights(robot: Robot, bodies: Sequence[Body], names: Sequence[str]) -> Weights:
     known = _units(robot)
     if unknown := next((name for name in names if name not in known), None):
         raise RobotError(f"{robot.urdf.where}: the robot has no moment of mass {unknown!r}.")
@@ -159,15 +159,16 @@ def _weights(robot: Robot, bodies: Sequence[tuple[int, float, Array]], names: Se
     )
 
 
-def _own(robot: Robot, bodies: Sequence[tuple[int, float, Array]]) -> tuple[tuple[int, int, Array], ...]:
+def _own(robot: Robot, bodies: Sequence[Body]) -> tuple[tuple[int, int, Array], ...]:
     """Return what links that give way weigh themselves, as :class:`Weights` has it: payloads are at their ends."""
     of_chain, found = segments(robot), []
     for k, flexure in enumerate(robot.flexures.every):
         segment = of_chain[flexure.joint]
         masses = np.zeros(3)
-        for joint, mass, centre in bodies:
-            if joint == segment.parent:
-                masses += mass * followed(flexure, segment, of_chain[joint].frame[:3, :3].T @ centre)
+        for body in bodies:
+            if body.joint == segment.parent:
+                centre = of_chain[body.joint].frame[:3, :3].T @ body.centre
+                masses += body.mass * followed(flexure, segment, centre)
         if masses.any():
             found.append((len(robot.readings) + k, segment.parent, read_only(masses)))
     return tuple(found)
@@ -182,14 +183,15 @@ def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
     return {f"{robot.chain[i].name}_{name}": (i, read_only(unit)) for i in robot.moving for name, unit in what.items()}
 
 
-def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
-    """Return the masses of all links: chain joint that carries it, mass in kg, centre (3,) in its link in m."""
+def _bodies(robot: Robot) -> tuple[Body, ...]:
+    """Return the masses of all links that the chain carries."""
     index = {robot.urdf.joint(joint.name).child: i for i, joint in enumerate(robot.chain)}
-    bodies: list[tuple[int, float, Array]] = []
-    for link, (mass, centre) in inertials(robot.urdf).items():
+    bodies: list[Body] = []
+    for link, (mass, centre, inertia) in inertials(robot.urdf).items():
         if mass > 0.0 and (place := _place(robot, link, index)) is not None:
             joint, T = place
-            bodies.append((joint, mass, read_only(T[:3, :3] @ centre + T[:3, 3])))
+            R = T[:3, :3]
+            bodies.append(Body(joint, mass, read_only(R @ centre + T[:3, 3]), read_only(R @ inertia @ R.T)))
     if not bodies:
         raise RobotError(
             f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up and bending under "
@@ -198,13 +200,14 @@ def _bodies(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
     return tuple(bodies)
 
 
-def _payload(robot: Robot) -> tuple[tuple[int, float, Array], ...]:
+def _payload(robot: Robot) -> tuple[Body, ...]:
     """Return the payload as a mass, if there is one that the base does not carry."""
     payload = robot.load.payload
     if payload is None:
         return ()
     at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
-    return ((at, payload.mass, read_only(payload.position)),) if at >= 0 else ()
+    inertia = read_only(np.zeros((3, 3)))
+    return (Body(at, payload.mass, read_only(payload.position), inertia),) if at >= 0 else ()
 
 
 def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] | None:
@@ -227,7 +230,7 @@ def weighed_at_zero(robot: Robot) -> frozenset[str]:
     """Return the names of joints that carry masses on the chain, and are no part of it: they are taken at zero."""
     carriers = {robot.urdf.joint(joint.name).child for joint in robot.chain}
     found: set[str] = set()
-    for link, (mass, _) in inertials(robot.urdf).items():
+    for link, (mass, _, _) in inertials(robot.urdf).items():
         joints: list[UrdfJoint] = []
         at = link
         while at not in carriers and (joint := robot.urdf.parent_joint(at)) is not None:

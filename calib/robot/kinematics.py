@@ -36,11 +36,15 @@ class Frame(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """A mass in kg whose centre (3,) is at rest, in m, in the frame of a joint; joint -1 is the root."""
+    """A mass in kg whose centre (3,) is at rest, in m, in the frame of a joint; joint -1 is the root.
+
+    ``inertia`` (3, 3): about the centre, along the axes of that frame, in kg m^2.
+    """
 
     joint: int
     mass: float
     centre: Array
+    inertia: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,13 +201,13 @@ class Kinematics:
 
 
 class Weighed:
-    """Masses of a tree, at rest in many configurations. Not to be shared by threads: it holds scratch memory."""
+    """Masses of a tree, at rest or in motion. Not to be shared by threads: it holds scratch memory."""
 
     def __init__(self, tree: Tree, masses: Sequence[Mass]) -> None:
         model = _model(tree)
         for body in masses:
             model.appendBodyToJoint(
-                body.joint + 1, pin.Inertia(body.mass, body.centre, np.zeros((3, 3))), pin.SE3.Identity()
+                body.joint + 1, pin.Inertia(body.mass, body.centre, body.inertia), pin.SE3.Identity()
             )
         self._model, self._data = model, model.createData()
 
@@ -216,6 +220,18 @@ class Weighed:
         for n, (q_n, g) in enumerate(zip(np.ascontiguousarray(q), gravity, strict=True)):
             model.gravity.linear = g
             found[n] = pin.computeGeneralizedGravity(model, data, q_n)
+        return found
+
+    def driving(self, q: Array, rates: Array, accelerations: Array, gravity: Array) -> Array:
+        """Return what the joints hold (N, nj) while they move, in Nm and N, by the recursive Newton-Euler algorithm.
+
+        At configurations q (N, nj), ``rates`` and ``accelerations`` (N, nj) per s and s^2, in ``gravity`` (N, 3).
+        """
+        model, data, found = self._model, self._data, np.empty((len(q), self._model.nv))
+        rows = zip(*map(np.ascontiguousarray, (q, rates, accelerations)), gravity, strict=True)
+        for n, (q_n, v, a, g) in enumerate(rows):
+            model.gravity.linear = g
+            found[n] = pin.rnea(model, data, q_n, v, a)
         return found
 
 

@@ -103,14 +103,18 @@ class Urdf:
 
 
 class Inertial(NamedTuple):
-    """Mass in kg of a link and its centre (3,) in m in the link's frame."""
+    """Mass in kg of a link, its centre (3,) in m in the link's frame, and its inertia (3, 3) in kg m^2.
+
+    The inertia is about the centre, along the link's axes; zero where none is stated.
+    """
 
     mass: float
     centre: Array
+    inertia: Array
 
 
 def inertials(urdf: Urdf) -> Mapping[str, Inertial]:
-    """Return mass and centre of mass of every link that states them, by its name.
+    """Return mass, centre of mass and inertia of every link that states them, by its name.
 
     They bear on no placement, so that only who needs them is refused what is wrong with them: raises RobotError.
     """
@@ -128,9 +132,18 @@ def inertials(urdf: Urdf) -> Mapping[str, Inertial]:
         mass = numbers_of(parts["mass"], "value", at, count=1)[0]
         if mass < 0.0:
             raise RobotError(f"{at}: the mass {mass:g} kg is negative.")
-        centre = origin_of(parts["origin"], at)[:3, 3] if "origin" in parts else read_only(np.zeros(3))
-        found[name] = Inertial(mass, centre)
+        T = origin_of(parts["origin"], at) if "origin" in parts else np.eye(4)
+        inertia = _inertia(parts["inertia"], at) if "inertia" in parts else np.zeros((3, 3))
+        found[name] = Inertial(mass, read_only(T[:3, 3]), read_only(T[:3, :3] @ inertia @ T[:3, :3].T))
     return found
+
+
+def _inertia(element: Element, at: str) -> Array:
+    xx, xy, xz, yy, yz, zz = (
+        numbers_of(element, name, at, count=1)[0] if name in element.attributes else 0.0
+        for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def read_urdf(path: str | Path) -> Urdf:

@@ -269,6 +269,19 @@ def session(seed: int, images: int = 24, cause: str = "none") -> Session:
     return Session(arm, lens, sheet, look, camera, board, np.array(found))
 
 
+def corners_seen(some: Session, sigma: float, rng: np.random.Generator) -> dict[str, object]:
+    """The table of pixels of a session whose corners are found to sigma, in px, without any image."""
+    drawn = some.sheet.corners()
+    at = [np.linalg.inv(some.arm.tip(q) @ some.camera) @ some.board for q in some.readings]
+    uv = np.concatenate([some.lens.see(some.sheet.place(drawn) @ T[:3, :3].T + T[:3, 3]) for T in at])
+    uv = uv + rng.normal(scale=sigma, size=uv.shape)
+    q, n = np.repeat(some.readings, len(drawn), axis=0), len(some.readings)
+    found: dict[str, object] = {f"{name} [rad]": q[:, k] for k, name in enumerate(some.arm.names)}
+    found |= {"u [px]": uv[:, 0], "v [px]": uv[:, 1]}
+    places = (*drawn.T, np.zeros(len(drawn)))
+    return found | {f"board_{axis} [m]": np.tile(x, n) for axis, x in zip("xyz", places, strict=True)}
+
+
 def write(folder: Path, some: Session, seed: int) -> None:
     """Write photographs, readings, poses of the flange, the board and the truth."""
     folder.mkdir(parents=True, exist_ok=True)

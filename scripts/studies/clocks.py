@@ -73,7 +73,8 @@ def session(cell: str, seed: int) -> dict[str, Any]:
     at = {name: names.index(f"clock.{name}") for name in ("offset", "skew")}
     assert own.stream is not None
     truth = {"offset": made.offset_at(own.stream.middle), "skew": made.skew}
-    misses = [miss(fit, unseen, points(unseen)) for fit in (free, known)]
+    errors = [predicted(fit, unseen) - points(unseen) for fit in (free, known)]
+    misses = [float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in errors]
     return {
         "speed": float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
         **{name: float(free.values[k] - truth[name]) for name, k in at.items()},
@@ -81,7 +82,7 @@ def session(cell: str, seed: int) -> dict[str, Any]:
         "alone": float(np.sqrt(free.covariance_alone[at["offset"], at["offset"]])),
         "miss": misses[0],
         "miss with the clock known": misses[1],
-        "inside": inside(free, unseen, points(unseen)),
+        "inside": inside(free, unseen, errors[0]),
         "rows": len(own),
         "rows as one": float(np.mean([memory.rows_as_one for memory in free.memories] or [1.0])),
     }
@@ -95,17 +96,15 @@ def fitted(
     return calib.identify(model, data), data
 
 
-def miss(fit: calib.Fit, readings: Array, true: Array) -> float:
-    """Rms distance of predicted points from the truth, in m."""
-    errors = machine_of(fit).predict(readings)[:, :3, 3] - true
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+def predicted(fit: calib.Fit, readings: Array) -> Array:
+    """Points of the tool (N, 3) in the tracker's frame, in m."""
+    tips = fit.robot.tips(readings, fit.deviations)
+    return np.asarray((fit.machine.frames.base @ tips @ fit.machine.frames.tools[0])[:, :3, 3])
 
 
-def inside(fit: calib.Fit, readings: Array, true: Array) -> float:
-    """Share of true points inside the stated 95 % regions."""
-    machine = machine_of(fit)
-    said = tool_uncertainty(machine, readings)
-    errors = machine.predict(readings)[:, :3, 3] - true
+def inside(fit: calib.Fit, readings: Array, errors: Array) -> float:
+    """Share of true points inside the stated 95 % regions around what was predicted, by its errors (N, 3)."""
+    said = tool_uncertainty(machine_of(fit), readings)
     squares = np.einsum("ni,ni->n", errors, np.linalg.solve(said.covariance[:, :3, :3], errors[:, :, None])[..., 0])
     return float(np.mean(squares <= squared_bound(0.95, 3, said.degrees_of_freedom)))
 

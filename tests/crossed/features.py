@@ -390,7 +390,7 @@ EXEMPT: Mapping[str, str] = {
         for key in ("date", "note", "operator", "serial")
     },
     **dict.fromkeys(
-        (f"measurements.{key}" for key in ("readings", "clock", "latency", "gap")),
+        (f"measurements.{key}" for key in ("readings", "clock", "clock_of", "latency", "gap")),
         "streams, whose clocks are found; tests/job/test_streams.py",
     ),
     "accept": "answers checks of the verdict; tests/assessment/test_trust.py",

@@ -14,7 +14,7 @@ from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.calibrated import machine_of
 from calib.machine.model_file import machine_files
-from calib.robot.gravity import Holding, Payload, Weights
+from calib.robot.gravity import Body, Holding, Payload, Weights
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot
 from calib.robot.sources import resolve
@@ -208,7 +208,9 @@ def test_what_bearings_hold_is_the_slope_of_the_energy(robot: Robot) -> None:
     names = [joint.name for joint in robot.chain if joint.type == "revolute"]
     mass, centre = 7.0, np.array([0.1, -0.2, 0.3])
     equipped = with_joint_terms(robot, [JointTerm(name, f"lateral_{a}") for name in names for a in "xy"])
-    weights = Weights(equipped.mechanism, ((robot.tip_joint, mass, centre),), np.array(robot.gravity))
+    weights = Weights(
+        equipped.mechanism, (Body(robot.tip_joint, mass, centre, np.zeros((3, 3))),), np.array(robot.gravity)
+    )
     rng = np.random.default_rng(2)
     u = rng.uniform(-0.5, 0.5, (6, len(robot.readings)))
     held = Holding(weights)(u)[:, len(robot.readings) :]

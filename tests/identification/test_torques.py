@@ -22,12 +22,20 @@ SIGMA = 3e-5
 def measured(
     seed: int, noise: float, n: int = 160, heavier: float = 0.0, stated: bool = True, built: bool = True
 ) -> calib.Measurements:
-    """Rows with torques that scatter by ``noise`` Nm; ``heavier``: kg on the hand of which nobody tells.
+    """Rows with torques that scatter by ``noise`` Nm, read as the toolkit reads them."""
+    columns = table(seed, noise, n, heavier, stated, built)
+    return calib.read_measurements(columns, machines.load(*UR10), sigma=SIGMA)
+
+
+def table(
+    seed: int, noise: float, n: int = 160, heavier: float = 0.0, stated: bool = True, built: bool = True
+) -> dict[str, object]:
+    """The columns of these rows. ``heavier``: kg on the hand of which nobody tells.
 
     ``built``: whether the arm is built as badly as others, and not as drawn.
     """
     rng = np.random.default_rng([seed, 12])
-    robot, plain = machines.load(*UR10), machines.arm(*UR10)
+    plain = machines.arm(*UR10)
     joints, u = list(plain.ranges), plain.draw(rng, n)
     arm, torques = sagging.Sagging(UR10[0], {}), np.zeros((n, 6))
     hand = {"wrist_3_link": (heavier, (0.0, 0.0, 0.1))} if heavier else {}
@@ -47,7 +55,7 @@ def measured(
         columns[f"tau_{name} [Nm]"] = torques[:, k] + OFFSETS[name] + noise * rng.standard_normal(n)
     if stated:
         columns["sigma_tau [Nm]"] = np.full(n, noise)
-    return calib.read_measurements(columns, robot, sigma=SIGMA)
+    return columns
 
 
 def model(**more: object) -> calib.ErrorModel:

@@ -117,6 +117,64 @@ def test_photographs_of_no_use_are_named_and_left_out(folder: Path) -> None:
     assert any("there is no photograph 'image_005.png'" in remark for remark in told["remarks"])
 
 
+def test_odd_names_and_both_joints_and_poses(folder: Path, session: simulation.Session) -> None:
+    """Names with blanks, dots and capitals; joints in degrees beside poses of the flange, of which joints are taken."""
+    odd = ["a b.PNG", "ü.1.png", "IMAGE-3.Png", "04.png"]
+    for k, name in enumerate(odd):
+        (folder / "photographs" / f"image_{k:03d}.png").rename(folder / "photographs" / name)
+    shutil.copyfile(folder / "photographs" / "04.png", folder / "photographs" / "04.bmp")
+    joints, flange = (list(csv.reader((folder / f"{name}.csv").open())) for name in ("readings", "flange"))
+    written = [f"photographs\\{odd[0]}", f"./photographs/{odd[1]}", odd[2], "04"]
+    rows = [["image", *(f"{name} [deg]" for name in session.arm.names), *flange[0][1:]]]
+    for k, (row, pose) in enumerate(zip(joints[1:], flange[1:], strict=True)):
+        name = written[k] if k < 4 else row[0]
+        rows.append([name, *(f"{np.rad2deg(float(v)):.7f}" for v in row[1:]), *pose[1:]])
+    with (folder / "both.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
+    said = imported(folder, "both.csv", "--robot", UR5, "--tip", "tool0", "--json")
+    assert (said.code, said.err) == (0, "")
+    told = json.loads(said.out)
+    assert told["used"] == IMAGES
+    assert told["left_out"] == [{"image": "04.png", "why": "has the readings of 04.bmp"}]
+    assert "its poses of the flange are not needed" in told["remarks"][0]
+    with (folder / "marks.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [name for name in table[0] if name.startswith("q") or name in ("x [mm]", "y [mm]")] == []
+    first = next(row for row in table if row["group"] == odd[0])
+    read = [float(first[f"{name} [deg]"]) for name in session.arm.names]
+    np.testing.assert_allclose(np.deg2rad(read), session.readings[0], atol=1e-8)
+
+
+@pytest.mark.parametrize("orientation", ["rotation_vector", "rpy", "ZYX", "matrix"])
+def test_the_flange_in_other_conventions_is_the_same_pose(folder: Path, orientation: str) -> None:
+    rows = list(csv.reader((folder / "flange.csv").open()))
+    titles = [f"r{i}{j}" for i in "123" for j in "123"] if orientation == "matrix" else ["rx", "ry", "rz"]
+    unit = "" if orientation == "matrix" else " [deg]"
+    out = [["image", "x [m]", "y [m]", "z [m]", *(title + unit for title in titles)]]
+    for name, x, y, z, qw, qx, qy, qz in rows[1:]:
+        turn = simulation.Rotation.from_quat([float(v) for v in (qx, qy, qz, qw)])
+        if orientation == "matrix":
+            numbers = turn.as_matrix().ravel()
+        elif orientation == "rotation_vector":
+            numbers = np.rad2deg(turn.as_rotvec())
+        else:
+            numbers = turn.as_euler("xyz" if orientation == "rpy" else orientation, degrees=True)
+        out.append([name, *(f"{1e-3 * float(v):.12f}" for v in (x, y, z)), *(f"{v:.12f}" for v in numbers)])
+    with (folder / "other.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(out)
+    assert imported(folder, "flange.csv").code == 0
+    first = list(csv.DictReader((folder / "marks.csv").open()))
+    for file in folder.glob("marks*"):
+        file.unlink()
+    said = imported(folder, "other.csv", "--orientation", orientation)
+    assert (said.code, said.err) == (0, "")
+    again = list(csv.DictReader((folder / "marks.csv").open()))
+    for a, b in zip(first[::24], again[::24], strict=True):
+        for name in a:
+            if name.startswith("flange"):
+                assert float(a[name]) == pytest.approx(float(b[name]), abs=2e-8)
+
+
 def spoil(name: str, *change: tuple[str, str]):
     def apply(folder: Path) -> None:
         text = (folder / name).read_text()

@@ -36,6 +36,26 @@ def test_a_job_of_streams_finds_clock_and_machine(case: Path) -> None:
     assert "us/s" in page
 
 
+def test_two_streams_of_one_clock_have_one_offset_and_the_second_its_latency(case: Path) -> None:
+    head, *rows = (case / "tracker.csv").read_text().splitlines()
+    (case / "own.csv").write_text("\n".join([head, *rows[::2]]) + "\n")
+    late = [",".join([f"{float(t) - 0.004:.9f}", rest]) for t, rest in (row.split(",", 1) for row in rows[1::2])]
+    (case / "late.csv").write_text("\n".join([head, *late]) + "\n")
+    text = (case / "calibration.toml").read_text().replace("tracker.csv", "own.csv")
+    more = 'file = "late.csv"\nreadings = "joints.csv"\nclock_of = "own.csv"\nlatency = "free"\nsigma = "0.1 mm"\n'
+    (case / "two.toml").write_text(f"{text}\n[[measurements]]\n{more}")
+    said = run("calibrate", case / "two.toml", "-o", case / "two")
+    assert said.code in (0, 3), said.err
+    found = {one["name"]: one for one in json.loads((case / "two" / "result.json").read_text())["parameters"]}
+    assert {name for name in found if name.startswith("clock")} == {
+        "clock.own.offset",
+        "clock.own.skew",
+        "clock.late.latency",
+    }
+    latency = found["clock.late.latency"]
+    assert latency["value"] == pytest.approx(-0.004, abs=5.0 * latency["sigma"])
+
+
 WRONG = {
     "clock without readings": (
         'readings = "joints.csv"       # time [s], joints\n',
@@ -46,7 +66,12 @@ WRONG = {
         'clock = "free" ',
         'clock = "free"\nlatency = "free" ',
         "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; "
-        'write clock = "given", or leave it out.',
+        'write clock = "given" or, where another stream has the same clock, clock_of; or leave it out.',
+    ),
+    "clock of what is no stream": (
+        'clock = "free" ',
+        'clock_of = "other.csv" ',
+        "tracker.csv: clock_of: 'other.csv' is not a stream with a clock of its own above this one.",
     ),
     "another word": ('clock = "free" ', 'clock = "loose" ', "measurements[0].clock: 'loose' is not "),
     "gap": ('clock = "free" ', 'gap = "1 mm"\nclock = "free" ', "measurements[0].gap: unit 'mm' is not a unit of time"),

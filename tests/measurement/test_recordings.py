@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import MeasurementError
+from calib.measurement.formats import unpacking
 from calib.measurement.formats.recordings import read_topic, topics
 from calib.measurement.formats.sheet import Sheet, read_sheet
 from tests.support.cases import run
@@ -71,10 +72,10 @@ def messages(store: Any, ros1: bool) -> Iterator[tuple[str, str, int, Any]]:
     yield "/told", text.__msgtype__, BEGIN, text(data="hello")
 
 
-def recording(folder: Path, kind: str) -> Path:
-    """A recording of a kind, written by rosbags."""
+def recording(folder: Path, kind: str, packed: str = "") -> Path:
+    """A recording of a kind, written by rosbags; ``packed``: by this method of ROS 1, or "storage" or "message"."""
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
     from rosbags.typesys import get_types_from_msg as types_of
@@ -85,7 +86,12 @@ def recording(folder: Path, kind: str) -> Path:
         store.register(types_of("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     path = folder / ("one.bag" if ros1 else kind)
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
+    made = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
+    if packed and ros1:
+        made.set_compression(Writer1.CompressionFormat[packed])
+    elif packed:
+        made.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
+    with made as writer:
         known: dict[str, Any] = {}
         for topic, type_, time, message in messages(store, ros1):
             if topic not in known:
@@ -171,7 +177,8 @@ def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
     path.write_text("\n".join(" ".join(row) for row in [titles, *rows]) + "\n")
     sheet = read_sheet(path)
     assert sheet.titles[:2] == ("time [s]", "shoulder_pan_joint [rad]")
-    np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
+    assert sheet.titles[7] == "commanded_shoulder_pan_joint [rad]"
+    np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5, *[9.0] * 6])
 
 
 MOTIVE = """Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
@@ -219,3 +226,61 @@ def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
     for path, named in ((tmp_path / "one.bag", "one.bag"), (folder, "metadata.yaml")):
         with pytest.raises(MeasurementError, match=f"{named}: is not a regular file"):
             topics(path)
+
+
+PACKED = (("ros1", "BZ2"), ("ros1", "LZ4"), ("mcap", "STORAGE"), ("ros2", "MESSAGE"), ("mcap", "MESSAGE"))
+
+
+@pytest.mark.parametrize(("kind", "packed"), PACKED)
+def test_packed_recordings_are_read_as_others_and_no_further_than_their_limit(
+    kind: str, packed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = recording(tmp_path, kind, packed)
+    assert len(read_topic(path, "/joint_states").rows) == 30
+    monkeypatch.setattr(unpacking, "LARGEST_CHUNK", 50)
+    with pytest.raises(MeasurementError, match="unpacks to more than 50 bytes at once"):
+        read_topic(path, "/joint_states")
+
+
+def test_unpacking_stops_at_what_a_recording_may_hold_in_all(tmp_path: Path) -> None:
+    import bz2
+
+    piece = bz2.compress(bytes(100_000_000))
+    unpacker = unpacking.Unpacker(tmp_path, 1000)
+    for _ in range(2):
+        assert len(unpacker.unpacked(bz2.BZ2Decompressor, piece)) == 100_000_000
+    with pytest.raises(MeasurementError, match="in all to more than 200 times its size"):
+        unpacker.unpacked(bz2.BZ2Decompressor, piece)
+    with pytest.raises(ValueError, match="ends too early"):
+        unpacking.Unpacker(tmp_path, 1000).unpacked(bz2.BZ2Decompressor, piece[:-8])
+
+
+ENDLESS = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS id, 1 AS topic_id, "
+COMPUTED = {
+    "has a view": ("DROP TABLE messages", f"CREATE VIEW messages AS {ENDLESS} k AS timestamp, '' AS data FROM n"),
+    "has a virtual table": ("CREATE VIRTUAL TABLE searched USING fts5(text)",),
+    "has a computed column": ("ALTER TABLE messages ADD COLUMN more AS (zeroblob(1000000000))",),
+    "has a trigger": ("CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM topics; END",),
+    "of 1 numbers": (
+        "CREATE TABLE other AS SELECT * FROM topics",
+        "UPDATE other SET id = 1",
+        "DROP TABLE topics",
+        "ALTER TABLE other RENAME TO topics",
+    ),
+}
+
+
+@pytest.mark.parametrize("said", COMPUTED)
+@pytest.mark.parametrize("inside", [True, False])
+def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool, tmp_path: Path) -> None:
+    import sqlite3
+
+    path = recording(tmp_path, "ros2")
+    file = next(path.glob("*.db3"))
+    database = sqlite3.connect(file)
+    for command in COMPUTED[said]:
+        database.execute(command)
+    database.commit()
+    database.close()
+    with pytest.raises(MeasurementError, match=f"{file.name}: .*{said}"):
+        topics(path if inside else file)

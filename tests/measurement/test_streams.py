@@ -7,6 +7,9 @@ import pytest
 
 import calib
 from calib.foundations.errors import CalibError
+from calib.identification import system
+from calib.identification.initialisation.problem import initial_problem
+from calib.identification.machine import values_at
 from calib.measurement.streams.samples import joint_stream
 from calib.measurement.table import table_from_arrays
 from calib.measuring import Clock, at_rest
@@ -107,7 +110,12 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     assert "is before that of the row above" in refused(made, seen, back)
     slow = dict(seen) | {"time [s]": 1e3 * seen["time [s]"]}
     assert refused(made, slow, joints).endswith(
-        "s apart or more; in a stream it is 1e-05 to 1 s: is the unit of 'time' right?"
+        "s apart or more; in a stream it is 0.0001 to 1 s: is the unit of 'time' right?"
+    )
+    quick = dict(seen) | {"time [s]": 1e-3 * seen["time [s]"]}
+    assert refused(made, quick, joints) == (
+        "arrays: half of its rows are 1.665e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
+        "is the unit of 'time' right?"
     )
     rest = {name: x if name == "time [s]" else np.full_like(x, x[0]) for name, x in joints.items()}
     assert (
@@ -133,6 +141,15 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     )
 
 
+@pytest.mark.parametrize("seed", [41, 43, 44])
+def test_recordings_that_do_not_overlap_are_refused_although_their_speeds_go_together(seed: int) -> None:
+    made = streams.streams(seed, seconds=40.0)
+    joints = {name: values[:2500] for name, values in made.joints.items()}
+    seen = {name: values[1080:] for name, values in made.seen.items()}
+    with pytest.raises(CalibError, match="do the two recordings overlap, and are they of this robot"):
+        calib.measuring.read_stream(seen, made.robot, joints)
+
+
 def test_a_motion_that_repeats_itself_is_refused() -> None:
     robot, arm = machines.load(*streams.UR10), machines.arm(*streams.UR10)
     u = np.arange(0.0, 60.0, 0.008)
@@ -144,9 +161,9 @@ def test_a_motion_that_repeats_itself_is_refused() -> None:
         calib.measuring.read_stream(seen, robot, joints)
 
 
-def test_options_of_clocks_are_checked() -> None:
+def test_options_of_clocks_are_checked(made: Streams) -> None:
     with pytest.raises(CalibError, match="nothing tells them apart"):
-        Clock("free", latency=True)
+        streams.read(made, clock=Clock("free", latency=True))
     with pytest.raises(CalibError, match=r"allowed is 0\.001 to 10 s"):
         Clock(gap=100.0)
     with pytest.raises(CalibError, match="is not one of free, given"):
@@ -162,6 +179,67 @@ def test_a_latency_is_found_where_the_clock_is_given() -> None:
     assert [p.name for p in fit.parameters][-1] == "clock.latency"
     assert fit.value("clock.latency") == pytest.approx(0.012, abs=5.0 * fit.sigmas[-1])
     assert fit.sigmas[-1] < 1e-4
+
+
+@pytest.fixture(scope="module")
+def two_of_one_clock() -> tuple[Streams, dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """One tracker's rows as those of two, of which the second comes 8 ms late, and begins and ends later."""
+    made = streams.streams(14, seconds=40.0, offset=5.2, skew=8e-4)
+    own = {name: values[:1500:2] for name, values in made.seen.items()}
+    late = {name: values[301::2] for name, values in made.seen.items()}
+    return made, own, late | {"time [s]": late["time [s]"] + 0.008}
+
+
+def test_a_latency_is_found_of_the_second_stream_of_a_clock(
+    two_of_one_clock: tuple[Streams, dict[str, np.ndarray], dict[str, np.ndarray]],
+) -> None:
+    made, own, late = two_of_one_clock
+    first = calib.measuring.read_stream(own, made.robot, made.joints, sigma=1e-4)
+    clock = Clock(latency=True, name="clock.second", of=first.clock)
+    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4)
+    fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), [first, second])
+    names = [parameter.name for parameter in fit.parameters][-3:]
+    assert names == ["clock.offset", "clock.skew", "clock.second.latency"]
+    assert first.stream is not None
+    truth = (made.recorded.offset_at(first.stream.middle), 8e-4, 0.008)
+    for k, true in enumerate(truth):
+        assert fit.values[k - 3] == pytest.approx(true, abs=5.0 * fit.sigmas[k - 3])
+    assert fit.sigmas[-1] < 1e-4
+    # The order of tables is nobody's business, and without a latency both come at one time.
+    turned = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), [second, first])
+    assert turned.value("clock.second.latency") == pytest.approx(fit.values[-1], abs=1e-7)
+    same = calib.measuring.read_stream(own, made.robot, made.joints, clock=Clock(of=first.clock), sigma=1e-4)
+    np.testing.assert_array_equal(same.readings, first.readings)
+    assert same.scalars == first.scalars
+
+
+def test_the_column_of_a_latency_is_minus_the_velocity(
+    two_of_one_clock: tuple[Streams, dict[str, np.ndarray], dict[str, np.ndarray]],
+) -> None:
+    made, own, late = two_of_one_clock
+    first = calib.measuring.read_stream(own, made.robot, made.joints, sigma=1e-4)
+    clock = Clock(latency=True, name="clock.b", of=first.clock)
+    second = calib.measuring.read_stream(late, made.robot, made.joints, clock=clock, sigma=1e-4)
+    model = calib.error_model(made.robot, offsets="all")
+    problem = initial_problem(model, (first.subset([5, 50]), second.subset([7, 70, 300])))
+    x = values_at(made.robot, problem.parameters, problem.reference)
+    J = system.jacobian(problem, x)
+    for k in range(len(x) - 3, len(x)):
+        h = 1e-5 * (np.arange(len(x)) == k)
+        numeric = [(a - b) / 2e-5 for a, b in zip(problem.residuals(x + h), problem.residuals(x - h), strict=True)]
+        for columns, found in zip(J, numeric, strict=True):
+            np.testing.assert_allclose(columns[:, :, k], found, atol=1e-6)
+    assert not J[0][:, :, -1].any()
+
+
+def test_only_a_free_clock_is_shared(made: Streams) -> None:
+    given = calib.measuring.read_stream(
+        made.seen | {"time [s]": made.recorded.true_times}, made.robot, made.joints, clock="given"
+    )
+    with pytest.raises(CalibError, match="arrays: has no free clock of its own"):
+        assert given.clock
+    with pytest.raises(CalibError, match="clock: is given, and is that of arrays as well, which is free; keep one"):
+        Clock("given", of=streams.read(made).clock)
 
 
 def test_a_subset_keeps_the_clock_of_the_whole(made: Streams) -> None:

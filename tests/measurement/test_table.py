@@ -182,7 +182,13 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ("", ": is empty; a table starts with a header line."),
         ("# only\n\n", ": is empty; a table starts with a header line."),
         ("x [m]\n# none\n", ": has a header and no rows."),
+        (
+            "x [mm],reached,reason\n1,yes,\n",
+            ":1: 'reached' and 'reason' are words of commands, as calib compensate writes them; give the table it was "
+            "made of.",
+        ),
         ("x\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
+        ("time\n1\n", ":1: column 'time' has no unit; write one in brackets, like 'time [s]' or '[ms]'."),
         ("x []\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
         ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {ALLOWED}."),
         ("tool [mm]\na\n", ":1: column 'tool' holds words and takes no unit, but has [mm]."),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from calib.foundations import rigid
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.gravity import Holding, Payload, Weights
+from calib.robot.gravity import Body, Holding, Payload, Weights
 from calib.robot.joint_terms import foreign, moments, weights_of, with_joint_terms
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
@@ -28,12 +28,13 @@ def links_of(robot: Robot) -> list[str]:
     return [joint.name for joint in robot.chain if np.linalg.norm(joint.placement[:3, 3]) > 0.0]
 
 
-def soft(robot: Robot) -> Robot:
-    """Everything at once: links bend and expand, drives wind up under masses and moments."""
+def soft(robot: Robot, unknown: bool = True) -> Robot:
+    """Everything at once: links bend, twist and expand, drives wind up under masses and, if ``unknown``, moments."""
     names = links_of(robot)
     terms = [JointTerm(joint, "bending") for joint in names[1::2]]
     terms += [JointTerm(joint, "expansion") for joint in names[::3]]
-    terms += [JointTerm("", "expansion"), *moments(robot)]
+    terms += [JointTerm(joint, "torsion") for joint in names[::2]]
+    terms += [JointTerm("", "expansion"), *(moments(robot) if unknown else ())]
     terms += [JointTerm(reading.name, kind) for reading in robot.readings for kind in ("gain", "elastic")]
     return with_joint_terms(robot, terms)
 
@@ -49,12 +50,12 @@ def robot_of(name: str) -> Robot:
 
 
 def tree(links: tuple[str, ...] = ("chest_link", "right_elbow_link", "left_forearm_link")) -> Robot:
-    """A torso with two arms and a head, of which these links have masses beside their line."""
+    """A torso with two arms, of which these links have masses beside their line."""
     text = trees.urdf()
     for link in links:
         body = '<inertial><origin xyz=".03 .05 .13"/><mass value="20"/></inertial>'
         text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{body}</link>')
-    return load_robot(parse_urdf(text.encode(), "tree.urdf"), "right_hand", links=["left_hand", "head"], gravity=DOWN)
+    return load_robot(parse_urdf(text.encode(), "tree.urdf"), "right_hand", links=["left_hand"], gravity=DOWN)
 
 
 WEIGHED = (
@@ -65,7 +66,7 @@ WEIGHED = (
 
 def amounts_of(robot: Robot, rng: np.random.Generator, size: float) -> Array:
     """Coefficients that move tips by some ``size`` rad; far from zero they are tenths."""
-    scale = {"elastic": 1e-2, "moment": 1e-2, "bending": 1e-2, "expansion": 1e-1, "gain": 1.0}
+    scale = {"elastic": 1e-2, "moment": 1e-2, "bending": 1e-2, "torsion": 1e-2, "expansion": 1e-1, "gain": 1.0}
     return np.array([scale[term.kind] for term in robot.terms]) * rng.uniform(-size, size, len(robot.terms))
 
 
@@ -88,7 +89,7 @@ def rows(robot: Robot, rng: np.random.Generator, n: int = 3) -> tuple[Array, Con
 def test_derivatives_match_central_differences(name: str, size: float) -> None:
     """By coefficients, by placements and by offsets, which all act through links that have given way."""
     rng = np.random.default_rng(2)
-    robot = soft(robot_of(name))
+    robot = soft(robot_of(name), unknown=name != "tree")
     u, told = rows(robot, rng)
     d = Deviations(
         rng.normal(scale=1e-3, size=(len(robot.chain), 6)),
@@ -409,7 +410,9 @@ def test_moments_make_up_whatever_masses_there_are(name: str) -> None:
     rng = np.random.default_rng(9)
     robot = load_robot(machines.load(machines.INLINE[name], "tip").urdf, "tip") if name == "skew" else robot_of(name)
     robot = replace(robot, gravity=(0.0, 0.0, -9.81))
-    bodies = tuple((i, rng.uniform(1.0, 5.0), rng.normal(scale=0.3, size=3)) for i in robot.moving)
+    bodies = tuple(
+        Body(i, rng.uniform(1.0, 5.0), rng.normal(scale=0.3, size=3), np.zeros((3, 3))) for i in robot.moving
+    )
     u = rng.uniform(-0.4, 0.4, (200, len(robot.readings)))
     torques = Holding(Weights(robot.mechanism, bodies, np.array(robot.gravity)))(u)
     terms = moments(robot)

@@ -178,3 +178,27 @@ def test_levels_work_without_a_base(tmp_path: Path) -> None:
     levels = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["levels"]
     assert [(level["name"], level["free"], level["rank"]) for level in levels] == [("eye", 22, 22), ("all", 58, 39)]
     assert levels[1]["metrics"]["pixels"]["rms"] < 0.1 * levels[0]["metrics"]["pixels"]["rms"]
+
+
+def test_photographs_are_planned_beside_those_of_the_case(tmp_path: Path) -> None:
+    job, out = CASE / "calibration.toml", tmp_path / "next.csv"
+    asked = ("plan", job, "--observes", "pixels", "-n", "4", "--candidates", "60", "-o", out)
+    said = run(*asked, "--json")
+    assert (said.code, said.err) == (0, "")
+    told = json.loads(said.out)
+    assert set(told["rejected"]) <= {
+        "board not in the image",
+        "board tilted too far",
+        "board too near or too far",
+        "outside the joints' limits",
+        "touching itself",
+    }
+    with out.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    assert (len(rows), len(rows[0])) == (5, 6)
+    assert run(*asked[:-1], tmp_path / "again.csv").code == 0
+    assert (tmp_path / "again.csv").read_bytes() == out.read_bytes()
+    assert run("plan", job, "--observes", "pixels", "--tip", "tool0", "-o", tmp_path / "none.csv").code == 2
+    arm = run("plan", "example:ur_description/urdf/ur5_robot.urdf", "--observes", "pixels", "-o", tmp_path / "none.csv")
+    assert (arm.code, "photographs are planned beside those of a job" in arm.err) == (1, True)
+    assert not (tmp_path / "none.csv").exists()

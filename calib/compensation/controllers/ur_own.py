@@ -106,9 +106,11 @@ def _of_conf(text: str, nominal: Array, where: str) -> Array:
 
 
 def _number(text: str, where: str) -> float:
-    if NUMBER.fullmatch(text.strip()) is None or abs(float(text)) > _LARGEST:
-        raise RobotError(f"{where}: {text.strip()[:60]!r} is not a number of a calibration.")
-    return float(text)
+    # Python's ``float`` leaves out fewer characters at the ends than ``strip``.
+    digits = text.strip()
+    if NUMBER.fullmatch(digits) is None or abs(float(digits)) > _LARGEST:
+        raise RobotError(f"{where}: {digits[:60]!r} is not a number of a calibration.")
+    return float(digits)
 
 
 def _on_axis(old: Array, new: Array) -> Array:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.words import listed, shown
+from calib.measurement.table import COMMANDED
 
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]], str]
 _JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
@@ -15,16 +16,22 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?([eE]-?\d+)?")
 def of_rtde(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> _Rows | None:
     """Return time and joints of a log of the UR client library, None for other titles.
 
-    Its ``timestamp`` is in s, ``actual_q_0`` to ``actual_q_5`` in rad; what else there is, is left out.
+    Its ``timestamp`` is in s, ``actual_q_0`` to ``actual_q_5`` in rad, and so is ``target_q``, what was commanded,
+    where it is there; what else there is, is left out.
     """
     number = {title.strip().split(" ")[0]: k for k, title in enumerate(titles)}
     columns = ["timestamp", *(f"actual_q_{k}" for k in range(6))]
     if not all(name in number for name in columns):
         return None
+    named = ["time [s]", *(f"{joint} [rad]" for joint in _JOINTS)]
+    targets = [f"target_q_{k}" for k in range(6)]
+    if there := all(name in number for name in targets):
+        columns += targets
+        named += [f"{COMMANDED}{joint} [rad]" for joint in _JOINTS]
     chosen = [number[name] for name in columns]
-    named = ("time [s]", *(f"{joint} [rad]" for joint in _JOINTS))
     left = len(titles) - len(chosen)
-    said = f"joint readings of a UR by RTDE, actual_q; {left} other columns are left out"
+    what = "actual_q and target_q" if there else "actual_q"
+    said = f"joint readings of a UR by RTDE, {what}; {left} other columns are left out"
     return named, [[row[k] for k in chosen] for row in rows], said
 
 

@@ -18,6 +18,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.words import listed, near, shown
 from calib.measurement.formats.sheet import Sheet
+from calib.measurement.formats.unpacking import limited
 
 SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 # A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
@@ -217,12 +218,21 @@ def _opened(path: Path) -> Iterator[Any]:
             f"{path}: recordings of ROS need the package rosbags: pip install 'urdf-calib[bags]'."
         ) from e
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with (
+            limited(path, _size(path)),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+        ):
             yield reader
     except MeasurementError:
         raise
     except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, OSError, *_DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
+
+
+def _size(path: Path) -> int:
+    """Return how many bytes a recording has; of a folder all its files."""
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)
 
 
 def _refuse_irregular(path: Path) -> None:

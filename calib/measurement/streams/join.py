@@ -1,17 +1,18 @@
 """Measurements of a stream and joint readings of another, as rows of one table."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 from calib.measurement.streams.lags import Lag, Moved, Seen, clock_lag, refined
 from calib.measurement.streams.samples import refuse_no_stream
-from calib.measurement.streams.stream import OFFSET, SKEW, Clock, Stream
+from calib.measurement.streams.stream import LATENCY, OFFSET, SKEW, Clock, OneClock, Stream
 from calib.robot.conditions import in_order, ordinary
 from calib.robot.robot import Robot
 
@@ -28,7 +29,12 @@ _FARTHEST = 1e6
 
 
 def streamed(
-    data: Measurements, joints: JointStream, clock: Clock, robot: Robot, *, ordered: bool = False
+    data: Measurements,
+    joints: JointStream,
+    clock: Clock,
+    robot: Robot,
+    *,
+    ordered: bool = False,
 ) -> Measurements:
     """Return measurements with ``times`` whose readings are those of a joint stream, by a clock.
 
@@ -43,19 +49,20 @@ def streamed(
     refuse_no_stream(data.times, data.where)
     if data.other is not None:
         raise JobError(f"{data.where}: a pair_distance has two ends, and a row of a stream is of one moment.")
+    if clock.of is not None:
+        return _in_order(_of_one_clock(data, joints, clock, robot, clock.of), ordered)
+    if clock.latency and clock.kind == "free":
+        raise JobError(
+            "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; write "
+            'clock = "given" or, where another stream has the same clock, clock_of; or leave it out.'
+        )
     middle = float(0.5 * (data.times[0] + data.times[-1]))
     stream = Stream(joints, read_only(data.times - middle), middle)
     lag = _lag(data, stream, clock, robot)
     given = {} if lag is None else {OFFSET: lag.offset, SKEW: lag.skew}
     roles = tuple(given) if clock.kind == "free" else tuple(given)[:1]
     shifts = {role: given[role] for role in roles}
-    known = joints.covers(stream.times(shifts), MARGIN)
-    if known.sum() < _FEWEST or known.mean() < _LEAST_SHARE:
-        t, u = data.times, (joints.starts[0], joints.ends[-1])
-        raise MeasurementError(
-            f"{data.where}: {int(known.sum())} of its {len(data)} rows are within the time of {joints.where}: by its "
-            f"clock {t[0]:.3f} to {t[-1]:.3f} s, there {u[0]:.3f} to {u[1]:.3f} s; the clocks do not overlap."
-        )
+    known = _known(data, stream, shifts)
     # The offset is told in the middle of what is used.
     used = data.times[known]
     middle = float(0.5 * (used[0] + used[-1]))
@@ -75,10 +82,46 @@ def streamed(
     )
     uses = {**rows.uses, **{role: len(rows.scalars) + k for k, role in enumerate(shifts)}}
     rows = replace(rows, scalars=(*rows.scalars, *scalars), uses=uses, absent=joints.absent)
+    return _in_order(rows, ordered)
+
+
+def _in_order(rows: Measurements, ordered: bool) -> Measurements:
+    """Return rows with the readings that they have at the start, and with sides of approach where asked for."""
     rows = rows.at_clock(np.array([one.start for one in rows.scalars]))
-    if ordered:
-        rows = replace(rows, conditions=replace(rows.conditions, approach=in_order(rows.readings)))
-    return rows
+    return replace(rows, conditions=replace(rows.conditions, approach=in_order(rows.readings))) if ordered else rows
+
+
+def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> BoolArray:
+    """Return the rows for which joints are known. Raises MeasurementError where they are too few."""
+    joints = stream.joints
+    known = joints.covers(stream.times(shifts), MARGIN)
+    if known.sum() < _FEWEST or known.mean() < _LEAST_SHARE:
+        t, u = stream.since + stream.middle, (joints.starts[0], joints.ends[-1])
+        raise MeasurementError(
+            f"{data.where}: {int(known.sum())} of its {len(data)} rows are within the time of {joints.where}: by its "
+            f"clock {t[0]:.3f} to {t[-1]:.3f} s, there {u[0]:.3f} to {u[1]:.3f} s; the clocks do not overlap."
+        )
+    return known
+
+
+def _of_one_clock(data: Measurements, joints: JointStream, clock: Clock, robot: Robot, first: OneClock) -> Measurements:
+    """Return a stream that goes by the clocks of another one, whose middle is where the offset of both is told."""
+    assert data.times is not None, "rows of a stream have times"
+    middle = first.middle
+    stream = Stream(joints, read_only(data.times - middle), middle)
+    shifts = {OFFSET: first.offset.start, SKEW: first.skew.start}
+    scalars = [first.offset, first.skew]
+    if clock.latency:
+        near = Lag(shifts[OFFSET], shifts[SKEW])
+        found = refined(*_moving(data, joints, robot), middle, near).lag
+        own = float(0.5 * (data.times[0] + data.times[-1])) - middle
+        shifts[LATENCY] = (found.offset - near.offset) - (found.skew - near.skew) * own
+        name, size, wide = f"{clock.name}.latency", _SCALES[OFFSET], _WIDTHS[OFFSET]
+        scalars.append(Scalar(name, "s", size, shifts[LATENCY], weak_prior=wide))
+    known = _known(data, stream, shifts)
+    rows = replace(data.subset(known), stream=stream.subset(known))
+    uses = {role: len(rows.scalars) + k for k, role in enumerate(shifts)}
+    return replace(rows, scalars=(*rows.scalars, *scalars), uses={**rows.uses, **uses}, absent=joints.absent)
 
 
 def _said(role: str, clock: Clock) -> str:
@@ -89,25 +132,30 @@ def _lag(data: Measurements, stream: Stream, clock: Clock, robot: Robot) -> Lag 
     """Return where the search for a clock begins, None where nothing of it is free."""
     if clock.kind == "given" and not clock.latency:
         return None
+    seen, moved = _moving(data, stream.joints, robot)
+    if clock.latency:
+        return refined(seen, moved, stream.middle, Lag(0.0, 0.0)).lag
+    lag = clock_lag(seen, moved, stream.middle, clock.gap)
+    if not abs(lag.offset) <= _FARTHEST:
+        raise MeasurementError(
+            f"{data.where}: its clock is {lag.offset:.6g} s apart from that of {moved.where}; allowed are "
+            f"{_FARTHEST:g} s: subtract the first time from one of them."
+        )
+    return lag
+
+
+def _moving(data: Measurements, joints: JointStream, robot: Robot) -> tuple[Seen, Moved]:
+    """Return what was seen, and how the nominal tip moved. Raises JobError for a kind that shows no clock."""
     if data.position is None or data.times is None:
         raise JobError(
             f"{data.where}: a {data.kind} does not show by itself when it was measured; clocks are found from "
             'positions and poses; write clock = "given", or measure these.'
         )
-    seen = Seen(data.times, data.position, data.where)
-    joints, view = stream.joints, robot.with_tip(data.tip or robot.tip)
+    view = robot.with_tip(data.tip or robot.tip)
 
     def tips(times: Array) -> Array:
         readings = joints.at(times)
         return view.tips(readings, conditions=ordinary(readings))
 
     moved = Moved(tips, joints.covers, float(joints.starts[0]), float(joints.ends[-1]), joints.where)
-    if clock.latency:
-        return refined(seen, moved, stream.middle, Lag(0.0, 0.0)).lag
-    lag = clock_lag(seen, moved, stream.middle, clock.gap)
-    if not abs(lag.offset) <= _FARTHEST:
-        raise MeasurementError(
-            f"{data.where}: its clock is {lag.offset:.6g} s apart from that of {joints.where}; allowed are "
-            f"{_FARTHEST:g} s: subtract the first time from one of them."
-        )
-    return lag
+    return Seen(data.times, data.position, data.where), moved

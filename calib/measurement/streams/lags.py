@@ -107,7 +107,15 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
             )
     peaks = _peaks(measured, nominal, seen.where, moved.where)
     starts = _lines(peaks._replace(times=peaks.times - middle), seen.where)
-    found = sorted((refined(seen, moved, middle, start) for start in starts), key=lambda fitted: fitted.left)
+    # Recordings of two motions fit best where a clock is bent as far as it may be.
+    fitted = [refined(seen, moved, middle, start) for start in starts]
+    found = sorted((one for one in fitted if abs(one.lag.skew) < MOST_SKEW), key=lambda one: one.left)
+    if not found:
+        raise MeasurementError(
+            f"{seen.where}: its points move as the nominal tip of {moved.where} only where one clock goes faster than "
+            f"the other by {MOST_SKEW:g} s in a second, which none does: do the two recordings overlap, and are they "
+            "of this robot?"
+        )
     best, others = found[0], [one for one in found[1:] if abs(one.lag.offset - found[0].lag.offset) > _APART]
     spread = float(np.sqrt(np.mean((seen.points - seen.points.mean(axis=0)) ** 2)))
     if best.left > _EXPLAINED * spread:

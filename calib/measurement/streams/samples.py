@@ -1,38 +1,52 @@
 """Samples of a controller and of an instrument, as a table has them: times that grow, and readings of joints."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
-from calib.measurement.columns import filled, numbers, refuse_unknown, require
+from calib.measurement.columns import filled, numbers, refuse_unknown, require, stacked
 from calib.measurement.from_table import ALL_READ, Joints
+from calib.measurement.streams.following import following
 from calib.measurement.streams.joints import JointStream
-from calib.measurement.table import Table
+from calib.measurement.table import APPROACH, COMMANDED, TORQUE, Table
 from calib.robot.robot import Reading
 
-# What has samples rarer than one a second, or a hundred thousand in it, is no stream of joints or points.
-SLOWEST, FASTEST = 1.0, 1e-5
+# What has samples rarer than one a second, or ten thousand in it, is no stream of joints or points.
+SLOWEST, FASTEST = 1.0, 1e-4
 # Encoders at rest jitter by less, in rad or m.
 _AT_REST = 1e-4
 # A cubic needs as many samples.
 _FEWEST = 4
+# Samples of which the equations of a cubic are in memory at a time, and beside them.
+_PART, _BESIDE = 50_000, 100
+# So many samples tell how joints follow.
+_MOST = 200_000
 
 
 def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: Joints = ALL_READ) -> JointStream:
     """Return the joint readings of a table with ``time``; a ``gap`` in s, or a longer one, is not bridged.
 
+    Columns ``commanded_<joint>`` tell how well joints followed; where there are no others, they stand for the readings.
     ``joints``: which of the URDF's are needed. Raises MeasurementError when a column is missing, when time runs
     backwards or is in another unit than it says, and when no joint moves.
     """
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     absent = tuple(name for name in joints.spare if name in dimensions and name not in table.columns)
-    require(table, [name for name in dimensions if name not in absent], "of a joint")
-    refuse_unknown(table, dimensions, joints.unread, joints.idle)
-    times, values = times_of(table), filled(table, dimensions)
+    told: dict[str, Dimension] = {
+        name: dimensions[name] for name in dimensions if f"{COMMANDED}{name}" in table.columns
+    }
+    needed = [name for name in dimensions if name not in absent]
+    # A log of commands alone is better than none.
+    commanded = bool(told) and not any(name in table.columns for name in needed)
+    require(table, [f"{COMMANDED}{name}" for name in needed] if commanded else needed, "of a joint")
+    refuse_unknown(table, dimensions, joints.unread, joints.idle, (TORQUE, APPROACH, COMMANDED))
+    called = {f"{COMMANDED if commanded else ''}{name}": dimension for name, dimension in dimensions.items()}
+    times, values = times_of(table), filled(table, called)
     keep = np.concatenate([[True], np.diff(times) > 0.0])
     doubled = np.flatnonzero(~keep)
     if len(doubled) and np.any(values[doubled] != values[doubled - 1]):
@@ -41,7 +55,8 @@ def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: 
             f"{table.where}:{table.lines[row]}: has the time of the row before and other readings; a joint is in one "
             "place at a time."
         )
-    times, values = times[keep], values[keep]
+    asked = stacked(table, {f"{COMMANDED}{name}": dimension for name, dimension in told.items()})
+    times, values, asked = times[keep], values[keep], asked[keep]
     refuse_no_stream(times, table.where)
     if np.ptp(values, axis=0).max(initial=0.0) <= _AT_REST:
         raise MeasurementError(
@@ -56,14 +71,47 @@ def joint_stream(table: Table, readings: Sequence[Reading], gap: float, joints: 
             f"{table.where}: no {_FEWEST} samples follow each other within {gap:g} s; allow longer gaps, or give a "
             "denser stream."
         )
-    return JointStream(
+    stream = JointStream(
         tuple(dimensions),
-        tuple(make_interp_spline(times[a:b], values[a:b], k=3) for a, b in runs),
+        tuple(_cubic(times[a:b], values[a:b]) for a, b in runs),
         read_only([times[a] for a, _ in runs]),
         read_only([times[b - 1] for _, b in runs]),
         table.where,
         absent,
+        commanded=commanded,
     )
+    if told and not commanded:
+        some = np.flatnonzero(stream.covers(times))
+        some = some[:: len(some) // _MOST + 1]
+        own = [k for k, name in enumerate(dimensions) if name in told]
+        stream = replace(
+            stream, following=following(told, values[some][:, own], asked[some], stream.rates(times[some])[:, own])
+        )
+    a, b = max(runs, key=lambda run: run[1] - run[0])
+    b = min(b, a + _PART)
+    if b - a < 2 * _FEWEST:
+        return stream
+    t = times[a:b:2]
+    half = _cubic(t, values[a:b:2])
+    return stream.showing(replace(stream, pieces=(half,), starts=read_only(t[:1]), ends=read_only(t[-1:])))
+
+
+def _cubic(times: Array, values: Array) -> BSpline:
+    """Return the cubic spline through samples (n,), (n, k), part by part where there are many.
+
+    What samples far away change, fades by a factor of 4 from one to the next.
+    """
+    n = len(times)
+    if n <= _PART + 2 * _BESIDE:
+        return make_interp_spline(times, values, k=3)
+    coefficients = np.empty_like(values)
+    for start in range(0, n, _PART):
+        low, high = max(start - _BESIDE, 0), min(start + _PART + _BESIDE, n)
+        own = make_interp_spline(times[low:high], values[low:high], k=3).c
+        coefficients[start : start + _PART] = own[start - low : start - low + _PART]
+    # Knots are the samples but the second and the last but one: not a knot (C. de Boor).
+    knots = np.concatenate([np.repeat(times[0], 4), times[2:-2], np.repeat(times[-1], 4)])
+    return BSpline.construct_fast(knots, coefficients, 3)
 
 
 def times_of(table: Table) -> Array:
@@ -86,7 +134,8 @@ def refuse_no_stream(times: Array, where: str) -> None:
         raise MeasurementError(f"{where}: has {len(times)} samples, and a stream needs {_FEWEST}.")
     step = float(np.median(np.diff(times)))
     if not FASTEST <= step <= SLOWEST:
+        than = "more" if step > SLOWEST else "less"
         raise MeasurementError(
-            f"{where}: half of its rows are {step:.4g} s apart or more; in a stream it is {FASTEST:g} to {SLOWEST:g} "
+            f"{where}: half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} "
             "s: is the unit of 'time' right?"
         )

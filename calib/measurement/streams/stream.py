@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -12,44 +12,53 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 
 ClockFreedom = Literal["free", "given"]
 # What unknown numbers are to the rows of a stream.
-OFFSET, SKEW = SHIFTS = ("clock offset", "clock skew")
+OFFSET, SKEW, LATENCY = SHIFTS = ("clock offset", "clock skew", "clock latency")
 # Longer gaps in a stream are not bridged, in s.
 GAP = 0.1
 ONLY_CLOCK = "clock"
 NO_SHIFTS: Mapping[str, float] = MappingProxyType({})
 
 
+class OneClock(NamedTuple):
+    """The free clock of a stream, ``where`` it is: its offset, told at ``middle`` in s, and its skew."""
+
+    middle: float
+    offset: Scalar
+    skew: Scalar
+    where: str
+
+
 @dataclass(frozen=True, slots=True)
 class Clock:
     """What is known of an instrument's clock beside that of the controller.
 
-    ``kind``: "free", its offset and skew are found with the machine, or "given", both are one clock. ``latency``: of a
-    given clock, whether readings come late by an unknown time; of a free one that is part of the offset. ``gap``: in
-    s, from which on a gap in a stream is not bridged. ``name``: of its parameters, ``clock.offset``; streams of one
-    name share a clock.
+    ``kind``: "free", its offset and skew are found with the machine, or "given", both are one clock. ``latency``:
+    whether measurements come later than readings by an unknown time; of a free clock that is part of the offset, and
+    only a second stream of that clock shows how much later it comes than the first. ``gap``: in s, from which on a gap
+    in a stream is not bridged. ``name``: of its parameters, ``clock.offset``. ``of``: that of another stream, its
+    ``Measurements.clock``, by which this one goes.
 
-    Raises JobError for a number out of range, and for a latency that no data tell.
+    Raises JobError for a number out of range.
     """
 
     kind: ClockFreedom = "free"
     latency: bool = False
     gap: float = GAP
     name: str = ONLY_CLOCK
+    of: OneClock | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)
         if self.kind not in get_args(ClockFreedom):
             raise JobError(f"clock: {self.kind!r} is not one of {', '.join(get_args(ClockFreedom))}.")
         refuse_beyond(self.gap, "gap", "clock: gap")
-        if self.latency and self.kind == "free":
-            raise JobError(
-                "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; "
-                'write clock = "given", or leave it out.'
-            )
+        if self.of is not None and self.kind != "free":
+            raise JobError(f"clock: is given, and is that of {self.of.where} as well, which is free; keep one of them.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +66,8 @@ class Stream:
     """When rows were measured: ``since`` (N,) s after ``middle``, in s, by the instrument's clock.
 
     ``joints``: what the controller recorded meanwhile. Its clock shows ``u = t - offset + skew (t - middle)`` when the
-    instrument's shows t: the offset is that in the middle of the stream, where it does not depend on the skew.
+    instrument's shows t: the offset is that in the middle of the stream, where it does not depend on the skew. A
+    latency is taken off as the offset is.
     """
 
     __repr__ = brief
@@ -69,7 +79,8 @@ class Stream:
     def times(self, shifts: Mapping[str, float] = NO_SHIFTS, rows: slice | IntArray | BoolArray = slice(None)) -> Array:
         """Return what the controller's clock showed (n,) in s; ``shifts``: offset and skew, 0 where not given."""
         since = self.since[rows]
-        return np.asarray((self.middle - shifts.get(OFFSET, 0.0)) + since * (1.0 + shifts.get(SKEW, 0.0)))
+        late = shifts.get(OFFSET, 0.0) + shifts.get(LATENCY, 0.0)
+        return np.asarray((self.middle - late) + since * (1.0 + shifts.get(SKEW, 0.0)))
 
     def readings(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
         """Return the readings (n, k) of some rows."""
@@ -79,8 +90,14 @@ class Stream:
         """Return how fast the readings change (n, k), per s of the controller's clock."""
         return self.joints.rates(self.times(shifts, rows))
 
+    def motion(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return rates and accelerations (n, 2, k) of the readings; zeros of joints whose samples do not show them."""
+        times, shown = self.times(shifts, rows), self.joints.accelerates
+        found = np.stack([self.joints.rates(times), self.joints.accelerations(times)], axis=1)
+        return np.asarray(found * (0.0 if shown is None else shown))
+
     def by_shift(self, role: str, rows: slice | IntArray | BoolArray = slice(None)) -> Array:
-        """Return how the controller's time (n,) follows one unit of the offset, or of the skew."""
+        """Return how the controller's time (n,) follows one unit of the offset or latency, or of the skew."""
         since = self.since[rows]
         return since if role == SKEW else np.full(len(since), -1.0)
 

@@ -205,12 +205,17 @@ let at = 0, playing = 0;
 // Told the joint readings of every pose that is shown; those moved by hand, once the page is served live, follow.
 let follow = () => {};
 const plain = (x, digits) => x.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+// Rest and move from a row to the next: rows of a stream follow each other as they did.
+const ways = n => {
+  const between = page.times ? page.times[n + 1] - page.times[n] : NaN;
+  return between > 0 && between < 1 ? [0, 1000 * between] : [REST, MOVE];
+};
 const mixed = (a, b, s) => a.map((q, k) => q + s * (b[k] - q));
 
 function show(moment) {
   at = moment;
   const n = Math.min(Math.floor(moment), last), m = Math.min(n + 1, last), t = moment - n;
-  const s = t * t * (3 - 2 * t);
+  const s = ways(n)[0] ? t * t * (3 - 2 * t) : t;
   for (const arm of arms) place(arm, mixed(arm.positions[n], arm.positions[m], s));
   if (page.readings.length) follow(mixed(page.readings[n], page.readings[m], s));
   const near = t < 0.5 ? n : m, [lengthBefore, lengthAfter] = page.lengths[near];
@@ -226,14 +231,14 @@ function show(moment) {
 
 function step(now, since) {
   if (!playing) return;
-  const whole = Math.floor(at), elapsed = now - since;
-  if (elapsed >= MOVE + REST || whole >= last) {
-    show(whole >= last ? 0 : whole + 1);
-    requestAnimationFrame(later => step(later, now));
+  let whole = Math.floor(at), [rest, move] = ways(whole);
+  for (; whole < last && now - since >= rest + move; [rest, move] = ways(++whole)) since += rest + move;
+  if (whole >= last) {
+    if (at < last || now - since >= REST) { show(at < last ? last : 0); since = now; }
   } else {
-    show(whole + Math.min(Math.max(elapsed - REST, 0) / MOVE, 0.999));
-    requestAnimationFrame(later => step(later, since));
+    show(whole + Math.min(Math.max(now - since - rest, 0) / move, 0.999));
   }
+  requestAnimationFrame(later => step(later, since));
 }
 
 if (last >= 0) {

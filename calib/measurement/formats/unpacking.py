@@ -1,0 +1,123 @@
+"""What recordings of ROS unpack to, and what their databases compute, has a limit.
+
+rosbags unpacks whatever a chunk holds: a megabyte of zstd is ten gigabytes of zeros, a chunk says itself how large it
+is, and an index may point to one in the middle of other data. So its decompressors are those of this module while a
+recording is open: they stop at a size. A database is read for what it declares before anything is asked of it.
+"""
+
+import bz2
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from calib.foundations.errors import MeasurementError
+
+# One chunk, and one message packed by itself; writers make chunks of some megabytes.
+LARGEST_CHUNK = 256_000_000
+# All that is unpacked, for each byte that is read, and at least: logs of an arm at rest shrink to a hundredth.
+MOST_PER_BYTE, LEAST_TOTAL = 200, 200_000_000
+# As many topics as no recording has.
+MOST_TOPICS = 10_000
+_PIECE = 1_000_000
+
+
+class Unpacker:
+    """Unpacks the chunks of one recording of ``size`` bytes, as far as its limits go."""
+
+    def __init__(self, where: Path, size: int) -> None:
+        self._where = where
+        self._left = max(LEAST_TOTAL, MOST_PER_BYTE * size)
+
+    def unpacked(self, make: Callable[[], Any], data: bytes) -> bytes:
+        """Return what decompressors as those of the standard library make of the streams in ``data``."""
+        most, pieces, size = min(LARGEST_CHUNK, self._left), list[bytes](), 0
+        while data:
+            made, given = make(), data
+            while not made.eof:
+                piece, given = made.decompress(given, max_length=_PIECE), b""
+                pieces.append(piece)
+                size += len(piece)
+                if size > most:
+                    raise MeasurementError(
+                        f"{self._where}: unpacks to more than {LARGEST_CHUNK} bytes at once, or in all to more than "
+                        f"{MOST_PER_BYTE} times its size."
+                    )
+                if not piece and made.needs_input:
+                    raise ValueError("a chunk ends too early")
+            data = made.unused_data or b""
+        self._left -= size
+        return b"".join(pieces)
+
+
+@contextmanager
+def limited(where: Path, size: int) -> Iterator[None]:
+    """Give rosbags these decompressors for as long as a recording of ``size`` bytes is read."""
+    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - an extra
+    from rosbags.rosbag1 import reader as of_ros1  # noqa: PLC0415
+    from rosbags.rosbag2 import reader as of_ros2  # noqa: PLC0415
+    from rosbags.rosbag2 import storage_mcap as of_mcap  # noqa: PLC0415
+
+    unpacker = Unpacker(where, size)
+    zstd: Any = vars(of_ros2)["zstd"]
+
+    def one(make: Callable[[], Any]) -> Callable[..., bytes]:
+        return lambda data, _=0: unpacker.unpacked(make, data)
+
+    def refused(*_: object) -> Any:
+        raise MeasurementError(f"{where}: is packed file by file; unpack it first: zstd -d.")
+
+    ros1 = {"bz2": one(bz2.BZ2Decompressor), "lz4": one(LZ4FrameDecompressor)}
+    mcap = {"lz4": ros1["lz4"], "zstd": one(zstd.ZstdDecompressor)}
+    of_messages = SimpleNamespace(decompress=mcap["zstd"], open=refused)
+
+    def database(path: Any) -> Any:
+        refuse_computed(Path(str(path)))
+        return of_ros2.Sqlite3Reader(path)
+
+    tables: tuple[tuple[Any, dict[str, Any]], ...] = (
+        (of_ros1.decompressors, ros1),
+        (of_mcap.DECOMPRESSORS, mcap),
+        (vars(of_ros2), {"zstd": of_messages}),
+        (vars(of_ros2.DirectoryReader)["STORAGE_PLUGINS"], {"sqlite3": database}),
+        (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database}),
+    )
+    before = [dict(table) for table, _ in tables]
+    try:
+        for table, ours in tables:
+            table.update(ours)
+        yield
+    finally:
+        for (table, _), was in zip(tables, before, strict=True):
+            table.update(was)
+
+
+def refuse_computed(path: Path) -> None:
+    """Raise MeasurementError for a database of which a view, a trigger or a column computes what is read.
+
+    Raises errors of SQLite for a file that is none.
+    """
+    import apsw  # noqa: PLC0415 - an extra
+
+    # The reader of recordings puts the name into an address as it is.
+    if any(mark in str(path) for mark in "?#%"):
+        raise MeasurementError(f"{path}: its name has ?, # or %; rename it.")
+    flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
+    database = apsw.Connection(path.absolute().as_uri() + "?immutable=1", flags=flags)
+    try:
+        names = []
+        for kind, name, root in database.execute("SELECT type, name, rootpage FROM sqlite_master"):
+            if kind not in ("table", "index") or (kind == "table" and not root):
+                what = f"{kind}" if kind != "table" else "virtual table"
+                raise MeasurementError(f"{path}: has a {what}; a recording has plain tables alone.")
+            names += [name] if kind == "table" else []
+        for name in names:
+            if any(hidden for *_, hidden in database.execute("SELECT * FROM pragma_table_xinfo(?)", (name,))):
+                raise MeasurementError(f"{path}: has a computed column; a recording has plain tables alone.")
+        if "topics" in names:
+            many, different = next(iter(database.execute("SELECT count(*), count(DISTINCT id) FROM topics")))
+            if many > MOST_TOPICS or many != different:
+                raise MeasurementError(f"{path}: has {many} topics, of {different} numbers.")
+    finally:
+        database.close()
