@@ -262,8 +262,9 @@ class SetUpMotions:
 
         ``of_targets`` that are common, ``by_scalars`` (s, p): scalars, as the scaled parameters change; targets
         that were eliminated follow the data. None where what a motion takes is held, and where nothing of it is seen: a
-        robot that turns or grows about the only point that it touches moves no row. Turns may be imitated about one
-        axis alone, and along no axis of a frame: a link turns with the joint before it.
+        robot that turns or grows about the only point that it touches moves no row; of growing, which is the last where
+        it is a motion, zeros are left. Turns may be imitated about one axis alone, and along no axis of a frame: a link
+        turns with the joint before it.
         """
         p = len(self._scales)
         q = p + self._count
@@ -282,6 +283,8 @@ class SetUpMotions:
             seen = np.linalg.norm(C[:, some], axis=0).max(initial=0.0)
             V = _small(left[:, some], _SAME * seen)
             found.append(Z[:, some] @ V @ _large(sizes[shown, some] @ V, _CLEARLY * size))
+        if self._motions.grows and not found[1].shape[1]:
+            found[1] = np.zeros((p, 1))
         every = np.concatenate(found, axis=1)
         return np.asarray(every / np.maximum(np.linalg.norm(every, axis=0), _AGREE))
 
