@@ -192,11 +192,7 @@ def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: fl
 def _tool_points(found: Calibration, data: Measurements) -> Array:
     """Return the points (N, 2, 3) of tools and of the tips that carry them, in the frame in which targets are told."""
     fit = found.fit
-    tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
-    for link in dict.fromkeys(data.target_links.values()):
-        rows = np.array([data.link_of(int(t)) == link for t in data.target])
-        seat = fit.robot.with_tip(link).tips(data.readings[rows], fit.deviations, data.conditions.subset(rows))
-        tips[rows] = rigid.inverse(fit.bases_of(data)[rows] @ seat) @ tips[rows]
+    tips = fit.tips_before_targets(data)
     return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 
