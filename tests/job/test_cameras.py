@@ -183,3 +183,7 @@ def test_cameras_and_boards_of_one_job(tmp_path: Path) -> None:
         assert one["rms"]["px"] < 1.2 * np.sqrt(2.0) * SIGMA
     report = (out / "report.html").read_text(encoding="utf-8")
     assert all(f"{name} in {one['on']}" in report for name, one in seats.items())
+    scene = (out / "scene.html").read_text(encoding="utf-8")
+    carried = "robot/tool0/cameras/wrist", f"robot/{FOREARM}/cameras/elbow", "robot/tool0/boards/hand"
+    for node in (*carried, "marks/cameras/beside", "marks/boards/table", "marks/boards/wall"):
+        assert f'"{node}"' in scene
