@@ -702,11 +702,14 @@ def shown(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> 
         said.append("Shown for the measured range: " + " x ".join(f"{side:.2g}" for side in box) + " m")
     else:
         said.append("Shown for the measured range")
-    few = [
-        f"{reading.name} over {by / DEG:.0f} deg"
-        for reading, by in zip(fit.robot.readings, np.ptp(readings, axis=0), strict=True)
-        if reading.dimension == "angle" and by < 30.0 * DEG
-    ]
+    # A table of one arm of several says nothing of the joints of the others.
+    moved = {
+        reading.name: np.ptp(np.concatenate(told))
+        for k, reading in enumerate(fit.robot.readings)
+        if reading.dimension == "angle"
+        if (told := [end.readings[:, k] for d in data if reading.name not in d.absent for end in d.ends])
+    }
+    few = [f"{name} over {by / DEG:.0f} deg" for name, by in moved.items() if by < 30.0 * DEG]
     if few:
         said[0] += f", and for {', '.join(few[:3])}{' and others' if len(few) > 3 else ''} only"
     said[0] += "."

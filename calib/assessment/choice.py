@@ -58,6 +58,8 @@ from calib.robot.terms import KINDS, JointTerm, kind_of
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 # Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
+# Bytes of derivatives that are kept rather than made again.
+_MOST_KEPT = 2**28
 # So many groups of rows there must be for each coefficient.
 _GROUPS_EACH = 2
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
@@ -345,6 +347,7 @@ class _System:
         names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))
         # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
@@ -353,13 +356,26 @@ class _System:
         self._known = rows.T @ rows
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
+        self._blocks = _blocks(self._columns)
         self._priors = np.array([parameter.hold for parameter in parameters]) ** 2
         # A stated prior pulls towards zero; a weak one holds at the geometric fit.
         stated = np.array([parameter.prior is not None for parameter in parameters])
         self._pull = np.where(stated, self._x / scales(parameters), 0.0)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
-        """Yield set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block."""
+        """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
+
+        They are asked for again and again, and kept unless they are too many.
+        """
+        if self._kept is None:
+            width = 8 * (len(self._problem.parameters) + 1)
+            size = sum(width * sigmas.size for sigmas in self._sigmas)
+            if size > _MOST_KEPT:
+                return self._made()
+            self._kept = tuple(self._made())
+        return self._kept
+
+    def _made(self) -> Iterable[tuple[int, slice, Array, Array]]:
         problem = self._problem
         rates = Rates(problem, problem.machine(self._x), scales(problem.parameters))
         sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
@@ -420,22 +436,24 @@ class _System:
         tableau[range(p), range(p)] += self._priors
         tableau[:, p] += self._priors * self._pull
         _pivot(tableau, self._geometry)
-        left, order = list(among), list[int]()
+        order, left = list[int](), np.zeros(len(self._columns), dtype=bool)
+        left[list(among)] = True
         entered = list(self._geometry)
-        values = np.zeros((1 + (len(left) if steps is None else min(steps, len(left))), p))
+        values = np.zeros((1 + (len(among) if steps is None else min(steps, len(among))), p))
         values[0, entered] = -tableau[entered, p]
         squares = gram[p, p]
-        while left and (steps is None or len(order) < steps):
-            gains = _gains(tableau, [self._columns[c] for c in left]) / self._costs[left]
-            k = int(np.argmax(gains))
-            columns = self._columns[left[k]]
+        while len(order) < len(values) - 1:
+            gains = _gains(tableau, self._blocks, left) / self._costs
+            best = int(np.argmax(gains))
+            columns = self._columns[best]
             taken = len(entered) - len(self._geometry) + len(columns)
             if (most is not None and taken > most) or (
-                lasting and gains[k] * (self._numbers - len(entered)) <= _BY_CHANCE * squares
+                lasting and gains[best] * (self._numbers - len(entered)) <= _BY_CHANCE * squares
             ):
                 break
-            squares -= gains[k] * self._costs[left[k]]
-            order.append(left.pop(k))
+            squares -= gains[best] * self._costs[best]
+            order.append(best)
+            left[best] = False
             _pivot(tableau, columns)
             entered += columns
             values[len(order), entered] = -tableau[entered, p]
@@ -473,12 +491,20 @@ def _pivot(tableau: Array, block: Sequence[int]) -> None:
     tableau[columns] = own
 
 
-def _gains(tableau: Array, left: Sequence[Sequence[int]]) -> Array:
-    """Return how much each block (one or two unknowns) would lower the sum of squares."""
-    gains = np.empty(len(left))
-    for size in {len(block) for block in left}:
-        which = [k for k, block in enumerate(left) if len(block) == size]
-        columns = np.array([left[k] for k in which])
+def _blocks(columns: Sequence[Sequence[int]]) -> list[tuple[IntArray, IntArray]]:
+    """Return blocks (one or two unknowns each) of every size: their numbers (n,), and columns (n, size)."""
+    sizes = np.array([len(block) for block in columns])
+    return [
+        (which, np.array([columns[k] for k in which.tolist()], dtype=np.intp))
+        for which in (np.flatnonzero(sizes == size) for size in np.unique(sizes))
+    ]
+
+
+def _gains(tableau: Array, blocks: Iterable[tuple[IntArray, IntArray]], left: BoolArray) -> Array:
+    """Return how much each block that is ``left`` would lower the sum of squares; -inf of others."""
+    gains = np.full(len(left), -np.inf)
+    for numbers, every in blocks:
+        which, columns = numbers[left[numbers]], every[left[numbers]]
         C = tableau[columns[:, :, None], columns[:, None, :]]
         g = tableau[columns, -1]
         gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0])

@@ -15,7 +15,7 @@ from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import DISPLAY_OF, Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, error_model
-from calib.job.inputs import load_arm
+from calib.job.stated import load_arm
 from calib.measurement.columns import stacked
 from calib.measurement.table import read_table
 from calib.robot.collision import SelfCollision, self_collision

@@ -30,6 +30,8 @@ _DEPENDENT = 1e-3
 # J sees a motion clearly when its direction lies in the row space by more than this share: of a unit direction, of a
 # radian, or of the robot's reach.
 _CLEARLY = 0.1
+# The unit in which what a link carries is shifted, in m: as large as errors of a machine.
+_SHIFT = 1e-3
 # Known places, in m, and directions agree within this.
 _AGREE = 1e-9
 
@@ -37,13 +39,15 @@ _AGREE = 1e-9
 class Motions(NamedTuple):
     """Motions of a whole set-up about a point (3,) that no measurement shows: turns (3, m), and whether it grows.
 
-    ``on_links``: turns (3, m), about the link's origin, of all that links carry, by link.
+    ``on_links``: turns (3, m), about the link's origin, of all that links carry, by link. ``shifted``: links that carry
+    nothing known; what they carry may be shifted as well, so that it turns about any axis.
     """
 
     about: Array
     turns: Array
     grows: bool
     on_links: Mapping[str, Array]
+    shifted: tuple[str, ...] = ()
 
     @property
     def directions(self) -> int:
@@ -95,7 +99,9 @@ def motions(
         return np.asarray(axes[:, values < _AGREE])
 
     turns, on_links = free(None), {link: free(link) for link in dict.fromkeys(links.values())}
-    every = Motions(about, turns, found is not None, on_links)
+    held = {links.get(name) for name in shape if name in known}
+    shifted = tuple(link for link, own in on_links.items() if own.shape[1] and link not in held)
+    every = Motions(about, turns, found is not None, on_links, shifted)
     return None if found is None and not every.directions else every
 
 
@@ -171,6 +177,18 @@ def taken_out(J: Array, set_up_motions: Array) -> Array:
     return np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
 
 
+def _small(A: Array, most: float) -> Array:
+    """Return orthonormal combinations (k, j) of the columns of A (q, k) that are no longer than ``most``."""
+    _, values, V = np.linalg.svd(A)
+    return np.asarray(V[np.count_nonzero(values > most) :].T)
+
+
+def _large(A: Array, least: float) -> Array:
+    """Return orthonormal combinations (k, j) of the columns of A (q, k) that are longer than ``least``."""
+    _, values, V = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(V[values > least].T)
+
+
 class TargetsFollowed(NamedTuple):
     """How targets follow common parameters: local twists ``by_twist`` (k, 6, c) of those of these ``numbers`` (k,)."""
 
@@ -193,11 +211,16 @@ class SetUpMotions:
         self._scales = scales(parameters)
         self._of_targets = np.array([parameter.nuisance for parameter in parameters], dtype=np.bool_)
         self._lengths = np.array([parameter.unit == "m" for parameter in parameters], dtype=np.bool_)
-        self._triangle = np.empty((0, len(parameters) + self._count))
+        self._triangle = np.empty((0, len(parameters) + self._count + 3 * len(motions.shifted)))
 
     @property
     def _count(self) -> int:
         return self._motions.directions + self._motions.grows
+
+    def _shift_of(self, link: str) -> slice:
+        """Return which columns, behind the parameters, shift what a link carries."""
+        first = self._count + 3 * self._motions.shifted.index(link)
+        return slice(first, first + 3)
 
     def _moved(self, x: Array, link: str | None) -> Array:
         """Return how points (n, 3) on a link, None being the floor, move (n, 3, k): by every turn, then by growing."""
@@ -218,12 +241,15 @@ class SetUpMotions:
         ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
         ``grounds``: which rows are told in which link, None being the floor.
         """
-        changed = np.zeros((*J.shape[:2], self._count))
+        changed = np.zeros((*J.shape[:2], self._count + 3 * len(self._motions.shifted)))
         for link, own in grounds:
             turns = self._motions.of(link)[1]
             for twist, placed in moved:
                 back = np.swapaxes(placed[own, :3, :3], -1, -2)
-                changed[own] += twist[own, :, :3] @ back @ self._moved(placed[own, :3, 3], link)
+                moves = twist[own, :, :3] @ back
+                changed[own, :, : self._count] += moves @ self._moved(placed[own, :3, 3], link)
+                if link in self._motions.shifted:
+                    changed[own, :, self._shift_of(link)] += moves * _SHIFT
                 changed[own, :, : turns.shape[1]] += twist[own, :, 3:] @ back @ turns
         # What parameters, targets left out, do to a tool.
         rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
@@ -232,32 +258,45 @@ class SetUpMotions:
     def directions(
         self, measurements: Sequence[Measurements], at: Machine, of_targets: TargetsFollowed, by_scalars: Array
     ) -> Array:
-        """Return unit directions (p, k), scaled, of the motions that parameters imitate, turns first, then growing.
+        """Return unit directions (p, j), scaled, of the motions that parameters imitate, turns first, then growing.
 
         ``of_targets`` that are common, ``by_scalars`` (s, p): scalars, as the scaled parameters change; targets
-        that were eliminated follow the data. Zero where what a motion takes is held, and where nothing of it is seen: a
-        robot that turns or grows about the only point that it touches moves no row.
+        that were eliminated follow the data. None where what a motion takes is held, and where nothing of it is seen: a
+        robot that turns or grows about the only point that it touches moves no row; of growing, which is the last where
+        it is a motion, zeros are left. Turns may be imitated about one axis alone, and along no axis of a frame: a link
+        turns with the joint before it.
         """
         p = len(self._scales)
-        J, C = self._triangle[:, :p], self._triangle[:, p:]
-        Z = np.linalg.lstsq(J, C, rcond=_SAME)[0]
-        imitated = np.linalg.norm(J @ Z - C, axis=0) <= _SAME * np.linalg.norm(C, axis=0)
+        q = p + self._count
+        J, C = np.delete(self._triangle, np.s_[p:q], axis=1), self._triangle[:, p:q]
+        X = np.linalg.lstsq(J, C, rcond=_SAME)[0]
+        Z, shifts = X[:p], np.asarray(-_SHIFT * X[p:])
         # A turn shows in angles, growing in lengths, each of a size that is known.
         sizes = Z * self._scales[:, None]
-        turns = self._motions.directions
-        clear = np.concatenate(
-            [
-                np.linalg.norm(sizes[~self._of_targets & ~self._lengths, :turns], axis=0) > _CLEARLY,
-                np.linalg.norm(sizes[~self._of_targets & self._lengths, turns:], axis=0) > _CLEARLY * self._reach,
-            ]
-        )
-        Z += self._of_common_targets(measurements, at, of_targets, by_scalars)
-        return np.asarray(np.where(imitated & clear, Z / np.maximum(np.linalg.norm(Z, axis=0), _AGREE), 0.0))
+        own, lengths, left = ~self._of_targets, self._lengths, J @ X - C
+        Z = Z + self._of_common_targets(measurements, at, of_targets, by_scalars, shifts)
+        found = []
+        for some, shown, size in (
+            (slice(None, self._motions.directions), own & ~lengths, 1.0),
+            (slice(self._motions.directions, None), own & lengths, self._reach),
+        ):
+            seen = np.linalg.norm(C[:, some], axis=0).max(initial=0.0)
+            V = _small(left[:, some], _SAME * seen)
+            found.append(Z[:, some] @ V @ _large(sizes[shown, some] @ V, _CLEARLY * size))
+        if self._motions.grows and not found[1].shape[1]:
+            found[1] = np.zeros((p, 1))
+        every = np.concatenate(found, axis=1)
+        return np.asarray(every / np.maximum(np.linalg.norm(every, axis=0), _AGREE))
 
     def _of_common_targets(
-        self, measurements: Sequence[Measurements], at: Machine, of_targets: TargetsFollowed, by_scalars: Array
+        self,
+        measurements: Sequence[Measurements],
+        at: Machine,
+        of_targets: TargetsFollowed,
+        by_scalars: Array,
+        shifts: Array,
     ) -> Array:
-        """Return how the scaled parameters (p, k) of targets and scalars follow the motions."""
+        """Return how the scaled parameters (p, k) of targets and scalars follow the motions, and ``shifts`` (s, k)."""
         turns = self._motions.directions
         Z = np.zeros((len(self._scales), self._count))
         left = dict(zip(of_targets.numbers.tolist(), of_targets.by_twist, strict=True))
@@ -268,6 +307,9 @@ class SetUpMotions:
                 twist = np.zeros((6, self._count))
                 link = data.link_of(t)
                 twist[:3] = R.T @ self._moved(c[None], link)[0]
+                if link in self._motions.shifted:
+                    first = 3 * self._motions.shifted.index(link)
+                    twist[:3] += R.T @ shifts[first : first + 3]
                 twist[3:, :turns] = R.T @ self._motions.of(link)[1]
                 rows = _SEEN_OF[shape_of(data) or "point"]
                 if data.kind == "plane":

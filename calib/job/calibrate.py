@@ -5,7 +5,8 @@ from pathlib import Path
 
 from calib.foundations.arguments import checked
 from calib.foundations.linear import one_thread
-from calib.job.inputs import Inputs, Progress, load
+from calib.job.inputs import Inputs, load
+from calib.job.read import Progress
 from calib.job.run import run
 from calib.results.calibration import Calibration
 from calib.results.folder import STEPS_OF_WRITING, refuse_folder, write_results

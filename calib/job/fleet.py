@@ -20,7 +20,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
-from calib.job.inputs import Progress
+from calib.job.read import Progress
 from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN
 from calib.results.versions import versions
 from calib.robot.sources import EXAMPLE, resolve

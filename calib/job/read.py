@@ -1,6 +1,7 @@
 """From a file to a job, or to a board, or one clear sentence."""
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,10 @@ from calib.job.contradictions import contradictions
 from calib.job.schema import BoardSection, Job
 from calib.job.sentences import validation_sentence
 from calib.measurement.prints import Print
+
+# Is told what is done next.
+Progress = Callable[[str], None]
+
 
 _LARGEST_JOB = 1_000_000
 # The parser's time grows with the square of a dotted key's length, and a key stands on one line.

@@ -10,7 +10,8 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
-from calib.job.inputs import Inputs, Progress
+from calib.job.inputs import Inputs
+from calib.job.read import Progress
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.measurement.checks import Finding

@@ -14,7 +14,8 @@ from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.total_differential import Trace, total_differential
-from calib.job.inputs import Inputs, Progress
+from calib.job.inputs import Inputs
+from calib.job.read import Progress
 from calib.job.residuals import residual_model
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
 

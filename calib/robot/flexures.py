@@ -13,6 +13,11 @@ and the bearing of the joint there may tilt, about axes that the joint does not 
 
 (S. Timoshenko, *Strength of materials*, 1940, part I, chapter V.) What such a joint holds against gravity is the slope
 of the potential energy by its motion, as of any other joint: loops that follow are accounted for.
+
+The link itself is fixed at its near end, and follows the motion of its far end by the curve of a beam that is loaded
+there alone, a cubic. Virtual work then makes of weight between the ends the load at the far end that moves it alike
+(J. S. Przemieniecki, *Theory of matrix structural analysis*, 1968, chapter 5). A weight W that is spread evenly counts
+as W/2 at 5/6 of the length, rigidly behind the end, and so moves the end by W L^3/8EI and turns it by W L^2/6EI.
 """
 
 from collections.abc import Sequence
@@ -34,12 +39,14 @@ SHORTEST = 1e-6
 class Flexure(NamedTuple):
     """One motion of the far end of the link before joint ``joint`` of the chain, at that joint's placement.
 
-    Along, or about, ``axis`` (3,) in the joint's frame.
+    Along, or about, ``axis`` (3,) in the joint's frame. ``link``: whether the link gives way and follows, or the
+    bearing behind it.
     """
 
     joint: int
     type: MovingType
     axis: Array
+    link: bool = True
 
 
 class Mechanism(NamedTuple):
@@ -180,7 +187,7 @@ def tilting(segments: Sequence[Segment], joint: int, axis: int) -> tuple[Flexure
 
     A bearing stands where its joint is placed, whether there is a link before it or not.
     """
-    return () if segments[joint].type == "fixed" else (Flexure(joint, "revolute", np.eye(3)[axis]),)
+    return () if segments[joint].type == "fixed" else (Flexure(joint, "revolute", np.eye(3)[axis], link=False),)
 
 
 def beam(length: float) -> Array:
@@ -192,6 +199,33 @@ def beam(length: float) -> Array:
     return np.array(
         [[sideways, 0.0, 0.0, both], [0.0, sideways, -both, 0.0], [0.0, -both, 1.0, 0.0], [both, 0.0, 0.0, 1.0]]
     )
+
+
+def followed(flexure: Flexure, segment: Segment, centre: Array) -> Array:
+    """Return how the mass of the link before a joint follows a flexure: its centre's motion (3,) per unit of that.
+
+    ``segment``: of the joint; ``centre`` (3,) of the mass in m: both in the frame that the link starts from, as is what
+    is returned. A mass is spread evenly along the link, about its centre, as far as the nearer end; what lies before
+    the near end stays, and what lies behind the far end moves with it.
+    """
+    length, vector = link_length(segment), segment.placement[:3, 3]
+    if not (flexure.link and length):
+        return np.zeros(3)
+    e, axis = vector / length, segment.placement[:3, :3] @ flexure.axis
+    middle = float(np.clip(centre @ e / length, 0.0, 1.0))
+    beside = centre - middle * vector
+    along = (axis @ e) * e
+    found = np.zeros(3)
+    # Gauss' two points: exact for cubics.
+    for x in middle + min(middle, 1.0 - middle) / np.sqrt(3.0) * np.array([-1.0, 1.0]):
+        if flexure.type == "prismatic":
+            shift = x * along + x**2 * (3.0 - 2.0 * x) * (axis - along)
+            turn = 6.0 * x * (1.0 - x) / length * np.cross(e, axis)
+        else:
+            shift = x**2 * (x - 1.0) * length * np.cross(axis, e)
+            turn = x * along + x * (3.0 * x - 2.0) * (axis - along)
+        found += 0.5 * (shift + np.cross(turn, beside))
+    return found
 
 
 def _along(segment: Segment) -> Array:

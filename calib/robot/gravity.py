@@ -107,7 +107,9 @@ class Weights:
     ``units``: masses that nobody knows, by name: the chain joint that carries one, and (4,) its first moment in kg m in
     that joint's frame, then its mass in kg. ``gravity`` (3,) in m/s^2, in the base link. ``hands``: the chain joints
     that carry the links on which rows may have another payload than the one among the bodies, -1 for the base;
-    ``payload`` (links, 4): the first moment and mass of that one.
+    ``payload`` (links, 4): the first moment and mass of that one. ``own``: of links that give way, a coordinate, the
+    chain joint that carries the link, and in that joint's frame its masses times their motions (3,) within the link, in
+    kg m per unit of the coordinate.
     """
 
     mechanism: Mechanism
@@ -116,6 +118,7 @@ class Weights:
     units: tuple[tuple[str, int, Array], ...] = ()
     hands: tuple[int, ...] = ()
     payload: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    own: tuple[tuple[int, int, Array], ...] = ()
 
 
 class Holding:
@@ -133,17 +136,23 @@ class Holding:
         moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
         self._hands = np.array(moved, dtype=np.intp)
         self._at_hands = Kinematics(s.tree, [end_frame(s, int(m.carrying[weights.hands[k]])) for k in moved])
+        self._links = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for _, joint, _ in weights.own])
         self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
 
     def __call__(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
         """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr).
 
         Under gravity and payloads that are ``told`` of the rows, else those of the robot; rows that moved are told how.
-        The inertia of a payload that is the robot's own counts, that of another one does not.
+        The inertia of a payload that is the robot's own counts, that of another one does not; nor does that of links in
+        how they themselves give way.
         """
         q, follow = self._posed(readings)
         gravity = self._gravity(len(q), told)
         found = _by_virtual_work(self._of_bodies(q, gravity, told), follow)
+        if self._weights.own:
+            placed = self._links.placements(q)
+            for (coordinate, _, masses), at in zip(self._weights.own, placed, strict=True):
+                found[:, coordinate] -= np.einsum("ni,nij,j->n", gravity, at[:, :3, :3], masses)
         if (other := self._other_payloads(told)) is not None:
             rows, more = other
             found[rows] += self._carried(q[rows], follow[rows] if follow.ndim == 3 else follow, gravity[rows], more)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
-from calib.robot.flexures import link_length
+from calib.robot.flexures import followed, link_length
 from calib.robot.gravity import Body, Holding, Weights
 from calib.robot.robot import Robot, segments
 from calib.robot.sampling import random_readings
@@ -150,12 +150,28 @@ def _weights(robot: Robot, bodies: Sequence[Body], names: Sequence[str]) -> Weig
     load = robot.load
     return Weights(
         robot.mechanism,
-        tuple(bodies),
+        (*bodies, *_payload(robot)) if bodies else (),
         read_only(load.gravity),
         units,
         tuple(robot.carrier(link) for link in robot.links) if bodies else (),
         read_only(robot.moments(load.payload)),
+        _own(robot, bodies),
     )
+
+
+def _own(robot: Robot, bodies: Sequence[Body]) -> tuple[tuple[int, int, Array], ...]:
+    """Return what links that give way weigh themselves, as :class:`Weights` has it: payloads are at their ends."""
+    of_chain, found = segments(robot), []
+    for k, flexure in enumerate(robot.flexures.every):
+        segment = of_chain[flexure.joint]
+        masses = np.zeros(3)
+        for body in bodies:
+            if body.joint == segment.parent:
+                centre = of_chain[body.joint].frame[:3, :3].T @ body.centre
+                masses += body.mass * followed(flexure, segment, centre)
+        if masses.any():
+            found.append((len(robot.readings) + k, segment.parent, read_only(masses)))
+    return tuple(found)
 
 
 def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
@@ -168,7 +184,7 @@ def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
 
 
 def _bodies(robot: Robot) -> tuple[Body, ...]:
-    """Return all masses that the chain carries."""
+    """Return the masses of all links that the chain carries."""
     index = {robot.urdf.joint(joint.name).child: i for i, joint in enumerate(robot.chain)}
     bodies: list[Body] = []
     for link, (mass, centre, inertia) in inertials(robot.urdf).items():
@@ -181,11 +197,17 @@ def _bodies(robot: Robot) -> tuple[Body, ...]:
             f"{robot.urdf.where}: no link that {robot.base!r} carries states its mass, which wind-up and bending under "
             "gravity need; give every <link> an <inertial>, or free moments instead of elastic."
         )
-    if (payload := robot.load.payload) is not None:
-        at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
-        if at >= 0:
-            bodies.append(Body(at, payload.mass, read_only(payload.position), read_only(np.zeros((3, 3)))))
     return tuple(bodies)
+
+
+def _payload(robot: Robot) -> tuple[Body, ...]:
+    """Return the payload as a mass, if there is one that the base does not carry."""
+    payload = robot.load.payload
+    if payload is None:
+        return ()
+    at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
+    inertia = read_only(np.zeros((3, 3)))
+    return (Body(at, payload.mass, read_only(payload.position), inertia),) if at >= 0 else ()
 
 
 def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] | None:

@@ -87,7 +87,7 @@ class Transmission:
         ]
         number = np.repeat(np.arange(len(terms)), [len(coordinates) for coordinates in own])
         self._coordinate = np.array([k for coordinates in own for k in coordinates], dtype=np.intp)
-        self._to_terms = (number[:, None] == np.arange(len(terms))).astype(np.float64)
+        self._first = np.searchsorted(number, np.arange(len(terms)))
         self._coefficients = np.zeros((len(number), len(readings) + len(moved.every)))
         self._coefficients[np.arange(len(number)), self._coordinate] = np.asarray(coefficients)[number]
         self._terms, self._readings, self._holding = tuple(terms), tuple(readings), holding
@@ -142,7 +142,10 @@ class Transmission:
     def by_terms(self, by_coordinate: Array, bases: Bases) -> Array:
         """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c)."""
         by_share = by_coordinate[:, :, self._coordinate] * bases.changes[:, None]
-        return by_share if len(self._coordinate) == len(self._terms) else np.asarray(by_share @ self._to_terms)
+        if len(self._coordinate) == len(self._terms):
+            return by_share
+        # Shares of one term stand side by side.
+        return np.asarray(np.add.reduceat(by_share, self._first, axis=2))
 
     def slopes(self, readings: Array) -> Array:
         """Return how fast every moved reading follows itself (N, nr): 1 and the slopes of its terms that have some.

@@ -19,7 +19,7 @@ import calib
 from calib.compensation.commands import for_poses
 from calib.foundations import rigid
 from calib.identification.machine import Frames, machine, values_at
-from calib.job.inputs import load_arm
+from calib.job.stated import load_arm
 from calib.measurement.projection import project
 from calib.robot.conditions import Conditions, in_order
 from calib.robot.robot import Deviations, Robot

@@ -10,7 +10,7 @@ from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_TARGETS
 from calib.identification import sanity
 from calib.identification.error_model import error_model
 from calib.identification.identify import identify
-from calib.job.inputs import load_arm
+from calib.job.stated import load_arm
 from calib.measurement.kinds import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene

@@ -20,7 +20,7 @@ from calib.robot.robot import Deviations, Robot
 from calib.robot.sources import resolve
 from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf
-from tests.support import jacobians, machines
+from tests.support import beams, jacobians, machines
 from tests.support.gears import UR10
 
 Array = np.ndarray
@@ -55,11 +55,11 @@ class Bearings:
 
     def _tip(self, u: Array) -> Array:
         T, k = np.eye(4), 0
-        for i, (joint, (place, link, torque)) in enumerate(zip(self.moved.joints, self._loads(u), strict=True)):
+        for i, (joint, (place, link, own, torque)) in enumerate(zip(self.moved.joints, self._loads(u), strict=True)):
             T = T @ joint.origin
             if (compliance := self.twists.get(joint.name, 0.0)) > 0.0:
                 along = link / np.linalg.norm(link)
-                T = T @ machines.pose(rotvec=compliance * place.T @ along * float(along @ torque))
+                T = T @ machines.pose(rotvec=compliance * place.T @ along * float(along @ (torque + own)))
             if joint.type == "fixed":
                 continue
             axes = axes_of(self.nominal.joints[i].axis)
@@ -72,13 +72,18 @@ class Bearings:
             k += 1
         return T
 
-    def _loads(self, u: Array) -> list[tuple[Array, Array, Array]]:
-        """Every joint's nominal axes, the link before it, and the moment of all weight behind it; in the base."""
+    def _loads(self, u: Array) -> list[tuple[Array, Array, Array, Array]]:
+        """Every joint's nominal axes, the link before it, the torque of its own weight, the moment of all behind it."""
         T, k, found, masses = np.eye(4), 0, [], list[tuple[int, float, Array]]()
+        body = None
         for i, joint in enumerate(self.nominal.joints):
-            link = T[:3, :3] @ joint.origin[:3, 3]
+            R, own = T[:3, :3], np.zeros(3)
+            link = R @ joint.origin[:3, 3]
+            if body is not None and body.mass and link.any():
+                _, _, twist = beams.own_weight(joint.origin[:3, 3], body.origin[:3, 3])
+                own = R @ twist @ R.T @ G * body.mass / np.linalg.norm(link)
             T = T @ joint.origin
-            found.append((T, link))
+            found.append((T, link, own))
             if joint.type != "fixed":
                 T = T @ machines.pose(rotvec=joint.axis * u[k])
                 k += 1
@@ -87,8 +92,8 @@ class Bearings:
                 masses.append((i, body.mass, (T @ body.origin)[:3, 3]))
         masses.append((i, PAYLOAD.mass, (T @ [*PAYLOAD.position, 1.0])[:3]))
         return [
-            (P[:3, :3], link, sum((m * np.cross(c - P[:3, 3], G) for at, m, c in masses if at >= i), np.zeros(3)))
-            for i, (P, link) in enumerate(found)
+            (P[:3, :3], link, own, sum((m * np.cross(c - P[:3, 3], G) for at, m, c in masses if at >= i), np.zeros(3)))
+            for i, (P, link, own) in enumerate(found)
         ]
 
 

@@ -23,7 +23,7 @@ from calib.robot.gravity import Payload
 from calib.robot.sources import resolve
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.urdf import parse_urdf
-from tests.support import jacobians, machines
+from tests.support import beams, jacobians, machines
 from tests.support.gears import UR10
 
 Array = np.ndarray
@@ -52,14 +52,14 @@ class Soft(machines.Arm):
     def _tip(self, u: Array, degrees: float) -> Array:
         loads = self._loads(u)
         T, k = np.eye(4), 0
-        for joint, (P, e, L, F, M) in zip(self.joints, loads, strict=True):
+        for joint, (P, e, L, F, M, sunk, bent) in zip(self.joints, loads, strict=True):
             origin = joint.origin.copy()
             origin[:3, 3] *= 1.0 + self.strain * (degrees - 20.0)
             T = T @ origin
             if (compliance := self.links.get(joint.name, 0.0)) > 0.0:
                 across = P[:3, :3].T @ (np.eye(3) - np.outer(e, e))
-                sideways = across @ (F * L**2 / 3.0 + np.cross(M, e) * L / 2.0) * compliance
-                turn = across @ (M + np.cross(e, F) * L / 2.0) * compliance
+                sideways = across @ (F * L**2 / 3.0 + np.cross(M, e) * L / 2.0 + sunk / L) * compliance
+                turn = across @ (M + np.cross(e, F) * L / 2.0 + bent / L) * compliance
                 T = T @ machines.pose(sideways, turn)
             if joint.type != "fixed":
                 lifted = float(np.dot(P[:3, :3] @ joint.axis, M))
@@ -68,15 +68,23 @@ class Soft(machines.Arm):
                 k += 1
         return T
 
-    def _loads(self, u: Array) -> list[tuple[Array, Array, float, Array, Array]]:
-        """Every joint's placement, its link's direction and length, and force and moment there, in the base."""
+    def _loads(self, u: Array) -> list[tuple[Array, Array, float, Array, Array, Array, Array]]:
+        """Every joint's placement, its link's direction and length, and force and moment there, in the base.
+
+        Last how far the link's own weight shifts and turns its end where EI = 1.
+        """
         document = machines.read(UR10[0])
         T, k, found = np.eye(4), 0, []
         masses: list[tuple[int, float, Array]] = []
+        body = None
         for i, joint in enumerate(self.nominal.joints):
-            link = T[:3, :3] @ joint.origin[:3, 3]
+            R, sunk, bent = T[:3, :3], np.zeros(3), np.zeros(3)
+            link = R @ joint.origin[:3, 3]
+            if body is not None and body.mass and link.any():
+                shift, turn, _ = beams.own_weight(joint.origin[:3, 3], body.origin[:3, 3])
+                sunk, bent = (R @ moved @ R.T @ G * body.mass for moved in (shift, turn))
             T = T @ joint.origin
-            found.append((T, link))
+            found.append((T, link, sunk, bent))
             if joint.type != "fixed":
                 T = T @ machines.pose(rotvec=joint.axis * u[k])
                 k += 1
@@ -85,11 +93,11 @@ class Soft(machines.Arm):
                 masses.append((i, body.mass, (T @ body.origin)[:3, 3]))
         masses.append((i, PAYLOAD.mass, (T @ [*PAYLOAD.position, 1.0])[:3]))
         loads = []
-        for i, (P, link) in enumerate(found):
+        for i, (P, link, sunk, bent) in enumerate(found):
             L = float(np.linalg.norm(link))
             F = sum(m for at, m, _ in masses if at >= i) * G
             M = sum((m * np.cross(c - P[:3, 3], G) for at, m, c in masses if at >= i), np.zeros(3))
-            loads.append((P, link / max(L, 1e-12), L, F, M))
+            loads.append((P, link / max(L, 1e-12), L, F, M, sunk, bent))
         return loads
 
 

@@ -12,7 +12,7 @@ from calib.identification.initialisation.problem import initial_problem
 from tests.support import machines
 
 URDF, TIP = "example:ur_description/urdf/ur10_robot.urdf", "tool0"
-ROWS = 12_000
+ROWS = 40_000
 
 
 def seen(

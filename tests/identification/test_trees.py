@@ -156,7 +156,7 @@ def test_hands_that_touch_each_other() -> None:
     assert np.sqrt(np.mean(r**2)) < 4.0 * SIGMA < 0.2 * np.sqrt(np.mean(before**2))
 
 
-RANKS = {"right": 35, "both": 62, "touch": 44, "touch and right": 62}
+RANKS = {"right": 35, "both": 62, "touch": 44, "known touch": 47, "touch and right": 62}
 
 
 def test_ranks_are_as_tabulated() -> None:
@@ -172,6 +172,9 @@ def test_ranks_are_as_tabulated() -> None:
     for name, sets in cases.items():
         fit = calib.identify(model, sets)
         found[name] = fit.rank - 3 * len([d for d in sets if d is touch]) * len(at)
+    known = calib.Known(targets={name: Target(pose(at[name])) for name in "ab"})
+    model = calib.error_model(made.robot, offsets="all", placements="all", known=known)
+    found["known touch"] = calib.identify(model, [touch]).rank - 3
     assert found == RANKS
 
 

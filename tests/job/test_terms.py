@@ -15,6 +15,7 @@ from calib.presentation.sheets import choice_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
+from tests.identification.test_torques import table
 from tests.support import cases
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
@@ -66,7 +67,9 @@ def test_the_model_read_back_predicts_with_the_terms(which: str, request: pytest
 
 
 def test_the_result_tells_the_choice(given: tuple[Calibration, Path], chosen: tuple[Calibration, Path]) -> None:
-    assert json.loads((given[1] / "result.json").read_text())["choice"] is None
+    given_result = json.loads((given[1] / "result.json").read_text())
+    assert given_result["choice"] is None
+    assert given_result["wind_up"] is None
     outcome, out = chosen
     result = json.loads((out / "result.json").read_text())
     assert outcome.choice is not None
@@ -78,6 +81,38 @@ def test_the_result_tells_the_choice(given: tuple[Calibration, Path], chosen: tu
     assert "geometry alone" in " ".join(told.split())
     assert told.count("yes") == outcome.choice.taken + 1
     assert max(map(len, told.splitlines())) <= 80
+
+
+TORQUES = """schema = 1
+[robot]
+urdf = "example:ur_description/urdf/ur10_robot.urdf"
+tip = "tool0"
+[error_model]
+offsets = "all"
+placements = "all"
+base = "pose"
+tool = "position"
+terms = "auto"
+[[measurements]]
+file = "rows.csv"
+sigma = "0.03 mm"
+"""
+
+
+def test_the_result_tells_by_which_torques_compliance_was_chosen(tmp_path: Path) -> None:
+    """Six kilograms on the hand of which the URDF knows nothing: the measured torques do."""
+    cases.write_table(tmp_path / "rows.csv", table(8, 3.0, heavier=6.0))
+    (tmp_path / "job.toml").write_text(TORQUES, encoding="utf-8")
+    outcome = run(load(tmp_path / "job.toml"))
+    write_results(outcome, tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "result.json").read_text())["wind_up"]
+    assert told["taken"] == "torques"
+    assert 0.0 < told["by_torques"] < told["by_masses"]
+    assert told["standard_error"] > 0.0
+    assert outcome.choice is not None
+    assert outcome.choice.weighed is not None
+    assert told["because"] == outcome.choice.weighed.sentence
+    assert {"shoulder_lift_joint.torque", "elbow_joint.torque"} <= {term.name for term in outcome.fit.robot.terms}
 
 
 def test_priors_of_a_job_are_those_of_its_model(tmp_path: Path) -> None:

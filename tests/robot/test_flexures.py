@@ -15,8 +15,9 @@ from calib.robot.joint_terms import foreign, moments, weights_of, with_joint_ter
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, TipModel, segments
 from calib.robot.terms import JointTerm, kind_of
+from calib.robot.urdf import parse_urdf
 from tests.robot.test_gravity import DOWN, LOOP, PANDA, UR10, potential
-from tests.support import machines
+from tests.support import beams, machines, trees
 
 Array = np.ndarray
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,12 +28,13 @@ def links_of(robot: Robot) -> list[str]:
     return [joint.name for joint in robot.chain if np.linalg.norm(joint.placement[:3, 3]) > 0.0]
 
 
-def soft(robot: Robot) -> Robot:
-    """Everything at once: links bend and expand, drives wind up under masses and moments."""
+def soft(robot: Robot, unknown: bool = True) -> Robot:
+    """Everything at once: links bend, twist and expand, drives wind up under masses and, if ``unknown``, moments."""
     names = links_of(robot)
     terms = [JointTerm(joint, "bending") for joint in names[1::2]]
     terms += [JointTerm(joint, "expansion") for joint in names[::3]]
-    terms += [JointTerm("", "expansion"), *moments(robot)]
+    terms += [JointTerm(joint, "torsion") for joint in names[::2]]
+    terms += [JointTerm("", "expansion"), *(moments(robot) if unknown else ())]
     terms += [JointTerm(reading.name, kind) for reading in robot.readings for kind in ("gain", "elastic")]
     return with_joint_terms(robot, terms)
 
@@ -40,9 +42,20 @@ def soft(robot: Robot) -> Robot:
 def robot_of(name: str) -> Robot:
     if name == "irb2400":
         return load_robot(IRB, "tool0", loops=[LOOP], gravity=DOWN)
+    if name == "tree":
+        return tree()
     if name == "gantry":
         return load_robot(machines.load(machines.INLINE[name].replace(*WEIGHED), "tip").urdf, "tip", gravity=DOWN)
     return load_robot(*{"ur10": (UR10, "tool0"), "panda": (PANDA, "panda_hand_tcp")}[name], gravity=DOWN)
+
+
+def tree(links: tuple[str, ...] = ("chest_link", "right_elbow_link", "left_forearm_link")) -> Robot:
+    """A torso with two arms, of which these links have masses beside their line."""
+    text = trees.urdf()
+    for link in links:
+        body = '<inertial><origin xyz=".03 .05 .13"/><mass value="20"/></inertial>'
+        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{body}</link>')
+    return load_robot(parse_urdf(text.encode(), "tree.urdf"), "right_hand", links=["left_hand"], gravity=DOWN)
 
 
 WEIGHED = (
@@ -53,7 +66,7 @@ WEIGHED = (
 
 def amounts_of(robot: Robot, rng: np.random.Generator, size: float) -> Array:
     """Coefficients that move tips by some ``size`` rad; far from zero they are tenths."""
-    scale = {"elastic": 1e-2, "moment": 1e-2, "bending": 1e-2, "expansion": 1e-1, "gain": 1.0}
+    scale = {"elastic": 1e-2, "moment": 1e-2, "bending": 1e-2, "torsion": 1e-2, "expansion": 1e-1, "gain": 1.0}
     return np.array([scale[term.kind] for term in robot.terms]) * rng.uniform(-size, size, len(robot.terms))
 
 
@@ -63,12 +76,20 @@ def rows(robot: Robot, rng: np.random.Generator, n: int = 3) -> tuple[Array, Con
 
 @pytest.mark.parametrize(
     ("name", "size"),
-    [("ur10", 1e-3), ("ur10", 0.1), ("panda", 0.1), ("gantry", 0.1), ("irb2400", 1e-3), ("irb2400", 0.1)],
+    [
+        ("ur10", 1e-3),
+        ("ur10", 0.1),
+        ("panda", 0.1),
+        ("gantry", 0.1),
+        ("tree", 0.1),
+        ("irb2400", 1e-3),
+        ("irb2400", 0.1),
+    ],
 )
 def test_derivatives_match_central_differences(name: str, size: float) -> None:
     """By coefficients, by placements and by offsets, which all act through links that have given way."""
     rng = np.random.default_rng(2)
-    robot = soft(robot_of(name))
+    robot = soft(robot_of(name), unknown=name != "tree")
     u, told = rows(robot, rng)
     d = Deviations(
         rng.normal(scale=1e-3, size=(len(robot.chain), 6)),
@@ -107,8 +128,13 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
         compare(J[:, :, d.placements.size + j], twist(*ends, 1e-5))
 
 
-def carried(source: str, robot: Robot, u: Array, after: str) -> tuple[Array, Array, list[tuple[float, Array]]]:
-    """The joint's placement before its own motion, its link vector, and the masses that it carries, in the root."""
+def carried(
+    source: str, robot: Robot, u: Array, after: str
+) -> tuple[Array, Array, list[tuple[float, Array]], list[tuple[float, Array]], Array]:
+    """The joint's placement before its own motion, its link vector, and the masses that it carries, in the root.
+
+    Then the masses of the link itself, those welded to it too, in its own frame, and where that is turned.
+    """
     document = machines.read(source)
     by_child = {joint.child: joint for joint in document.robot.joints}
     readings = dict(zip([reading.name for reading in robot.readings], u, strict=True))
@@ -134,7 +160,15 @@ def carried(source: str, robot: Robot, u: Array, after: str) -> tuple[Array, Arr
         if link.name == robot.tip and robot.payload is not None:
             masses.append((robot.payload.mass, (T @ [*robot.payload.position, 1.0])[:3]))
     parent, _ = placed(joint.parent)
-    return parent @ joint.origin, parent[:3, :3] @ joint.origin[:3, 3], masses
+    own = []
+    for link in document.robot.links:
+        at = link.name
+        while at != joint.parent and at in by_child and by_child[at].type == "fixed":
+            at = by_child[at].parent
+        if at == joint.parent and link.inertial is not None and link.inertial.mass:
+            c = np.zeros(3) if link.inertial.origin is None else link.inertial.origin[:3, 3]
+            own.append((link.inertial.mass, (np.linalg.inv(parent) @ placed(link.name)[0] @ [*c, 1.0])[:3]))
+    return parent @ joint.origin, parent[:3, :3] @ joint.origin[:3, 3], masses, own, parent[:3, :3]
 
 
 @pytest.mark.parametrize(
@@ -142,7 +176,10 @@ def carried(source: str, robot: Robot, u: Array, after: str) -> tuple[Array, Arr
     [(UR10, "tool0", "elbow_joint"), (UR10, "tool0", "shoulder_lift_joint"), (PANDA, "panda_hand_tcp", "panda_joint4")],
 )
 def test_a_link_bends_as_a_beam_under_what_it_carries(source: str, tip: str, joint: str) -> None:
-    """Forces and moments by plain statics, the beam's end by the textbook: (F L^3/3 + M L^2/2) / EI sideways."""
+    """Forces and moments by plain statics, the beam's end by the textbook: (F L^3/3 + M L^2/2) / EI sideways.
+
+    What its own weight adds comes from an integral of the beam's equation.
+    """
     rng = np.random.default_rng(4)
     plain = load_robot(source, tip, gravity=DOWN, payload=Payload(4.0, (0.05, 0.1, 0.2)))
     robot = with_joint_terms(plain, [JointTerm(joint, "bending")])
@@ -151,7 +188,7 @@ def test_a_link_bends_as_a_beam_under_what_it_carries(source: str, tip: str, joi
     u = rng.uniform(-1.5, 1.5, (6, len(robot.readings)))
     straight, bent = plain.tips(u), robot.tips(u, d)
     for n in range(len(u)):
-        T, link, masses = carried(source, robot, u[n], joint)
+        T, link, masses, own, R = carried(source, robot, u[n], joint)
         L = float(np.linalg.norm(link))
         e = link / L
         F = sum(m * np.array(DOWN) for m, _ in masses)
@@ -160,6 +197,11 @@ def test_a_link_bends_as_a_beam_under_what_it_carries(source: str, tip: str, joi
         across = np.eye(3) - np.outer(e, e)
         sideways = across @ (F * L**3 / 3.0 + np.cross(M, e) * L**2 / 2.0) / EI
         turn = across @ (M * L + np.cross(e, F) * L**2 / 2.0) / EI
+        assert own
+        for m, c in own:
+            sunk, turned, _ = beams.own_weight(R.T @ link, c)
+            sideways = sideways + R @ sunk @ R.T @ DOWN * m / EI
+            turn = turn + R @ turned @ R.T @ DOWN * m / EI
         about = T[:3, 3]
         moved = Rotation.from_rotvec(turn).apply(straight[n, :3, 3] - about) + about + sideways
         shift = np.linalg.norm(moved - straight[n, :3, 3])
@@ -170,8 +212,58 @@ def test_a_link_bends_as_a_beam_under_what_it_carries(source: str, tip: str, joi
         np.testing.assert_allclose(bent[n, :3, :3], expected, rtol=0, atol=1e-4 * np.linalg.norm(turn))
 
 
+CANTILEVER = """<robot name="cantilever"><link name="base"/>
+<joint name="root" type="revolute"><parent link="base"/><child link="beam"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<link name="beam"><inertial><origin xyz="{0} 0 0"/><mass value="{1}"/></inertial></link>
+<joint name="end" type="revolute"><parent link="beam"/><child link="tip"/><origin xyz="1.6 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="tip"/></robot>"""
+
+
+@pytest.mark.parametrize("place", [0.5, 1.0, 1.2, 0.0, -0.2])
+def test_a_cantilever_sags_under_its_own_weight_as_in_the_textbook(place: float) -> None:
+    """W L^3/8EI and W L^2/6EI of an even beam; W L^3/3EI and W L^2/2EI at its end, with a moment where it is beyond."""
+    L, mass, k = 1.6, 12.0, 1e-6
+    urdf = parse_urdf(CANTILEVER.format(place * L, mass).encode(), "cantilever.urdf")
+    robot = with_joint_terms(load_robot(urdf, "tip", gravity=(0, 0, -10.0)), [JointTerm("end", "bending")])
+    (T,) = robot.tips(np.zeros((1, 2)), replace(robot.no_deviations(), terms=np.array([k])))
+    W, EI = 10.0 * mass, L / k
+    beyond = max(place - 1.0, 0.0) * W * L
+    sinks, turns = {0.5: (W * L**3 / 8.0, W * L**2 / 6.0), 0.0: (0.0, 0.0), -0.2: (0.0, 0.0)}.get(
+        place, (W * L**3 / 3.0 + beyond * L**2 / 2.0, W * L**2 / 2.0 + beyond * L)
+    )
+    np.testing.assert_allclose(T[:3, 3], [L, 0.0, -sinks / EI], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(Rotation.from_matrix(T[:3, :3]).as_rotvec(), [0.0, turns / EI, 0.0], rtol=0, atol=1e-12)
+
+
+def test_of_a_tree_a_trunk_that_weighs_bends_to_each_branch() -> None:
+    """The chest alone has a mass, beside the way to the shoulder: shift, turn and twist by integrals of the beam."""
+    rng = np.random.default_rng(11)
+    plain = tree(("chest_link",))
+    terms = [JointTerm("right_shoulder_pan", kind) for kind in ("bending", "torsion")]
+    robot = with_joint_terms(plain, terms)
+    chest = load_robot(plain.urdf, "chest_link")
+    u = rng.uniform(-0.5, 0.5, (5, len(robot.readings)))
+    names = [reading.name for reading in robot.readings]
+    trunk = chest.tips(u[:, [names.index(reading.name) for reading in chest.readings]])
+    vector, k = np.array([-0.2, 0.05, 0.3]), np.array([1e-8, 3e-8])
+    L = float(np.linalg.norm(vector))
+    found = robot.tips(u, replace(robot.no_deviations(), terms=k))
+    for n, straight in enumerate(plain.tips(u)):
+        R, about = trunk[n, :3, :3], (trunk[n] @ [*vector, 1.0])[:3]
+        shift, turn, twist = (
+            R @ moved @ R.T @ DOWN * 20.0 * c / L
+            for moved, c in zip(beams.own_weight(vector, np.array([0.03, 0.05, 0.13])), k[[0, 0, 1]], strict=True)
+        )
+        moved = shift + np.cross(turn + twist, straight[:3, 3] - about)
+        assert np.linalg.norm(twist) > 0.01 * np.linalg.norm(turn)
+        np.testing.assert_allclose(
+            found[n, :3, 3] - straight[:3, 3], moved, rtol=0, atol=1e-3 * float(np.linalg.norm(moved))
+        )
+
+
 def test_what_flexures_hold_is_the_slope_of_the_energy_on_the_parallelogram() -> None:
-    """Rod and crank follow the bent link: the loop is closed anew by scipy, and heights are those of all masses."""
+    """Rod and crank follow the bent link: the loop is closed anew; heights are those of all masses, the link's too."""
     robot = with_joint_terms(
         robot_of("irb2400"), [JointTerm(j, "bending") for j in ("elbow_cancel", "joint_3", "joint_5")]
     )
@@ -227,7 +319,20 @@ def test_what_flexures_hold_is_the_slope_of_the_energy_on_the_parallelogram() ->
         for link in document.robot.links:
             if link.inertial is not None and link.inertial.mass:
                 c = np.zeros(3) if link.inertial.origin is None else link.inertial.origin[:3, 3]
-                total -= link.inertial.mass * float(np.dot(DOWN, (placed(link.name, q, flexed) @ [*c, 1.0])[:3]))
+                T = placed(link.name, q, flexed)
+                at = (T @ [*c, 1.0])[:3]
+                for i in {flexure.joint for flexure in every}:
+                    origin = document.joint_map[robot.chain[i].name].origin
+                    if document.joint_map[robot.chain[i].name].parent == link.name:
+                        turned = origin[:3, :3] @ robot.chain[i].frame[:3, :3]
+                        ends = [
+                            sum(
+                                f.axis * x for f, x in zip(every, flexed, strict=True) if (f.joint, f.type) == (i, kind)
+                            )
+                            for kind in ("prismatic", "revolute")
+                        ]
+                        at += T[:3, :3] @ beams.followed(origin[:3, 3], c, *(turned @ end for end in ends))
+                total -= link.inertial.mass * float(np.dot(DOWN, at))
         return total
 
     h = 1e-4

@@ -1,4 +1,4 @@
-"""Bending: a link is a beam, and gives way to what its end holds against gravity. Basis: the beam's motions."""
+"""Bending: a link is a beam that gives way to what it carries and weighs. Basis: the beam's motions."""
 
 from collections.abc import Sequence
 

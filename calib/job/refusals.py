@@ -1,0 +1,182 @@
+"""What contradicts itself in a job or its tables: refused with a sentence, or found doubtful."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.foundations.errors import JobError, MeasurementError, naming_rows
+from calib.identification.error_model import ErrorModel
+from calib.identification.observability import rank_findings
+from calib.identification.targets import shapes
+from calib.job.schema import (
+    Job,
+)
+from calib.job.tables import model_sigmas
+from calib.measurement.checks import Finding
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.robot.joint_terms import weighed_at_zero
+from calib.robot.robot import Robot
+
+
+def refuse_levels(job: Job, path: Path) -> None:
+    """Refuse levels that name files which are not to be identified from, and files that come twice."""
+    files = [section.file for section in job.measurements if section.use == "identify"]
+    nodes = [section.file for section in job.measurements if section.use == "nodes"]
+    for i, level in enumerate(job.levels):
+        residual = level.residual_model is not None
+        if residual == bool(level.free) or (residual and i + 1 < len(job.levels)) or (residual and i == 0):
+            raise JobError(
+                f"{path}: levels[{i}]: needs either free parameters or, if it is the last of several levels, a "
+                "residual_model."
+            )
+        for file in level.measurements or ():
+            if file not in (nodes if residual else files):
+                known = ", ".join(map(repr, nodes if residual else files)) or "none"
+                kind = "nodes" if residual else "identify"
+                raise JobError(
+                    f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}", which {known} have.'
+                )
+    if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
+        raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')
+    if nodes and not any(level.residual_model for level in job.levels):
+        raise JobError(f'{path}: measurements: {nodes[0]!r} has use = "nodes", and no level has a residual_model.')
+    if job.levels and len(set(files)) < len(files):
+        raise JobError(f"{path}: measurements: a file appears twice, so that levels cannot name one of the two.")
+    if job.levels and job.solver.kind != "least_squares":
+        raise JobError(f"{path}: solver.kind: {job.solver.kind!r} does not work in levels; leave one of them out.")
+
+
+def refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
+    """Raise JobError for a row at which a closed loop of the robot cannot be closed."""
+    for data in sets if robot.loops else ():
+        for end in data.ends:
+            with naming_rows(data.where, data.lines):
+                robot.joint_positions(end.readings)
+
+
+def refuse_findings(findings: Sequence[Finding]) -> None:
+    """Raise MeasurementError for the first finding that is an error."""
+    for finding in findings:
+        if finding.severity == "error":
+            raise MeasurementError(finding.sentence)
+
+
+def refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse tools and set-ups that no row has, and such of rows that are missing where the others are given."""
+    tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
+    setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
+    for what, given, there in (("tools", job.tools, tools), ("setups", job.setups, setups)):
+        for name in given:
+            if name not in there:
+                raise JobError(
+                    f"{path}: {what}: {name!r} is in no measurement; the measurements have "
+                    f"{', '.join(map(repr, there))}."
+                )
+    for tool in tools:
+        if job.tools and tool not in job.tools:
+            raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
+    for setup in setups:
+        known = [ONLY_SETUP, *(name for name, section in job.setups.items() if section.base is not None)]
+        if job.error_model.base == "fixed" and setup not in known:
+            raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
+    if job.base is not None and ONLY_SETUP not in setups:
+        raise JobError(
+            f"{path}: base: a pose is given, and every measurement has a named set-up: "
+            f"{', '.join(map(repr, setups))}; give it in [setups.NAME]."
+        )
+
+
+def found_from_held_out(
+    model: ErrorModel, chosen: Sequence[Measurements], held_out: Sequence[Measurements]
+) -> Iterator[Finding]:
+    """Yield the tools and set-ups that only rows held out have."""
+    tools = {tool for data in chosen for tool in data.tools}
+    setups = {setup for data in chosen for setup in data.setups}
+    for data in held_out:
+        names = [("tool", name) for name in data.tools if name not in tools and model.tool != "fixed"]
+        for name in data.setups:
+            known = model.known_base(name)
+            if name not in setups and (known is None or not known.fixed):
+                names.append(("set-up", name))
+        for what, name in names:
+            yield Finding(
+                "warning",
+                "found-from-held-out",
+                f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
+                "held-out rows; where they are few, their errors look too small.",
+            )
+
+
+def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Finding]:
+    """Yield tables that tell joints on which something hangs whose weight matters, and which the arm does not know."""
+    if model.robot.weights is None or not model.robot.weights.bodies:
+        return
+    at_zero = weighed_at_zero(model.urdf_robot)
+    for data in sets:
+        if names := [name for name in data.unused if name in at_zero]:
+            yield Finding(
+                "warning",
+                "weighed-at-zero",
+                f"{data.where}: what hangs on joint {', '.join(map(repr, names))} is weighed as if it were at zero, "
+                "and the table tells where it is; name a link behind it in robot.links.",
+            )
+
+
+def refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a plane that is said to be at a point, a point with a normal, and what was not measured at all."""
+    found = shapes(sets)
+    listed = ", ".join(found) or "no targets"
+    for name, target in job.targets.items():
+        if name not in found:
+            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {listed}.")
+        if not target.says_where:
+            continue
+        said = "point" if target.normal is None else "plane"
+        # Boards and cameras have a position as points have.
+        if found[name] not in (said, "frame" if said == "point" else said):
+            raise JobError(f"{path}: targets.{name}: is said to be a {said}, and was measured as a {found[name]}.")
+    for relation in job.relations:
+        shape = "point" if relation.kind == "distance" else "plane"
+        for name in relation.targets:
+            if name not in found:
+                raise JobError(
+                    f"{path}: relations: a known {relation.kind} is between two {shape}s, and {name!r} is in no "
+                    "measurement."
+                )
+
+
+def refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a model part of zero beside an instrument whose noise nobody stated: infinite weights."""
+    for i, (section, data) in enumerate(zip(job.measurements, sets, strict=True)):
+        keys = ("model_sigma", "model_sigma_angle")
+        for key, sigma, quantity in zip(keys, model_sigmas(section), QUANTITIES[data.kind], strict=False):
+            if sigma == 0.0 and not np.all(data.sigma[:, quantity.columns] > 0.0):
+                raise JobError(
+                    f"{path}: measurements[{i}].{key}: is zero, and the noise of the instrument is not given; "
+                    "give one of them."
+                )
+
+
+def not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Finding]:
+    """Find tables that the model is both fitted to and judged by."""
+    fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
+    return [
+        Finding(
+            "warning",
+            "not-held-out",
+            f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
+            "the parameters are identified; a validation with the same rows proves nothing.",
+        )
+        for i, section in enumerate(job.measurements)
+        if section.use == "validate" and section.hold_out is None and hashes[section.file] in fitted
+    ]
+
+
+def findings_of_rank(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
+    """Return what the data cannot show of the model; raises JobError where rows do not fit the robot."""
+    try:
+        return rank_findings(model, chosen)
+    except JobError as e:
+        raise JobError(f"{path}: {e}") from e
