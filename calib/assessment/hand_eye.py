@@ -20,9 +20,10 @@ from calib.measurement.optics import lens_at, lens_scalars
 class HandEye:
     """Where a camera is: its pose (4, 4) in the link ``parent``, and how it sees.
 
-    ``on_tip``: whether the arm carries it. ``lens``: with ``sigmas`` (12,) of its numbers, zero of those that were
-    given. ``distance``: of the marks, their median, in m. ``pixels``: two-dimensional rms of the residuals held out, or
-    of those identified from, in px; ``across``: the same where the marks are, across the line of sight, in m.
+    ``on_tip``: whether it is a tool; cameras on other links, and beside the arm, see boards that are. ``lens``: with
+    ``sigmas`` (12,) of its numbers, zero of those that were given. ``distance``: of the marks, their median, in m.
+    ``pixels``: two-dimensional rms of the residuals held out, or of those identified from, in px; ``across``: the same
+    where the marks are, across the line of sight, in m.
     """
 
     camera: str
@@ -38,15 +39,12 @@ class HandEye:
 
 
 def hand_eyes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[HandEye, ...]:
-    """Return where the cameras are that the arm carries, or that stand beside it, judged by what is held out.
-
-    Cameras on other links of the robot are targets, and told there.
-    """
+    """Return where the cameras are that the arm carries, or that stand beside it, judged by what is held out."""
     held_out = [one for one in sets if one.use == "validation"]
     by_camera: dict[tuple[str, str], list[JudgedSet]] = {}
     for one in held_out or sets:
         data = one.data
-        if data.camera is not None and not data.target_links:
+        if data.camera is not None:
             by_camera.setdefault((data.camera.name, _name(data)), []).append(one)
     return tuple(_hand_eye(fit, own) for own in by_camera.values())
 
@@ -68,13 +66,17 @@ def _hand_eye(fit: Fit, own: Sequence[JudgedSet]) -> HandEye:
         pose = frames.tools[names.tools.index(_name(data))] if _name(data) in names.tools else np.eye(4)
     else:
         at = names.targets.index(_name(data)) if _name(data) in names.targets else None
-        pose = np.eye(4) if at is None else rigid.inverse(frames.base) @ frames.targets[at]
+        pose = np.eye(4) if at is None else frames.targets[at]
+    # On a link it is told in that, beside the arm in the instrument's frame.
+    link = None if on_tip else data.link_of(int(data.target[0]))
+    if not on_tip and link is None:
+        pose = rigid.inverse(frames.base) @ pose
     lens, sigmas = lens_of(fit, camera)
     r2 = np.concatenate([np.sum(one.after**2, axis=1) for one in own])
     depth = np.concatenate([_depths(fit, one.data) for one in own])
     return HandEye(
         camera.name,
-        (data.tip or fit.robot.tip) if on_tip else fit.robot.base,
+        (data.tip or fit.robot.tip) if on_tip else link or fit.robot.base,
         read_only(pose),
         on_tip,
         lens,
@@ -101,7 +103,7 @@ def _depths(fit: Fit, data: Measurements) -> Array:
     """Return how far marks (N,) are before the camera, in m."""
     camera = data.camera
     assert camera is not None, "asked of what cameras saw"
-    tools = fit.bases_of(data) @ data.tips(fit.model.robot, fit.machine.deviations) @ fit.tools_of(data)
+    tools = fit.tips_before_targets(data) @ fit.tools_of(data)
     known = {name: fit.machine.frames.targets[k] for k, name in enumerate(fit.measurements[0].targets)}
     targets = np.stack([known.get(name, np.eye(4)) for name in data.targets])[data.target]
     cameras, boards = (tools, targets) if camera.camera_on == "tip" else (targets, tools)

@@ -81,6 +81,8 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "fx, fy": Range(1.0, 1e6, "px"),
         "cx, cy": Range(-1e6, 1e6, "px"),
         "k1, k2, p1, p2, k3, k4, k5, k6": Range(-1e4, 1e4, "1"),
+        "lens_sigma": Range(1e-4, 1e5, "px"),
+        "lens_sigma of distortion": Range(1e-9, 1e3, "1"),
         "size": Range(16.0, 1e5, "px"),
         "square, marker": Range(1e-4, 10.0, "m"),
         "square_sigma": Range(1e-6, 0.2, "1", zero=True),

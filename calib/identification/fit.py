@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
@@ -130,6 +131,15 @@ class Fit:
         """Return the poses (N, 4, 4) of the base in the set-ups of rows: the first one where one is not known."""
         bases = self.machine.frames.bases
         return _by_name(self.measurements[0].setups, bases, data.setups, bases[0])[data.setup]
+
+    def tips_before_targets(self, data: Measurements) -> Array:
+        """Return the tips (N, 4, 4) of rows in the frame in which their targets are told: a link's, where one is."""
+        tips = self.bases_of(data) @ data.tips(self.robot, self.deviations)
+        for link in dict.fromkeys(data.target_links.values()):
+            rows = np.array([data.link_of(int(t)) == link for t in data.target])
+            seat = self.robot.with_tip(link).tips(data.readings[rows], self.deviations, data.conditions.subset(rows))
+            tips[rows] = rigid.inverse(self.bases_of(data)[rows] @ seat) @ tips[rows]
+        return tips
 
     @property
     def tool_tips(self) -> dict[str, str]:

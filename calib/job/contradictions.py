@@ -133,7 +133,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "laser_tracker": ("sigma_per_metre", "station"),
     "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
-    "camera": ("camera_on", *NAMES, "lens", "size", "lens_file"),
+    "camera": ("camera_on", *NAMES, "lens", "lens_sigma", "size", "lens_file"),
 }
 
 
@@ -168,6 +168,12 @@ def _of_lens(at: str, section: InstrumentSection) -> Iterator[str]:
     if section.camera_on is None:
         yield f"{at}.camera_on: is missing."
     numbers = (*FOCAL, *CENTRE)
+    known = {"given": (), "free": (*numbers, *BENT)}.get(section.lens, section.lens)
+    for key in section.lens_sigma.by_name:
+        if key not in known:
+            yield f'{at}.lens_sigma.{key}: {key} is not free; write lens = "free" or name it there.'
+        if section.lens_file is None and section.fx is None:
+            yield f"{at}.lens_sigma.{key}: is about what is given, and fx, fy, cx, cy are not; leave it out."
     if section.lens_file is not None:
         for key in (*NAMES, "size"):
             if key in section.model_fields_set:

@@ -17,11 +17,13 @@ from calib.job.fields import (
     CouplingOffset,
     Direction,
     Distortion,
+    DistortionSigma,
     FocalLength,
     Gravity,
     HarmonicsPrior,
     InstrumentSigma,
     LengthPrior,
+    LensSigma,
     ModelSigma,
     Multiple,
     Name,
@@ -50,6 +52,7 @@ from calib.job.fields import (
 )
 from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
+from calib.measurement.lens import NAMES
 from calib.measurement.prints import PrintKind, PrintShape
 from calib.robot.terms import KINDS
 
@@ -246,6 +249,29 @@ class RelationSection(_Section):
         return next(kind for kind in get_args(RelationKind) if getattr(self, kind) is not None)
 
 
+class LensSigmaSection(_Section):
+    """``lens_sigma`` of a camera: standard deviations of free numbers of its lens about those given."""
+
+    fx: LensSigma | None = None
+    fy: LensSigma | None = None
+    cx: LensSigma | None = None
+    cy: LensSigma | None = None
+    k1: DistortionSigma | None = None
+    k2: DistortionSigma | None = None
+    p1: DistortionSigma | None = None
+    p2: DistortionSigma | None = None
+    k3: DistortionSigma | None = None
+    k4: DistortionSigma | None = None
+    k5: DistortionSigma | None = None
+    k6: DistortionSigma | None = None
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """What is stated, in px or without unit, by the number of the lens."""
+        stated = {name: getattr(self, name) for name in NAMES}
+        return {name: getattr(value, "si", value) for name, value in stated.items() if value is not None}
+
+
 class InstrumentSection(_Section):
     """``[instruments.NAME]``: what measured. Sigmas are one standard deviation of each coordinate.
 
@@ -253,7 +279,7 @@ class InstrumentSection(_Section):
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
     touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a
     ``lens`` that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
-    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers.
+    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers; ``lens_sigma``: how well they are known.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
@@ -282,6 +308,7 @@ class InstrumentSection(_Section):
     k5: Distortion = 0.0
     k6: Distortion = 0.0
     lens: Annotated[Any, BeforeValidator(free_of_lens)] = "given"
+    lens_sigma: LensSigmaSection = LensSigmaSection()
     size: Counts | None = None
     lens_file: Name | None = None
 

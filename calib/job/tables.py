@@ -229,7 +229,8 @@ def _instrument(
         if section.lens_file is not None:
             lens, size = lenses[section.lens_file]
             numbers = lens._asdict()
-        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name)
+        known = section.lens_sigma.by_name
+        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name, lens_sigma=known)
     x, y, z = (length.si for length in section.station)
     return LaserTracker(sigma, section.sigma_per_metre.si, (x, y, z))
 

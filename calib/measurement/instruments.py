@@ -1,6 +1,7 @@
 """Instruments and their noise: what the maker promises, as standard deviations."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -55,8 +56,9 @@ class Camera:
     ``fx``, ``fy``, ``cx``, ``cy`` in px: the camera matrix; ``k1``, ``k2``, ``p1``, ``p2``, ``k3``, ``k4``, ``k5``,
     ``k6``: the distortion, in OpenCV's order. ``sigma``: one standard deviation of each pixel coordinate, in px; 0
     where it is not known. ``free``: which of these numbers are to be found, from what is given or, where nothing is,
-    from the ``size`` of the images in px and what they show. ``name``: tables of one name are of one camera. ``found``:
-    whether its numbers are what photographs have shown at first, and nobody gave them.
+    from the ``size`` of the images in px and what they show. ``lens_sigma``: by name, the standard deviations that free
+    numbers are expected to have about those given, where something is known of that. ``name``: tables of one name are
+    of one camera. ``found``: whether its numbers are what photographs have shown at first, and nobody gave them.
 
         calib.measuring.Camera("tip", free=("fx", "fy", "cx", "cy", "k1", "k2"), size=(1920, 1080))
 
@@ -83,6 +85,7 @@ class Camera:
     size: tuple[int, int] | None = None
     name: str = ONLY_CAMERA
     found: bool = False
+    lens_sigma: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -101,6 +104,15 @@ class Camera:
             raise JobError(f"camera: {missing[0]} is missing; fx, fy, cx, cy are given together.")
         if held := [name for name in missing if name not in self.free]:
             raise JobError(f"camera: {held[0]} is neither given nor free.")
+        for name, sigma in self.lens_sigma.items():
+            if name not in self.free:
+                raise JobError(f"camera: lens_sigma: {name!r} is not a free number of the lens.")
+            if missing:
+                raise JobError(
+                    f"camera: lens_sigma: {name!r} is expected near what is given, and fx, fy, cx, cy are not."
+                )
+            of = "lens_sigma" if name in (*FOCAL, *CENTRE) else "lens_sigma of distortion"
+            refuse_beyond(sigma, of, f"camera: lens_sigma of {name}")
         if missing and self.size is None:
             raise JobError("camera: its lens is neither given nor is the size of its images, from which it is found.")
 

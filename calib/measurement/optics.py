@@ -44,6 +44,7 @@ def lens_scalars(camera: Camera) -> dict[str, Scalar]:
             "px" if name in (*FOCAL, *CENTRE) else "1",
             lens_size(name, lens),
             getattr(lens, name),
+            camera.lens_sigma.get(name),
             weak_prior=lens_width(name, lens),
         )
         for name in NAMES

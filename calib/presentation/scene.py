@@ -72,7 +72,7 @@ _PAGE = "scene.html.jinja"
 _SCRIPT = "scene.js"
 
 
-MarkKind = Literal["point", "ball", "socket", "plane", "axis"]
+MarkKind = Literal["point", "ball", "socket", "plane", "axis", "camera"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +80,10 @@ class Mark:
     """Something beside the arm, at ``T`` (4, 4) in the world.
 
     A point is drawn as a ball, a ball is seen through, a socket is a cup that is open along z, a plane a plate in x and
-    y, an axis a line along z. Marks of one ``layer`` are shown and hidden together. ``size`` in m: the radius, or half
-    the side or length.
+    y, an axis a line along z, a camera a pyramid of what it sees, with its tip in the camera. Marks of one ``layer``
+    are shown and hidden together, those on links with the robot. ``size`` in m: the radius, or half the side or length,
+    of a camera how far the pyramid goes. ``spread``: half the sides in x and y of a plane that is no square, or of the
+    end of a camera's pyramid, as shares of ``size``.
     ``link``: of the robot, that carries it and in whose frame T is; None where it stands in the world.
     """
 
@@ -91,6 +93,7 @@ class Mark:
     T: Array
     size: float
     link: str | None = None
+    spread: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -410,7 +413,7 @@ def _regions(scene: Scene, rows: IntArray, R_base_world: Array) -> list[tuple[in
 
 def _marks(marks: Sequence[Mark], T_base_world: Array) -> Iterator[_Drawing]:
     for mark in marks:
-        opacity = 0.35 if mark.kind in ("plane", "ball") else 1.0
+        opacity = 0.35 if mark.kind in ("plane", "ball", "camera") else 1.0
         T = mark.T if mark.link is not None else T_base_world @ mark.T
         yield _Drawing(_path(mark), [_shape(mark)], T, opacity=opacity)
 
@@ -439,6 +442,11 @@ def _shape(mark: Mark) -> Triangles:
         end = np.array([[0.0, 0.0, mark.size]])
         return sticks(-end, end, 0.02 * mark.size, MARK, sides=12)
     corners = mark.size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    corners[:, :2] *= mark.spread
+    if mark.kind == "camera":
+        tip = np.vstack([corners + np.array([0.0, 0.0, mark.size]), np.zeros(3)])
+        sides = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+        return Triangles(tip, np.concatenate([sides, sides[:, ::-1]]), MARK)
     # Both sides: a plate is seen from below as well.
     return Triangles(corners, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]]), MARK)
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
@@ -11,6 +12,7 @@ from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import squared_bound
+from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.measurement.measurements import Measurements, numbered
 from calib.presentation.machine_scene import led_apart
@@ -53,6 +55,7 @@ def scene_of(found: Calibration) -> Scene:
         robot, fit.deviations, readings, conditions, lambda times: _beyond(*bases, times) @ root, scales[0]
     )
     marks, notes = _targets(found, extent)
+    marks += _cameras_and_boards(found, extent)
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -130,7 +133,7 @@ _DRAWN: Mapping[Kind, tuple[str, MarkKind]] = {
     "plane": ("planes", "plane"),
     "indicator": ("indicated planes", "plane"),
     "distance": ("anchors", "point"),
-    "pixels": ("boards and cameras", "plane"),
+    "pixels": ("marks", "point"),
 }
 
 
@@ -154,12 +157,51 @@ def _targets(found: Calibration, extent: float) -> tuple[list[Mark], tuple[str, 
         name, T = own.targets[t], fit.machine.frames.targets[t]
         about = [(data, points[rows[t]]) for data, points, rows in sets if t in rows]
         layer, kind = _DRAWN[about[0][0].kind]
-        if known[name] == "point" and kind == "plane":
-            layer, kind = "marks", "point"
+        if kind == "point" and known[name] == "frame":
+            continue
         touched = np.concatenate([points for _, points in about])
         placed, size = _as_touched(kind, T, touched[:, 0], touched[:, 1], extent)
         marks.append(Mark(layer, name, kind, placed, size, own.target_links.get(name)))
     return marks, () if len(drawn) == len(every) else (f"{len(drawn)} of the {len(every)} targets are drawn.",)
+
+
+def _cameras_and_boards(found: Calibration, extent: float) -> list[Mark]:
+    """Return cameras as pyramids of what they see, and boards as large as their marks are spread, wherever they are."""
+    fit, own = found.fit, found.fit.measurements[0]
+    known, frames = shapes(fit.measurements), fit.machine.frames
+    marks: dict[tuple[str, str], Mark] = {}
+    for data in fit.measurements:
+        if data.camera is None:
+            continue
+        on_tip, tip = data.camera.camera_on == "tip", data.tip or fit.robot.tip
+        tools = [(own.tools[k], frames.tools[k], tip, data.tool == k) for k in np.unique(data.tool)]
+        targets = [
+            (own.targets[k], frames.targets[k], own.target_links.get(own.targets[k]), data.target == k)
+            for k in np.unique(data.target)
+            if known.get(own.targets[k]) == "frame"
+        ]
+        for name, T, link, _ in tools if on_tip else targets:
+            marks["cameras", name] = _camera(name, T, link, found, data.camera, extent)
+        for name, T, link, rows in targets if on_tip else tools:
+            places = data.value[rows, 2:]
+            if np.ptp(places, axis=0).max() > 0.0:
+                marks["boards", name] = _board(name, T, link, places)
+    return list(marks.values())
+
+
+def _camera(name: str, T: Array, link: str | None, found: Calibration, camera: Camera, extent: float) -> Mark:
+    lens = lens_of(found.fit, camera)[0]
+    width, height = camera.size or (2.0 * lens.cx, 2.0 * lens.cy)
+    spread = 0.5 * width / lens.fx, 0.5 * height / lens.fy
+    return Mark("cameras", name, "camera", T, 0.12 * extent, link, spread)
+
+
+def _board(name: str, T: Array, link: str | None, places: Array) -> Mark:
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = 0.5 * (high - low)
+    size = float(half[:2].max()) or float(half.max())
+    placed = T @ rigid.translation(0.5 * (low + high))
+    return Mark("boards", name, "plane", placed, size, link, (float(half[0]) / size, float(half[1]) / size))
 
 
 def _stations(found: Calibration, extent: float) -> Iterator[Mark]:
@@ -192,11 +234,7 @@ def _as_touched(kind: MarkKind, T: Array, points: Array, tips: Array, extent: fl
 def _tool_points(found: Calibration, data: Measurements) -> Array:
     """Return the points (N, 2, 3) of tools and of the tips that carry them, in the frame in which targets are told."""
     fit = found.fit
-    tips = fit.bases_of(data) @ data.tips(fit.robot, fit.deviations)
-    for link in dict.fromkeys(data.target_links.values()):
-        rows = np.array([data.link_of(int(t)) == link for t in data.target])
-        seat = fit.robot.with_tip(link).tips(data.readings[rows], fit.deviations, data.conditions.subset(rows))
-        tips[rows] = rigid.inverse(fit.bases_of(data)[rows] @ seat) @ tips[rows]
+    tips = fit.tips_before_targets(data)
     return np.stack([(tips @ fit.tools_of(data))[:, :3, 3], tips[:, :3, 3]], axis=1)
 
 

@@ -208,9 +208,10 @@ class Arm:
             self.errors[name] = E
         self.zeros = {name: float(rng.normal(scale=zero)) for name in self.names}
 
-    def tip(self, q: Array, *, nominal: bool = False) -> Array:
+    def tip(self, q: Array, *, nominal: bool = False, link: str = TIP) -> Array:
+        """Where the flange, or another link, is in the base (4, 4)."""
         T, at = np.eye(4), dict(zip(self.names, q, strict=True))
-        for joint in self.chain:
+        for joint in self.chain[: next(k for k, joint in enumerate(self.chain, 1) if joint.child == link)]:
             T = T @ joint.origin
             if joint.type == "fixed":
                 continue

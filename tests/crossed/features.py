@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, get_args
 
 from calib.measurement import kinds as measured
+from calib.measurement.lens import NAMES
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.terms import KINDS, JointTerm, Kind
 from tests.support import machines
@@ -396,6 +397,7 @@ EXEMPT: Mapping[str, str] = {
     "accept": "answers checks of the verdict; tests/assessment/test_trust.py",
     **{f"measurements.{key}": "how a table is read; tests/proposal" for key in ("ignore", "orientation")},
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "k4", "k5", "k6", "p1", "p2")},
+    **{f"instruments.lens_sigma.{key}": "priors of a lens; tests/identification/test_lenses.py" for key in NAMES},
     **dict.fromkeys(
         ("instruments.lens", "instruments.size", "instruments.lens_file", "measurements.board"),
         "lens and board as unknowns; tests/identification/test_lenses.py, tests/job/test_photographs.py",

@@ -10,6 +10,7 @@ import calib
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import targets
 from calib.identification.identify import residuals_of
+from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.system import Problem
@@ -181,3 +182,44 @@ def test_a_single_mark_does_not_tell_a_lens() -> None:
     true: Scene = scene(np.random.default_rng(2), NOMINAL, "tip", MARK)
     with pytest.raises(JobError, match="is found from photographs of boards, and these are of single marks"):
         seen_by(true.measure(ROBOT, true.draw(np.random.default_rng(1), 8)), unknown("tip"), None)
+
+
+def test_a_stated_prior_counts_and_stays_about_what_was_given() -> None:
+    """Few photographs: the lens is surer with a prior, a sharp one holds it, and another start moves nothing."""
+    rng = np.random.default_rng(5)
+    true = scene(rng, NOMINAL, "tip")
+    off = replace(eye("tip"), free=NAMES[:9], fx=BENT["fx"] + 2.0, k1=BENT["k1"] + 0.01)
+    data = photographed(true, 5, off, Board(), rng, 0.3)
+
+    def found(lens_sigma: dict[str, float], known: dict[str, float] | None = None) -> dict[str, tuple[float, float]]:
+        sets = with_found_lenses([seen_by(data, replace(off, lens_sigma=lens_sigma), data.board)], known)
+        fit = calib.identify(hand_eye(), sets[0])
+        return {p.name: (float(v), float(s)) for p, v, s in zip(fit.parameters, fit.values, fit.sigmas, strict=True)}
+
+    free, stated = found({}), found({"fx": 2.0, "k1": 0.01})
+    for name, sigma in (("lens.fx", 2.0), ("lens.k1", 0.01)):
+        assert stated[name][1] < min(free[name][1], sigma)
+        assert abs(stated[name][0] - BENT[name.removeprefix("lens.")]) < 4.0 * stated[name][1]
+    held = found({"fx": 1e-3})
+    assert held["lens.fx"][0] == pytest.approx(off.fx, abs=5e-3)
+    started = {f"lens.{name}": value * 1.01 for name, value in BENT.items()}
+    again = found({"fx": 2.0, "k1": 0.01}, started)
+    for name in ("lens.fx", "lens.cy", "lens.k1", "board.scale", "tool.x"):
+        value, sigma = stated[name]
+        assert again[name][0] == pytest.approx(value, abs=1e-2 * sigma), name
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"lens_sigma": {"k1": 0.1}}, "lens_sigma: 'k1' is not a free number of the lens"),
+        ({"lens_sigma": {"fx": 0.0}}, "lens_sigma of fx is 0 px; allowed is 0.0001 to 100000 px"),
+        (
+            {"lens_sigma": {"fx": 1.0}, "fx": None, "fy": None, "cx": None, "cy": None, "size": (64, 64)},
+            "lens_sigma: 'fx' is expected near what is given",
+        ),
+    ],
+)
+def test_priors_that_mean_nothing_are_refused(change: dict[str, object], says: str) -> None:
+    with pytest.raises(JobError, match=says):
+        replace(eye("tip"), **({"free": ("fx", "fy", "cx", "cy")} | change))

@@ -118,6 +118,23 @@ BROKEN: dict[str, tuple[Edit, str]] = {
         'instruments.leica.k1: means nothing with kind = "laser_tracker"',
     ),
     "tool without orientation": (edit(JOB, ('tool = "pose"', 'tool = "position"')), 'is not known; write "pose"'),
+    "prior of what is given": (
+        edit(JOB, ('lens = "free"', 'lens = "given"\nlens_sigma = { fx = "2 px" }')),
+        'instruments.camera.lens_sigma.fx: fx is not free; write lens = "free" or name it there',
+    ),
+    "prior of nothing": (
+        edit(JOB, ('lens = "free"', 'lens = "free"\nlens_sigma = { k1 = 0 }')),
+        "instruments.camera.lens_sigma.k1: 0 is out of range; allowed is 1e-09 to 1000.",
+    ),
+    "prior about nothing": (
+        edit(
+            JOB,
+            ('lens = "free"', 'lens = "free"\nlens_sigma = { cx = "5 px" }'),
+            *((f'{key} = "{value} px"\n', "") for key, value in LENS.items()),
+            *((f"{key} = {value}\n", "") for key, value in BENT.items()),
+        ),
+        "instruments.camera.lens_sigma.cx: is about what is given, and fx, fy, cx, cy are not; leave it out.",
+    ),
     "folded lens": (
         edit(JOB, ('lens = "free"', 'lens = "given"'), ("k1 = -0.1124", "k1 = -9.0")),
         "identification.csv:",

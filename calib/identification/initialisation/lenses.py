@@ -80,7 +80,10 @@ def _with(data: Measurements, lenses: Mapping[str, Camera]) -> Measurements:
     starts = {
         one.name: getattr(camera, role) for camera in lenses.values() for role, one in lens_scalars(camera).items()
     }
-    scalars = tuple(replace(one, start=starts.get(one.name, one.start)) for one in data.scalars)
+    # A stated prior stays about what was given with it.
+    scalars = tuple(
+        one if one.prior is not None else replace(one, start=starts.get(one.name, one.start)) for one in data.scalars
+    )
     camera = None if data.camera is None else lenses.get(data.camera.name, data.camera)
     return replace(data, camera=camera, scalars=scalars)
 
