@@ -364,6 +364,7 @@ EXEMPT: Mapping[str, str] = {
     "schema": "says which schema this is",
     "robot.mesh_roots": "matters to drawing alone; tests/presentation/test_scene.py",
     **{f"error_model.{key}": "gives way by itself; tests/identification/test_bearings.py" for key in _BY_THEMSELVES},
+    "error_model.torque_offsets": "needs measured torques; tests/identification/test_torques.py",
     "error_model.dh_parallel": "which of two DH numbers is free; tests/identification/test_dh_model.py",
     **{
         f"instruments.{key}": "an arm that touches; its backlash and its grid: tests/job/test_arm.py"

@@ -15,17 +15,17 @@ import pytest
 import calib
 from calib.foundations.errors import CalibError
 
-# What functions make, and nobody writes down: it is as good as their arguments.
+# What functions make, and nobody writes down, or what is of a fit: it is as good as their arguments.
 MADE = (
     *("Bootstrap", "CalibratedCell", "Calibration", "Choice", "Corrections", "CrossValidation", "DhFrames"),
     *("ErrorModel", "Export", "Finding", "Fit", "FivePoint", "Forecast", "GroupStudy", "HeldOut", "JudgedModel"),
     *("Measurements", "ModelComparison", "Observability", "Performance", "Pivot", "Plan", "PrismaticAxis", "Proposal"),
     *("ProposedTable", "Question", "RelativeBase", "RevoluteAxis", "Robot", "SelfCollision", "Sensitivity"),
-    *("TableError", "Targets", "Touches", "Trace"),
+    *("TableError", "Targets", "Touches", "Trace", "Views"),
 )
 # Conditions say nothing where they are NaN, and are held against the rows that they are of; sight may have no end.
 LATER = {
-    "Conditions": ("payload", "gravity", "temperature", "torque", "approach", "lagged", "torque_sigma"),
+    "Conditions": ("payload", "gravity", "temperature", "torque", "approach", "lagged", "torque_sigma", "motion"),
     "Sight": ("nearest", "farthest"),
 }
 FRONT = (calib, calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner)
