@@ -58,7 +58,7 @@ class Views:
     most_tilt: float = 55.0 * DEG
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.most_tilt, float) and 0.0 < self.most_tilt < 90.0 * DEG):
+        if not 0.0 < self.most_tilt < 90.0 * DEG:
             raise JobError(f"most_tilt: {self.most_tilt!r} is not an angle in rad between 0 and pi/2.")
         data = self.photographed
         if data.target_links:
