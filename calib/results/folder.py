@@ -45,6 +45,7 @@ from calib.results.report import report_of
 from calib.results.scene import scene_of
 from calib.results.versions import versions
 from calib.robot import dh
+from calib.robot.sources import usual_mesh_roots
 
 RESULT_FILE = "result.json"
 JOB_FILE = "job.json"
@@ -154,10 +155,11 @@ def scene(found: Calibration | Fit | CalibratedMachine) -> Page:
     """Return the 3D scene of a calibration as one HTML page that needs no other file; a notebook shows it in place.
 
     Meshes are read from ``found.origin.mesh_roots``, and sticks are drawn without them. Of a machine: its joints move
-    one after the other, beside the nominal arm.
+    one after the other, beside the nominal arm; meshes are looked for where its URDF was read.
     """
     if isinstance(found, CalibratedMachine):
-        return Page(render_scene(machine_scene(found)))
+        urdf = found.robot.urdf
+        return Page(render_scene(machine_scene(found, usual_mesh_roots(urdf.source, urdf.where))))
     return Page(render_scene(scene_of(judged(found))))
 
 

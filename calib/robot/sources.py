@@ -116,6 +116,16 @@ def package_folders(source: bytes, urdf: Path) -> tuple[Path, ...]:
     return tuple(found.values())
 
 
+def usual_mesh_roots(source: bytes, where: str) -> tuple[Path, ...]:
+    """Return the folders where the meshes of a URDF usually are: its own, its packages, those of the examples.
+
+    ``where`` the URDF was read: its file, or ``example:`` and a path.
+    """
+    examples = (examples_folder().parents[1],) if where.startswith(EXAMPLE) else ()
+    urdf = resolve(where) if examples else Path(where)
+    return (urdf.parent, *examples, *package_folders(source, urdf)) if urdf.is_file() else ()
+
+
 def _package_name(folder: Path) -> str | None:
     """Return the name that a folder's ``package.xml`` states; None where it has none."""
     try:
