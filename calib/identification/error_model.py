@@ -12,7 +12,6 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.foundations.selection import Selection, listed_names, select
@@ -239,7 +238,7 @@ def error_model(
     _refuse_priors(priors, robot)
     _refuse_other_words("base", base, get_args(BaseFreedom))
     _refuse_other_words("tool", tool, get_args(ToolFreedom))
-    _refuse_other_words("dh_convention", dh.convention, get_args(Convention))
+
     seeks_dh = not (isinstance(dh.numbers, str) and dh.numbers == "none")
     frames = dh_frames(robot, dh.convention, dh.parallel) if seeks_dh else None
     if frames is not None:

@@ -47,7 +47,7 @@ class Target:
 
     ``pose`` (4, 4): that of a board or camera, a point's position, or a frame in whose x and y a plane lies; its z
     points to the side from which the plane is touched. ``height_is_known``: False where a plane's normal alone is
-    known, such as an indicator's entries; its zero is then found.
+    known, such as an indicator's direction; its zero is then found.
     """
 
     __repr__ = brief
@@ -93,7 +93,7 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
 def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: Layout) -> tuple[Parameter, ...]:
     """Return the parameters of targets and scalars for sets with common names, in the order of the state.
 
-    Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose entries nobody gave.
+    Raises MeasurementError as :func:`shapes` does, JobError for an indicator whose direction nobody gave.
     """
     parameters: list[Parameter] = []
     found = shapes(sets)
@@ -146,4 +146,4 @@ def split_of(parameters: Sequence[Parameter], layout: Layout, joined: Collection
 def _refuse_no_direction(data: Measurements, known: Mapping[str, Target]) -> None:
     for name in dict.fromkeys(data.targets[t] for t in data.target):
         if name not in known:
-            raise JobError(f"{data.where}: the entries of the indicator {name!r} is not given; give its normal.")
+            raise JobError(f"{data.where}: the direction of the indicator {name!r} is not given; give its normal.")

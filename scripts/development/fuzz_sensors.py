@@ -212,7 +212,8 @@ def session(data: bytes) -> None:
     files = unpacked(data)
     print_ = read_board(file("board.toml", files.get("board.toml", b"")))
     readings = file("readings.csv", files.get("readings.csv", b""))
-    found = import_photographs(folder, print_, readings, orientation="rpy")
+    orientation = "rpy" if b"rx" in files.get("readings.csv", b"") else None
+    found = import_photographs(folder, print_, readings, orientation=orientation)
     found.contents()
     assert found.table().count("\n") > len(found.used), "photographs without corners"
 

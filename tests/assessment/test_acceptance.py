@@ -16,6 +16,7 @@ from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.calibrated import machine_of
 from calib.machine.grid import Leaning
+from calib.machine.residual_model import ResidualModel
 from tests.support import machines
 from tests.support.cases import copy_case, run
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -110,7 +111,7 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
     _, true, _ = machine()
     u, data = machine_of(calibrated(true, 1)), seen(true, 12, 8)
 
-    class AlongTheBase:
+    class AlongTheBase(ResidualModel):
         def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
             return np.tile(base[:3, 0] * 1e-3, (len(readings), 1))
 

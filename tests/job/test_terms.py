@@ -15,8 +15,8 @@ from calib.presentation.sheets import choice_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
-from tests.identification.test_torques import table
 from tests.support import cases
+from tests.support.torques import table
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
 JOB = "calibration_harmonics.toml"

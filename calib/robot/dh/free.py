@@ -1,13 +1,13 @@
 """Which numbers of a robot's DH table are unknown."""
 
 from dataclasses import dataclass
+from typing import get_args
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError
 from calib.foundations.selection import Selection
 from calib.robot.dh.frames import PARALLEL
-from calib.robot.dh.table import check_convention
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,7 @@ class Free:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        check_convention(self.convention)
+        if self.convention not in get_args(Convention):
+            raise JobError(f"dh_convention: {self.convention!r} is not one of {', '.join(get_args(Convention))}.")
         if not 0.0 <= self.parallel <= 0.5:
             raise JobError(f"dh_parallel: {self.parallel!r} is not an angle between 0 and 0.5 rad.")
