@@ -100,7 +100,7 @@ def recordings() -> list[bytes]:
 
 # Logs. -----------------------------------------------------------------------------------------------------------
 
-_MOTIVE = b"""Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
+MOTIVE = b"""Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
 
 ,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker
 ,Name,tool,tool,tool,tool,tool,tool,tool,tool,m1,m1,m1
@@ -123,7 +123,7 @@ def logs() -> list[bytes]:
     """Return an export of Motive, and logs of UR's RTDE."""
     titles = ["timestamp", *(f"actual_q_{k}" for k in range(6)), "runtime_state"]
     rows = [[str(x) for x in (100.0 + 0.008 * n, *(0.1 * k + n for k in range(6)), 1)] for n in range(4)]
-    return [_MOTIVE] + [("\n".join(gap.join(row) for row in [titles, *rows]) + "\n").encode() for gap in " ,"]
+    return [MOTIVE] + [("\n".join(gap.join(row) for row in [titles, *rows]) + "\n").encode() for gap in " ,"]
 
 
 # Boards, photographs, lenses. ------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ walked by scripts/development/judge_machines.py, streams by scripts/simulate/str
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -24,12 +23,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.foundations.errors import CalibError
 from calib.machine.calibrated import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import squared_bound
 from scripts.development.judge_machines import Array, arm
 from scripts.simulate.streams import UR10, Recorded, motion, record
+from scripts.studies.store import simulate, stored
 
 SIGMA = 1e-4
 MEMORIES = (0.05, 0.5)
@@ -109,33 +108,6 @@ def inside(fit: calib.Fit, readings: Array, errors: Array) -> float:
     return float(np.mean(squares <= squared_bound(0.95, 3, said.degrees_of_freedom)))
 
 
-def stored(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """The sessions of every cell that a store has; a seed counts once."""
-    found: dict[str, dict[int, dict[str, Any]]] = {cell: {} for cell in CELLS}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        told = json.loads(line)
-        if told["cell"] in found:
-            found[told["cell"]].setdefault(told["seed"], told)
-    return {cell: [by_seed[seed] for seed in sorted(by_seed)] for cell, by_seed in found.items()}
-
-
-def simulate(path: Path, chosen: Sequence[str], sessions: int, until: float) -> None:
-    """Add sessions to the store, a seed of all cells after another."""
-    done = {(cell, told["seed"]) for cell, all_told in stored(path).items() for told in all_told}
-    for seed in range(sessions):
-        for cell in chosen:
-            if (cell, seed) in done:
-                continue
-            if time.monotonic() > until:
-                return
-            try:
-                line = {"cell": cell, "seed": seed, **session(cell, seed)}
-            except CalibError as e:
-                line = {"cell": cell, "seed": seed, "refused": str(e)}
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-
-
 HEAD = (
     "| streams | sessions | tip speed, rms | clock error, rms / largest [ms] | its sigma [ms] "
     "| as if rows erred alone [ms] | offset in 95 % | skew in 95 % | points in 95 % regions "
@@ -176,8 +148,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.markdown is None:
         chosen = [cell for cell in CELLS if arguments.cells in cell]
-        simulate(arguments.store, chosen, arguments.sessions, time.monotonic() + 60.0 * arguments.minutes)
-    text = table(stored(arguments.store))
+        simulate(arguments.store, chosen, arguments.sessions, time.monotonic() + 60.0 * arguments.minutes, session)
+    text = table(stored(arguments.store, CELLS))
     if arguments.markdown is not None:
         arguments.markdown.write_text(text, encoding="utf-8", newline="\n")
     print(text)

@@ -13,7 +13,6 @@ of scripts/development/judge_cases.py.
 """
 
 import argparse
-import json
 import sys
 import time
 import tomllib
@@ -28,7 +27,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.foundations.errors import CalibError
 from calib.job.inputs import load
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
@@ -45,6 +43,7 @@ from scripts.development.judge_cases import (
 from scripts.development.judge_machines import Arm, Array, State, placed, predict
 from scripts.simulate.irb2400 import Machine, noise, poses, truth_text
 from scripts.studies.irb2400_levels import CASE, CRANK, grid_of, measured
+from scripts.studies.store import simulate, stored
 
 SIGMA = 0.05e-3
 UNSEEN = 100
@@ -312,35 +311,12 @@ def session(cell: str, seed: int) -> Told:
     return irb2400(seed) if robot == "irb2400" else other(kind, seed)
 
 
+def figures(cell: str, seed: int) -> dict[str, Any]:
+    """The session of a seed in a cell, as a store has it."""
+    return vars(session(cell, seed))
+
+
 # ---- the store and the page
-
-
-def stored(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """The sessions of every cell that a store has; a seed counts once."""
-    found: dict[str, dict[int, dict[str, Any]]] = {cell: {} for cell in cells()}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        told = json.loads(line)
-        if told["cell"] in found:
-            found[told["cell"]].setdefault(told["seed"], told)
-    return {cell: [by_seed[seed] for seed in sorted(by_seed)] for cell, by_seed in found.items()}
-
-
-def simulate(path: Path, chosen: list[str], sessions: int, until: float) -> None:
-    """Add sessions to the store, a seed of all cells after another."""
-    done = {(cell, told["seed"]) for cell, all_told in stored(path).items() for told in all_told}
-    for seed in range(sessions):
-        for cell in chosen:
-            if (cell, seed) in done:
-                continue
-            if time.monotonic() > until:
-                return
-            try:
-                told = session(cell, seed)
-                line: dict[str, Any] = {"cell": cell, "seed": seed, **vars(told)}
-            except CalibError as e:
-                line = {"cell": cell, "seed": seed, "refused": str(e)}
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
 
 
 def wanting(figures: Figures, capped: bool) -> str:
@@ -411,8 +387,9 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.page is None:
         chosen = [cell for cell in cells() if arguments.cells in cell]
-        simulate(arguments.store, chosen, arguments.sessions, time.monotonic() + 60.0 * arguments.minutes)
-    text = page(stored(arguments.store))
+        until = time.monotonic() + 60.0 * arguments.minutes
+        simulate(arguments.store, chosen, arguments.sessions, until, figures)
+    text = page(stored(arguments.store, cells()))
     if arguments.page is not None:
         arguments.page.write_text(text, encoding="utf-8", newline="\n")
     print(text)

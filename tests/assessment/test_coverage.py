@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scripts.studies import coverage
+from scripts.studies.store import simulate, stored
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,15 +29,15 @@ def test_intervals_of_the_four_bar_hold_with_the_whole_budget_only() -> None:
 
 def test_a_store_is_resumed_and_read_once(tmp_path: Path) -> None:
     store = tmp_path / "sessions.jsonl"
-    coverage.simulate(store, ["ur5 white 20"], 2, float("inf"))
+    simulate(store, ["ur5 white 20"], 2, float("inf"), coverage.figures)
     first = store.read_text()
-    coverage.simulate(store, ["ur5 white 20"], 2, float("inf"))
+    simulate(store, ["ur5 white 20"], 2, float("inf"), coverage.figures)
     assert store.read_text() == first
     store.write_text(first + first)
-    assert [told["seed"] for told in coverage.stored(store)["ur5 white 20"]] == [0, 1]
+    assert [told["seed"] for told in stored(store, coverage.cells())["ur5 white 20"]] == [0, 1]
     refused = json.dumps({"cell": "ur5 white 60", "seed": 0, "refused": "why"})
     store.write_text(f"{first}{refused}\n")
-    text = coverage.page(coverage.stored(store))
+    text = coverage.page(stored(store, coverage.cells()))
     assert "2 simulated sessions in 51 cells" in text
     assert "1 were refused" in text
     assert "| UR5, 60 poses | 0 | | | | | | | not run |" in text

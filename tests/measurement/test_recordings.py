@@ -15,7 +15,10 @@ from calib.foundations.errors import MeasurementError
 from calib.measurement.formats import unpacking
 from calib.measurement.formats.recordings import read_topic, topics
 from calib.measurement.formats.sheet import Sheet, read_sheet
+from scripts.development.fuzz_sensors import MOTIVE as MOTIVE_BYTES
 from tests.support.cases import run
+
+MOTIVE = MOTIVE_BYTES.decode()
 
 rosbags = pytest.importorskip("rosbags", reason="needs rosbags: pip install 'urdf-calib[bags]'")
 KINDS = ("ros1", "ros2", "mcap")
@@ -179,19 +182,6 @@ def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
     assert sheet.titles[:2] == ("time [s]", "shoulder_pan_joint [rad]")
     assert sheet.titles[7] == "commanded_shoulder_pan_joint [rad]"
     np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5, *[9.0] * 6])
-
-
-MOTIVE = """Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.0,Rotation Type,Quaternion,Length Units,Meters
-
-,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Marker,Marker,Marker
-,Name,tool,tool,tool,tool,tool,tool,tool,tool,m1,m1,m1
-,ID,1,1,1,1,1,1,1,1,2,2,2
-,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Error Per Marker,Position,Position,Position
-Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z
-0,0.000000,0,0,0.6,0.8,1.0,2.0,3.0,0.0001,0,0,0
-1,0.008333,,,,,,,,,0,0,0
-2,0.016667,0,0,0.6,0.8,1.1,2.0,3.0,0.0001,0,0,0
-"""
 
 
 def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
