@@ -6,16 +6,13 @@ from typing import Annotated, Literal
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, written
 from calib_start import loading
 
 
 @command("board", PREPARE, "calib board -o board/")
 def board(
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="FOLDER", help="New folder for what is to be printed.", readable=False),
-    ],
+    out: Annotated[Path, written("FOLDER", "New folder for what is to be printed.")],
     kind: Annotated[str, typer.Option("--kind", help="charuco or chessboard.")] = "charuco",
     squares: Annotated[str, typer.Option("--squares", help="Squares across and down, like 7x5.")] = "7x5",
     square: Annotated[str, typer.Option("--square", help="Side of a square.")] = "30 mm",

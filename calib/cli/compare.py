@@ -3,34 +3,19 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, written
 from calib_start import loading
 
 if TYPE_CHECKING:
     from calib.assessment.drift import Comparison
 
-_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False, readable=False)
-_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False, readable=False)
-
 
 @command("compare", JUDGE, "calib compare old/ new/")
 def compare(
-    old: Annotated[Path, _OLD],
-    new: Annotated[Path, _LATER],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="A page with both side by side (.html).",
-            show_default=False,
-            readable=False,
-        ),
-    ] = None,
+    old: Annotated[Path, argument("OLD", "Results of the earlier calibration.")],
+    new: Annotated[Path, argument("NEW", "Results of the later calibration.")],
+    out: Annotated[Path | None, written("FILE", "A page with both side by side (.html).")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -6,29 +6,17 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName, argument, option, written
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
-
-TargetFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="TARGETS", help="Joint targets, poses or positions (CSV).", show_default=False, readable=False
-    ),
-]
-CommandFile = Annotated[
-    Path, typer.Option("--out", "-o", metavar="FILE", help="The corrected table, to be written.", readable=False)
-]
 
 
 @command("compensate", PATH, "calib compensate out/ targets.csv -o corrected.csv")
 def compensate(
     results: ResultFolder,
-    targets: TargetFile,
-    out: CommandFile,
-    tool: Annotated[
-        str, typer.Option("--tool", metavar="NAME", help="The tool that shall reach the targets.")
-    ] = "tool",
+    targets: Annotated[Path, argument("TARGETS", "Joint targets, poses or positions (CSV).")],
+    out: Annotated[Path, written("FILE", "The corrected table, to be written.")],
+    tool: Annotated[str, option("--tool", "NAME", "The tool that shall reach the targets.")] = "tool",
     setup: SetupName = None,
     frame: Annotated[PoseFrame, typer.Option("--frame", help="In whose frame poses are given.")] = "base",
     what: Annotated[What, typer.Option("--what", help="What of a target is to be reached.")] = "pose",

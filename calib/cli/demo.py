@@ -4,20 +4,17 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import PATH, command
 from calib.cli.calibrate import calibrate
 from calib.cli.check import check
 from calib.cli.compensate import compensate
+from calib.cli.options import argument
 from calib_start import loading
 
 
 @command("demo", PATH, "calib demo")
 def demo(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder to be made.", readable=False)] = Path(
-        "calib-demo"
-    ),
+    folder: Annotated[Path, argument("FOLDER", "A folder to be made.")] = Path("calib-demo"),
 ) -> None:
     """Show the whole path on a simulated IRB2400.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, option, written
 from calib.foundations.choices import Target
 from calib.foundations.units import MM
 from calib_start import loading
@@ -22,10 +22,8 @@ _WORSE = (
 def export(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
-    tool: Annotated[
-        str | None, typer.Option("--tool", metavar="NAME", help="Whose arm, where the robot has several.")
-    ] = None,
+    out: Annotated[Path, written("FILE", "The file, to be written.")],
+    tool: Annotated[str | None, option("--tool", "NAME", "Whose arm, where the robot has several.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -6,30 +6,19 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import BAD_INPUT, INTERRUPTED, MORE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
-
-JobFiles = Annotated[
-    list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False, readable=False)
-]
 
 
 @command("fleet", MORE, "calib fleet jobs/*.toml -o fleet/")
 def fleet(
-    jobs: JobFiles,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="FOLDER", help="Folder of all results: one in it for every job.", readable=False
-        ),
-    ] = Path("fleet"),
+    jobs: Annotated[list[Path], argument("JOBS...", "Job files (TOML).")],
+    out: Annotated[Path, written("FOLDER", "Folder of all results: one in it for every job.")] = Path("fleet"),
     workers: Annotated[
         int | None,
         typer.Option("--jobs", "-j", metavar="N", min=1, help="Number of processes.  [default: one for every core]"),
     ] = None,
-    dask: Annotated[
-        str | None, typer.Option("--dask", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
-    ] = None,
+    dask: Annotated[str | None, option("--dask", "ADDRESS", "A Dask scheduler, as tcp://host:8786.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -6,69 +6,31 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
 
 # The first word for photographs.
 _IMAGES = "images"
+_FILES = "One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER."
+_STACK = "Put the files one below the other; a column TITLE has their names."
+_ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
+_READINGS = "Of images: a table of the joints, or of the flange's pose, with the column image."
 
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
 def import_(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER.",
-            show_default=False,
-            readable=False,
-        ),
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)
-    ] = None,
+    files: Annotated[list[Path], argument("FILE...", _FILES)],
+    out: Annotated[Path | None, written("FILE", "The table, to be written.")] = None,
     by: Annotated[
-        str | None,
-        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
+        str | None, typer.Option("--by", help="Title of the column that names rows, or the word order.")
     ] = None,
-    stack: Annotated[
-        str | None,
-        typer.Option(
-            "--stack",
-            metavar="TITLE",
-            help="Put the files one below the other; a column TITLE has their names.",
-            show_default=False,
-        ),
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="URDF",
-            help="FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job.",
-            show_default=False,
-        ),
-    ] = None,
+    stack: Annotated[str | None, option("--stack", "TITLE", _STACK)] = None,
+    robot: Annotated[str | None, option("--robot", "URDF", _ROBOT)] = None,
     topic: Annotated[
-        str | None,
-        typer.Option(
-            "--topic", metavar="NAME", help="Of a recording: the topic, or rigid body, to be read.", show_default=False
-        ),
+        str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, to be read.")
     ] = None,
-    board: Annotated[
-        Path | None,
-        typer.Option("--board", metavar="FILE", help="Of images: board.toml.", show_default=False, readable=False),
-    ] = None,
-    readings: Annotated[
-        Path | None,
-        typer.Option(
-            "--readings",
-            metavar="FILE",
-            help="Of images: a table of the joints, or of the flange's pose, with the column image.",
-            show_default=False,
-            readable=False,
-        ),
-    ] = None,
+    board: Annotated[Path | None, option("--board", "FILE", "Of images: board.toml.")] = None,
+    readings: Annotated[Path | None, option("--readings", "FILE", _READINGS)] = None,
     tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None,
     orientation: Annotated[
         str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument
 from calib.cli.proposing import (
     Angles,
     ColumnNames,
@@ -24,10 +24,7 @@ from calib_start import loading
 @command("init", PATH, "calib init arm.urdf measured.csv")
 def init(
     urdf: Annotated[str, typer.Argument(metavar="URDF", help="The robot, or example:...", show_default=False)],
-    data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA...", help="Tables of measurements.", show_default=False, readable=False),
-    ],
+    data: Annotated[list[Path], argument("DATA...", "Tables of measurements.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
         "calibration.toml"
     ),

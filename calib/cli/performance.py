@@ -3,26 +3,18 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, argument, option
 from calib_start import loading
-
-TouchFiles = Annotated[
-    list[Path], typer.Argument(metavar="TOUCHES...", help="Touched points (CSV).", show_default=False, readable=False)
-]
-ProbeFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--probe", metavar="FILE", help="A cone touched to find the probe point.", show_default=False, readable=False
-    ),
-]
 
 
 @command("performance", JUDGE, "calib performance out/ cone.csv lengths.csv")
 def performance(
-    results: ResultFolder, touches: TouchFiles, probe: ProbeFile = None, as_json: Json = False, quiet: Quiet = False
+    results: ResultFolder,
+    touches: Annotated[list[Path], argument("TOUCHES...", "Touched points (CSV).")],
+    probe: Annotated[Path | None, option("--probe", "FILE", "A cone touched to find the probe point.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Evaluate acceptance tests of an arm CMM.
 

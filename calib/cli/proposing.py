@@ -15,28 +15,23 @@ if TYPE_CHECKING:
     from calib.job.proposal import Proposal, Question
     from calib.presentation.console import Shown
 
-Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.", show_default=False)]
-Angles = Annotated[
-    str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.", show_default=False)
-]
-Lengths = Annotated[
-    str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.", show_default=False)
-]
+Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.")]
+Angles = Annotated[str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.")]
+Lengths = Annotated[str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.")]
 OrientationName = Annotated[
     str | None,
     typer.Option(
         "--orientation",
         help="What three angles are: rotation_vector, abc (KUKA), wpr (FANUC), rpy, or an order like ZYX or xyz.",
-        show_default=False,
     ),
 ]
 Observes = Annotated[
     str | None,
-    typer.Option("--observes", help="What was measured: position, pose, socket, distance.", show_default=False),
+    typer.Option("--observes", help="What was measured: position, pose, socket, distance."),
 ]
 ColumnNames = Annotated[
     list[str] | None,
-    typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable.", show_default=False),
+    typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable."),
 ]
 
 

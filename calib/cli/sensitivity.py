@@ -5,33 +5,20 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import JobFile, Json, Quiet
+from calib.cli.options import JobFile, Json, Quiet, option
 from calib_start import loading
 
-Errors = Annotated[
-    Path | None,
-    typer.Option(
-        "--errors",
-        metavar="FOLDER|FILE",
-        help="Results of calib calibrate on this job, or assumed errors (CSV: parameter, error).",
-        show_default=False,
-        readable=False,
-    ),
-]
-PlotFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False, readable=False
-    ),
-]
+_ERRORS = "Results of calib calibrate on this job, or assumed errors (CSV: parameter, error)."
 
 
 @command("sensitivity", PREPARE, "calib sensitivity calibration.toml --plot sensitivity.svg")
 def sensitivity(
-    job: JobFile, errors: Errors = None, plot: PlotFile = None, as_json: Json = False, quiet: Quiet = False
+    job: JobFile,
+    errors: Annotated[Path | None, option("--errors", "FOLDER|FILE", _ERRORS)] = None,
+    plot: Annotated[Path | None, option("--plot", "FILE", "Also draw it, as .svg, .png or .pdf.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName, option, written
 from calib.foundations.choices import MOST_POSES
 from calib_start import loading
 
@@ -14,14 +14,11 @@ from calib_start import loading
 @command("uncertainty", JUDGE, "calib uncertainty out/ -o sigmas.csv")
 def uncertainty(
     results: ResultFolder,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
-    ] = None,
+    out: Annotated[Path | None, written("FILE", "Also write every sampled pose (CSV).")] = None,
     samples: Annotated[
         int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="How many random poses.")
     ] = 2000,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool to tell the uncertainty of.")] = "tool",
+    tool: Annotated[str, option("--tool", "NAME", "The tool to tell the uncertainty of.")] = "tool",
     setup: SetupName = None,
     whole: Annotated[
         bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
