@@ -24,10 +24,7 @@ from calib.job.refusals import (
     refuse_wrong_shapes,
     weights_not_known,
 )
-from calib.job.schema import (
-    Job,
-    MeasurementsSection,
-)
+from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
 from calib.job.tables import (
     OF_HELD_OUT,

@@ -22,11 +22,7 @@ from calib.job.proposal import Proposal, ProposedTable, table_lines
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
-from calib.measurement.roles import (
-    Roles,
-    numbered_columns,
-    roles,
-)
+from calib.measurement.roles import Roles, numbered_columns, roles
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf

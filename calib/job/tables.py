@@ -11,12 +11,7 @@ from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.job.arm import ReadArm, read_arm
 from calib.job.propose import reading_that_fits
 from calib.job.read import Progress, read_board
-from calib.job.schema import (
-    FLOOR,
-    InstrumentSection,
-    Job,
-    MeasurementsSection,
-)
+from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding
