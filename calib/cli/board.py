@@ -34,7 +34,6 @@ def board(
         from calib.job.board import board_toml
         from calib.measurement.formats.images import marker_bits
         from calib.measurement.prints import Print
-        from calib.presentation.console import printable
         from calib.presentation.printed_board import drawing, pdf, svg
     allowed, with_markers = RANGES["square, marker"], kind != "chessboard"
     print_ = Print(
@@ -49,7 +48,7 @@ def board(
     width, height = of.size
     said = f"{out} holds board.pdf and board.svg, {width:g} x {height:g} mm, and board.toml. Print at 100 %."
     Telling(as_json, quiet).tell(
-        lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [printable(said)]
+        lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [said]
     )
 
 

@@ -35,7 +35,6 @@ def cell(
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
         from calib.presentation.cell_scene import cell_scene
-        from calib.presentation.console import printable
         from calib.presentation.scene import render_scene
     if scene == out:
         raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
@@ -54,5 +53,5 @@ def cell(
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), "scene": None if scene is None else str(scene), **found.contents()},
-        lambda: [printable(f"The cell is in {out}.{changed}")],
+        lambda: [f"The cell is in {out}.{changed}"],
     )

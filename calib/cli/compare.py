@@ -28,8 +28,8 @@ def compare(
         from calib.assessment.drift import compare as compared
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.presentation.acceptance_tables import change_sheet, comparison_lines
-        from calib.presentation.tables import sheet_table
+        from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
+        from calib.presentation.console import strong
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -41,7 +41,8 @@ def compare(
     if out is not None:
         write_new(out, _page(old, new, found))
     changes = [change_sheet(found)] if found.changes else []
-    telling.tell(found.contents, lambda: [*map(sheet_table, changes), *comparison_lines(found)])
+    *said, moved = comparison_sentences(found)
+    telling.tell(found.contents, lambda: [*changes, *said, strong(moved)])
 
 
 def _page(old: Path, new: Path, found: "Comparison") -> str:

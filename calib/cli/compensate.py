@@ -41,7 +41,7 @@ def compensate(
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
-        from calib.presentation.console import printable, warning
+        from calib.presentation.console import warning
     refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
@@ -60,6 +60,6 @@ def compensate(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
             *map(warning, outside),
-            printable(f"{len(found)} targets, {said}. The corrected commands are in {out}."),
+            f"{len(found)} targets, {said}. The corrected commands are in {out}.",
         ],
     )

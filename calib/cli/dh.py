@@ -28,7 +28,6 @@ def dh(
     with loading():
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
-        from calib.presentation.console import printable
         from calib.robot import dh as dh_of
         from calib.robot.load import load_robot
     kinds = {source.suffix.lower(), out.suffix.lower()}
@@ -43,5 +42,5 @@ def dh(
         write_new(out, dh_of.write_dh(table))
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), **table.contents()},
-        lambda: [printable(f"{len(table.rows)} rows, {table.convention} convention; the file is {out}.")],
+        lambda: [f"{len(table.rows)} rows, {table.convention} convention; the file is {out}."],
     )

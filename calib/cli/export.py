@@ -38,7 +38,7 @@ def export(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.folders import reading_folder
         from calib.machine.model_file import load_machine
-        from calib.presentation.console import printable, warning
+        from calib.presentation.console import warning
         from calib.results.folder import DH_FILE
         from calib.robot import dh
     refuse_taken(out)
@@ -61,12 +61,10 @@ def export(
                 warning(f"{part.part}: not in the file; this moves the tip by {_said(part.cost)}.")
                 for part in found.left_out
             ),
-            printable(
-                f"Distance of the tip from that of the calibrated machine, over random poses {where}: the nominal "
-                f"machine {_said(found.before)}, {machine} {_said(found.lost)}."
-            ),
+            f"Distance of the tip from that of the calibrated machine, over random poses {where}: the nominal "
+            f"machine {_said(found.before)}, {machine} {_said(found.lost)}.",
             *([warning(_WORSE)] if found.lost > found.before else []),
-            printable(f"Read back and compared; the file is {out}."),
+            f"Read back and compared; the file is {out}.",
         ],
     )
 

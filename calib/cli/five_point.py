@@ -26,8 +26,8 @@ def five_point(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.positioner import five_point_of
-        from calib.presentation.console import printable, warning
-        from calib.presentation.positioner_tables import axes_table
+        from calib.presentation.console import warning
+        from calib.presentation.positioner_tables import axes_sheet
     if out is not None:
         refuse_taken(out)
     found = five_point_of(points, sigma=parse_within(sigma, RANGES["sigma"], "sigma"))
@@ -37,7 +37,7 @@ def five_point(
         found.contents,
         lambda: [
             *(warning(finding.sentence) for finding in found.findings),
-            axes_table(found),
-            *([] if out is None else [printable(f"The positioner's URDF is {out}.")]),
+            axes_sheet(found),
+            *([] if out is None else [f"The positioner's URDF is {out}."]),
         ],
     )

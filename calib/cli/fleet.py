@@ -33,9 +33,8 @@ def fleet(
         from calib.foundations.folders import made_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
-        from calib.presentation.console import printable, show_error, warning
+        from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
-        from calib.presentation.tables import sheet_table
     telling = Telling(as_json, quiet)
     chosen = fleet_jobs(jobs, out)
     try:
@@ -52,10 +51,10 @@ def fleet(
     telling.tell(
         lambda: summary(lines),
         lambda: [
-            sheet_table(fleet_sheet(lines)),
+            fleet_sheet(lines),
             *(warning(f"{line.name}: {line.word}: {' '.join(line.why)}") for line in lines if line.word != "trusted"),
-            printable(fleet_sentence(lines) + unchanged),
-            printable(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
+            fleet_sentence(lines) + unchanged,
+            f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job.",
         ],
     )
     words = {line.word for line in lines}

@@ -1,13 +1,16 @@
 """``calib import``: files that are no plain tables, or whose joints and points are apart, as one table."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
 from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
+
+if TYPE_CHECKING:
+    from calib.measurement.formats.sheet import Sheet
 
 # The first word for photographs.
 _IMAGES = "images"
@@ -53,7 +56,6 @@ def import_(
         from calib.foundations.files import refuse_taken, write_new
         from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet, stacked
-        from calib.presentation.console import printable
     if any(is_recording(file) for file in files):
         _recording(files, topic, out, Telling(as_json, quiet))
         return
@@ -77,34 +79,32 @@ def import_(
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
-    said = [f"{remark}." for remark in sheet.remarks]
-    said.append(f"{len(sheet.rows)} rows of {len(sheet.titles)} columns are in {out}.")
-    Telling(as_json, quiet).tell(
-        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
-        lambda: map(printable, said),
-    )
+    _tell(sheet, f"{len(sheet.titles)} columns", out, Telling(as_json, quiet))
 
 
 def _recording(files: list[Path], topic: str | None, out: Path | None, telling: Telling) -> None:
     """List the topics of a recording, or write one of them."""
     from calib.foundations.files import refuse_taken, write_new
     from calib.measurement.formats.recordings import read_topic, topics
-    from calib.presentation.console import printable
-    from calib.presentation.recording_tables import topic_table
+    from calib.presentation.recording_tables import topic_sheet
 
     if len(files) != 1 or (topic is None) != (out is None):
         raise typer.BadParameter("a recording is one file or folder; --topic and -o go together.")
     if topic is None or out is None:
         found = topics(files[0])
-        telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_table(found)])
+        telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_sheet(found)])
         return
     refuse_taken(out)
     sheet = read_topic(files[0], topic)
     write_new(out, sheet.csv())
-    said = [*(f"{remark}." for remark in sheet.remarks), f"{len(sheet.rows)} rows of {topic} are in {out}."]
+    _tell(sheet, topic, out, telling)
+
+
+def _tell(sheet: "Sheet", of: str, out: Path, telling: Telling) -> None:
+    remarks = [f"{remark}." for remark in sheet.remarks]
     telling.tell(
-        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
-        lambda: map(printable, said),
+        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": remarks},
+        lambda: [*remarks, f"{len(sheet.rows)} rows of {of} are in {out}."],
     )
 
 
@@ -112,7 +112,6 @@ def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> Non
     from calib.compensation.controllers.ur_own import with_ur_kinematics
     from calib.foundations.errors import RobotError
     from calib.foundations.files import read_bytes, write_new
-    from calib.presentation.console import printable
     from calib.robot.urdf import read_urdf
 
     if len(files) != 1:
@@ -120,4 +119,4 @@ def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> Non
     text = read_bytes(files[0], RobotError, 1_000_000).decode(errors="replace")
     write_new(out, with_ur_kinematics(read_urdf(robot), text, str(files[0])))
     said = f"{out} is {robot} with the axes of {files[0]}."
-    telling.tell(lambda: {"file": str(out)}, lambda: [printable(said)])
+    telling.tell(lambda: {"file": str(out)}, lambda: [said])

@@ -50,7 +50,6 @@ def init(
         from calib.foundations.files import refuse_taken, write_new
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
-        from calib.presentation.console import printable
     refuse_taken(output)
     if xacro:
         urdf = str(_expanded(Path(urdf), output))
@@ -64,7 +63,7 @@ def init(
     write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
     if not as_json:
-        telling.tell(dict, lambda: [printable(f"{output} is written; calib calibrate {output} -o out/ goes on.")])
+        telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
 
 
 def _expanded(source: Path, output: Path) -> Path:

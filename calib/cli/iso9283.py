@@ -22,6 +22,6 @@ def iso9283(
     with loading():
         from calib.assessment.iso9283 import figures, records
         from calib.measurement.cycles import read_cycles
-        from calib.presentation.acceptance_tables import iso_table
+        from calib.presentation.acceptance_tables import iso_sheet
     found = figures(read_cycles(cycles))
-    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_table(found)])
+    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_sheet(found)])

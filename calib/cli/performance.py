@@ -25,7 +25,7 @@ def performance(
         from calib.assessment.performance import before_and_after
         from calib.machine.model_file import load_machine
         from calib.measurement.touches import read_touches
-        from calib.presentation.performance_tables import performance_table
+        from calib.presentation.performance_tables import performance_sheet
     telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
@@ -33,5 +33,6 @@ def performance(
         tests = [read_touches(path, model.robot) for path in touches]
         before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
     telling.tell(
-        lambda: {"before": before.records(), "after": after.records()}, lambda: [performance_table(before, after)]
+        lambda: {"before": before.records(), "after": after.records()},
+        lambda: [performance_sheet({"before": before, "after": after})],
     )

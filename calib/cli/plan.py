@@ -56,8 +56,6 @@ def plan(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
-        from calib.presentation.console import printable, warning
-        from calib.presentation.plan_tables import enough_sentence, forecast_table, index_table
     refuse_taken(out)
     telling = Telling(as_json, quiet)
     if observes == "pixels":
@@ -105,16 +103,4 @@ def plan(
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
-    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
-    telling.tell(
-        lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": notes},
-        lambda: [
-            *map(warning, notes),
-            printable(f"{len(found.readings)} candidates of {found.tried} poses{': ' + rejected if rejected else ''}."),
-            printable(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
-            forecast_table(planned),
-            index_table(planned),
-            *([] if target is None else [enough_sentence(planned, target, more=measured is not None)]),
-            printable(f"{len(planned.readings)} poses are in {out}."),
-        ],
-    )
+    given.tell_plan(telling, planned, found, notes, ("candidates", "poses"), out, target, more=measured is not None)

@@ -81,9 +81,9 @@ def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask:
 def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     from calib.presentation.console import printable
 
-    typer.echo(printable(f"{question.text}:").plain, err=True)
+    typer.echo(printable(f"{question.text}:"), err=True)
     for k, choice in enumerate(question.choices, start=1):
-        typer.echo(printable(f"  {k}  {choice}").plain, err=True)
+        typer.echo(printable(f"  {k}  {choice}"), err=True)
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
@@ -98,16 +98,16 @@ def tell_check(
 ) -> None:
     """Print what was looked at; before it the ``reasons`` of a proposal."""
     from calib.job.looking import NO_FINDINGS
-    from calib.presentation.console import printable, warning
+    from calib.presentation.console import warning
     from calib.presentation.tables import null_space_lines
 
     findings, seen, why = looked.findings, looked.seen, list(reasons)
 
     def shown() -> "list[Shown]":
         return [
-            *map(printable, why),
-            *(map(warning, findings) if findings else [printable(NO_FINDINGS)]),
-            printable(looked.sentence),
+            *why,
+            *(map(warning, findings) if findings else [NO_FINDINGS]),
+            looked.sentence,
             *null_space_lines(looked.brief, directions=len(seen.undetermined)),
         ]
 

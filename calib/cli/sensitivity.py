@@ -39,7 +39,8 @@ def sensitivity(
         from calib.job.inputs import load
         from calib.machine.model_file import load_machine
         from calib.presentation.plots import figure_bytes, sensitivity_figure
-        from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
+        from calib.presentation.sensitivity_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
+        from calib.presentation.tables import null_space_lines
         from calib.results.folder import robot_errors
     if plot is not None:
         refuse_taken(plot)
@@ -72,8 +73,9 @@ def sensitivity(
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},
         lambda: [
-            sensitivity_table(found),
-            *sensitivity_verdict(found),
-            *([] if study is None else [group_table(study)]),
+            sensitivity_sheet(found),
+            sensitivity_sentence(found),
+            *null_space_lines(found.undetermined),
+            *([] if study is None else [group_sheet(study)]),
         ],
     )

@@ -35,10 +35,8 @@ def uncertainty(
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
-        from calib.presentation.acceptance_tables import map_csv, map_table
-        from calib.presentation.console import printable
+        from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
-        from calib.presentation.tables import sheet_table
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -58,8 +56,8 @@ def uncertainty(
     telling.tell(
         lambda: {"sigmas": found.percentiles(), "known": near.known_shares(), "budget": budget},
         lambda: [
-            map_table(found, near.known),
-            sheet_table(budget_sheet(budget, len(found.readings))),
-            *([] if out is None else [printable(f"Every pose is in {out}.")]),
+            map_sheet(found, near.known),
+            budget_sheet(budget, len(found.readings)),
+            *([] if out is None else [f"Every pose is in {out}."]),
         ],
     )

@@ -46,7 +46,7 @@ def verify(
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns
-        from calib.presentation.acceptance_tables import verification_lines, verification_table
+        from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
@@ -71,7 +71,7 @@ def verify(
         outside = outside_identified(machine, data.readings)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside)},
-        lambda: [*map(warning, outside), verification_table(found), *verification_lines(found)],
+        lambda: [*map(warning, outside), verification_sheet(found), *verification_lines(found)],
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)

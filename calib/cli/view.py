@@ -31,10 +31,10 @@ def shown_at(what: str, *, open_: bool) -> Callable[[str], None]:
     import threading
     import webbrowser
 
-    from calib.presentation.console import printable, show, warning
+    from calib.presentation.console import show, warning
 
     def started(address: str) -> None:
-        show(printable(f"{what} is at {address} until you press Ctrl-C."))
+        show(f"{what} is at {address} until you press Ctrl-C.")
         if open_:  # a browser of the terminal would keep the server from answering it
             threading.Thread(target=opened, args=(address,), daemon=True).start()
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.performance import (
+    Performance,
     PerformanceFigure,
     articulated_location,
     before_and_after,
@@ -27,8 +28,8 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.measurement.touches import Touches, read_touches, touches
-from calib.presentation.performance_tables import performance_table
-from calib.presentation.tables import plain
+from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
 
 Array = NDArray[np.float64]
@@ -199,7 +200,7 @@ def test_very_many_cones_and_spheres_are_refused(robot: calib.Robot) -> None:
 
 def test_the_table_says_whose_probe_it_is(robot: calib.Robot) -> None:
     given = performance(robot.tips, [made(robot, LENGTH)], None, np.zeros(3))
-    assert "the probe is the tool of the results" in " ".join(plain(performance_table(given, given)).split())
+    assert "the probe is the tool of the results" in " ".join(told(given, given).split())
 
 
 def test_the_probe_is_found_from_cones_only(robot: calib.Robot) -> None:
@@ -231,7 +232,7 @@ def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: cali
     for b, a in zip(before.figures, after.figures, strict=True):
         assert abs(b.value) > 4e-3
         assert abs(a.value) < 0.15e-3
-    text = plain(performance_table(before, after))
+    text = told(before, after)
     assert max(map(len, text.splitlines())) <= 80
     assert "LDia.5x5" in text
     assert "no certificate" in text
@@ -254,6 +255,10 @@ def test_the_page_shows_what_the_script_prints() -> None:
     for a, b in zip(numbers(shown), numbers(printed.stdout), strict=True):
         # The last digit may go with the machine that computes.
         assert a == pytest.approx(b, abs=1.5e-4)
+
+
+def told(before: Performance, after: Performance) -> str:
+    return plain(sheet_table(performance_sheet({"before": before, "after": after})))
 
 
 def rows(table: str) -> list[list[str]]:
