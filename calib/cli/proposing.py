@@ -43,7 +43,7 @@ def answers(
     observes: str | None,
     column: Sequence[str] | None,
 ) -> dict[str, Any]:
-    """Return what options answer, as :func:`calib.propose` takes it."""
+    """Return what options answer, as :func:`calib.measuring.propose` takes it."""
     columns = renamed(column)
     given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
     return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})

@@ -45,7 +45,7 @@ def propose(
 ) -> Proposal:
     """Return how files of other programs are read as measurements of an arm, with reasons and questions.
 
-        found = calib.propose("arm.urdf", ["measured.csv"])
+        found = calib.measuring.propose("arm.urdf", ["measured.csv"])
         print(found.job())
 
     The arguments answer questions beforehand, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and

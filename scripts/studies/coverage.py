@@ -109,7 +109,7 @@ In a session, a robot is measured at random poses by an instrument that states i
 robot has errors that the model knows of (0.5 mm, 1 mrad, joint offsets of 5 mrad: one standard deviation; all
 placements and offsets are free, base and tool are anywhere). It also has errors that the model leaves out, one kind
 in every table below. At 100 other poses the true position of the tool is compared with the stated 95 % region, an
-ellipsoid (`calib.tool_uncertainty`).
+ellipsoid (`calib.judging.tool_uncertainty`).
 
 * `coverage`: share of true positions inside the region, mean over sessions; `below 0.75`: share of sessions with a
   coverage below that.

@@ -192,10 +192,10 @@ def is_uncertain(walked: Walked, folder: Path) -> None:
     u = walked.model
     assert u.uncertainty is not None
     q = case.draw(5)
-    found = calib.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
+    found = calib.judging.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
     assert np.isfinite(found.position).all() and (found.position > 0.0).all()
-    calib.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
-    calib.outside_identified(u, 5.0 * q)
+    calib.judging.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
+    calib.judging.outside_identified(u, 5.0 * q)
 
 
 def is_commanded(walked: Walked, folder: Path) -> None:
