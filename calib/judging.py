@@ -3,9 +3,9 @@
 from calib.assessment.bootstrap import Bootstrap, bootstrap
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.comparison import JudgedModel, ModelComparison, compare_models, nested_models
-from calib.assessment.drift import Comparison, compare
+from calib.assessment.drift import compare
 from calib.assessment.iso9283 import figures as iso9283_figures
-from calib.assessment.outliers import Outliers, outliers
+from calib.assessment.outliers import outliers
 from calib.assessment.performance import Performance, before_and_after
 from calib.assessment.sensitivity import (
     GroupStudy,
@@ -27,14 +27,12 @@ from calib.measurement.touches import Touches, read_touches
 __all__ = [
     "Bootstrap",
     "Choice",
-    "Comparison",
     "CrossValidation",
     "GroupStudy",
     "HeldOut",
     "JudgedModel",
     "ModelComparison",
     "Observability",
-    "Outliers",
     "Performance",
     "Sensitivity",
     "Touches",

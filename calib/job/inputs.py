@@ -105,8 +105,10 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             of = of_one_clock(section, tables)
             data = measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
             tables.append((own, data))
-        sets.append(shared_out(data, section))
-    sets, optics = with_optics(job, sets, prints, progress)
+        sets.append(data if section.hold_out is None else shared_out(data, section.hold_out, section.use))
+    optics: tuple[OpticsChoice, ...] = ()
+    if any(data.camera is not None for data in sets):
+        sets, optics = with_optics(job, sets, prints, progress)
     refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")

@@ -93,15 +93,13 @@ def with_held_out(job: Job) -> Job:
     return job.model_copy(update={"measurements": (*job.measurements, *again)})
 
 
-def shared_out(data: Measurements, section: MeasurementsSection) -> Measurements:
-    """Return what of a table one section has: all, or whole groups of rows, spread at random but alike every time.
+def shared_out(data: Measurements, share: float, use: str) -> Measurements:
+    """Return what of a table is of one use: whole groups of rows, spread at random but alike every time.
 
     Raises MeasurementError when the rows are of one pose or one group.
     """
-    if section.hold_out is None:
-        return data
-    kept, held_out = hold_out(data, section.hold_out)
-    return held_out if section.use == "validate" else kept
+    kept, held_out = hold_out(data, share)
+    return held_out if use == "validate" else kept
 
 
 def arms_of(job: Job, path: Path) -> dict[str, ReadArm]:
