@@ -106,9 +106,8 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             data = measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
             tables.append((own, data))
         sets.append(data if section.hold_out is None else shared_out(data, section.hold_out, section.use))
-    optics: tuple[OpticsChoice, ...] = ()
-    if any(data.camera is not None for data in sets):
-        sets, optics = with_optics(job, sets, prints, progress)
+    seen = any(data.camera is not None for data in sets)
+    sets, optics = with_optics(job, sets, prints, progress) if seen else (sets, ())
     refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")

@@ -27,10 +27,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.foundations.chance import bound
 from calib.job.inputs import load
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
-from calib.machine.uncertainty import CAUSES, squared_bound
+from calib.machine.uncertainty import CAUSES
 from scripts.development.judge_cases import (
     SOCKETS_PRIOR,
     Errors,
@@ -293,7 +294,7 @@ def judged(machine: CalibratedMachine, readings: Array, true: Array, aligned: st
         errors = (e - B @ (B.T @ e)).reshape(errors.shape)
         covariance = factor @ np.swapaxes(factor, 1, 2) + scatter
     distance = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[:, :, None])[..., 0])
-    inside = distance <= squared_bound(PROBABILITY, 3, said.degrees_of_freedom)
+    inside = distance <= bound(PROBABILITY, 3, said.degrees_of_freedom)
     return Told(
         float(np.mean(inside)),
         float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),

@@ -18,7 +18,6 @@ from calib.assessment.performance import (
     articulated_location,
     before_and_after,
     performance,
-    probe_point,
     probing,
     single_point_articulation,
     volumetric_lengths,
@@ -28,6 +27,7 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.measurement.touches import Touches, read_touches, touches
+from calib.positioner.pivot import pivot
 from calib.presentation.performance_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
@@ -101,11 +101,11 @@ def test_probe_point_is_found_from_cones_at_unknown_places() -> None:
     tips = np.tile(np.eye(4), (12, 1, 1))
     tips[:, :3, :3] = Rotation.random(12, random_state=4).as_matrix()
     tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
-    assert np.abs(probe_point(tips, names, np.zeros(3)) - point).max() < 1e-14
+    assert np.abs(pivot(tips, names, guess=np.zeros(3)).tool_point - point).max() < 1e-14
     # Turned about one axis only, what lies along it cannot be seen and stays as guessed.
     tips[:, :3, :3] = Rotation.from_euler("z", np.arange(12.0)[:, None]).as_matrix()
     tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
-    assert np.abs(probe_point(tips, names, np.full(3, 0.1)) - [4e-3, -2e-3, 0.1]).max() < 1e-14
+    assert np.abs(pivot(tips, names, guess=np.full(3, 0.1)).tool_point - [4e-3, -2e-3, 0.1]).max() < 1e-14
 
 
 # ---- from tables
