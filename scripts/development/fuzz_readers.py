@@ -71,7 +71,7 @@ class Reader(NamedTuple):
     seeds: Callable[[], list[bytes]]
     words: tuple[bytes, ...]
     largest: int = 20_000
-    seconds: int = 10  # of one input, by the clock; lines that are watched take several times as long
+    seconds: int = 10  # of processor time, of one input; lines that are watched take several times as long
 
 
 def judge(read: Callable[[bytes], object], data: bytes) -> None:
