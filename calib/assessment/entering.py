@@ -84,8 +84,13 @@ class Blocks:
     def take(self) -> tuple[int, float]:
         """Take the block that would lower the sum of squares most for what it costs; return it, and by how much."""
         left = np.flatnonzero(self._left)
-        g = self._g[left]
-        gains = np.sum(g * np.linalg.solve(self._C[left], g[:, :, None])[:, :, 0], axis=1) / self._costs[left]
+        C, g = self._C[left], self._g[left]
+        if g.shape[1] == 2:  # this is most of the work, and done by hand four times as quick
+            (a, b), c, (u, v) = C[:, 0].T, C[:, 1, 1], g.T
+            gains = (c * u**2 - 2.0 * b * u * v + a * v**2) / (a * c - b**2)
+        else:
+            gains = np.sum(g * np.linalg.solve(C, g[:, :, None])[:, :, 0], axis=1)
+        gains = gains / self._costs[left]
         best = int(np.argmax(gains))
         self._left[left[best]] = False
         return int(left[best]), float(gains[best])
