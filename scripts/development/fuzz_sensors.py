@@ -310,7 +310,10 @@ def imports() -> list[bytes]:
 def _photographed() -> list[bytes]:
     names = ",".join(f"joint_{k} [deg]" for k in range(1, 7))
     heads = (f"image,{names}", f"image,{names}", "image,x [mm],y [mm],z [mm],rx [deg],ry [deg],rz [deg]")
-    return ["\n".join([head, "p0.png,1,2,3,4,5,6", "p1.png,2,3,4,5,6,7", "p2.png,9,8,7,6,5,4", ""]).encode() for head in heads]
+    return [
+        "\n".join([head, "p0.png,1,2,3,4,5,6", "p1.png,2,3,4,5,6,7", "p2.png,9,8,7,6,5,4", ""]).encode()
+        for head in heads
+    ]
 
 
 def lens(data: bytes) -> None:
