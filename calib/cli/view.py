@@ -33,17 +33,20 @@ def view(
         asyncio.run(serving())
 
 
-def shown_at(what: str, *, open_: bool) -> Callable[[str], None]:
-    """Return what tells a person the address where something is, and opens it in the browser if that is asked."""
+def shown_at(what: str, *, open_: bool) -> Callable[..., None]:
+    """Return what tells a person the address where something is, and opens it in the browser if that is asked.
+
+    What is returned takes the address and, where that is a secret, another one for the browser.
+    """
     import threading
     import webbrowser
 
     from calib.presentation.console import printable, show, warning
 
-    def started(address: str) -> None:
+    def started(address: str, door: str = "") -> None:
         show(printable(f"{what} is at {address} until you press Ctrl-C."))
         if open_:  # a browser of the terminal would keep the server from answering it
-            threading.Thread(target=opened, args=(address,), daemon=True).start()
+            threading.Thread(target=opened, args=(door or address,), daemon=True).start()
 
     def opened(address: str) -> None:
         if not webbrowser.open(address):

@@ -235,6 +235,25 @@ def test_a_real_positioner_and_a_camera(fresh: Page, tmp_path: Path) -> None:
     assert calibrated(fresh)
 
 
+def test_photographs_of_a_board_calibrate_an_arm(fresh: Page, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    from scripts.simulate import photographs as simulation
+    from tests.support.photographs import small_session
+
+    simulation.write(tmp_path, small_session(3, 8), 3)
+    files = [*sorted((tmp_path / "photographs").iterdir()), tmp_path / "board.toml", tmp_path / "readings.csv"]
+    fresh.drop("#drop", files)
+    settle(fresh)
+    assert "readings of the joints, and there is no robot yet" in fresh.evaluate("byId('sentence').textContent")
+    changed(fresh, "robot", simulation.UR5)
+    assert fresh.evaluate("state.sentence") == ""
+    why = fresh.evaluate("byId('why').textContent")
+    assert "the tip is tool0; 'wrist_3_link', 'ee_link' would do as well" in why
+    assert "corners of 8 photographs" in why
+    assert "times better" in calibrated(fresh)
+    assert fresh.trouble == []
+
+
 def test_without_a_server_the_page_says_so(fresh: Page, server: Server) -> None:
     server.process.send_signal(signal.SIGKILL)
     server.process.wait()
