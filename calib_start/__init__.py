@@ -16,7 +16,7 @@ def main() -> None:
     """Load and run the command line; Ctrl-C meanwhile ends it with one line, as later on."""
     _open_streams()
     try:
-        os.getcwd()
+        os.getcwd()  # noqa: PTH109 - pathlib is slow to load
     except FileNotFoundError:
         sys.stderr.write("Error: the folder in which calib was started is not there any more.\n")
         sys.exit(1)

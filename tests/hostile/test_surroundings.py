@@ -1,4 +1,4 @@
-"""What the command line does where its surroundings are broken: a full disk behind its output, a folder that is gone."""
+"""What the command line does where a full disk is behind its output, or its folder is gone."""
 
 import subprocess
 import sys
