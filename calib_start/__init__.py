@@ -15,6 +15,11 @@ INTERRUPTED = 130
 def main() -> None:
     """Load and run the command line; Ctrl-C meanwhile ends it with one line, as later on."""
     _open_streams()
+    try:
+        os.getcwd()  # noqa: PTH109 - pathlib is slow to load
+    except FileNotFoundError:
+        sys.stderr.write("Error: the folder in which calib was started is not there any more.\n")
+        sys.exit(1)
     # Almost nothing that is loaded refers to itself; to look for that every 700 objects takes a tenth of a start.
     gc.set_threshold(50_000)
     try:

@@ -22,7 +22,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
+from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import (
     HeldOut,
     folds,
@@ -187,12 +189,14 @@ def candidates(
 ) -> tuple[Candidate, ...]:
     """Return what may enter, reading by reading, then what is of links: all that each kind of terms offers.
 
-    They need what rows of ``measurements`` say, or masses: a kind that these could not show is not offered. Masses that
-    the URDF states in a way that cannot be used are as good as none. ``options`` as a job has them, such as
-    ``harmonic_orders``.
+    They need what rows of ``measurements`` say, or masses and all readings: a kind that these could not show is not
+    offered. Masses that the URDF states in a way that cannot be used are as good as none. ``options`` as a job has
+    them, such as ``harmonic_orders``.
     """
     told, of = joined([(len(data), end.conditions) for data in measurements for end in data.ends]), parts(robot)
-    offered = {group[0]: group for kind in KINDS for group in kind.offered(of, told, options)}
+    # Masses need all readings: what hangs on another arm pulls at the torso, too.
+    kinds = [kind for kind in KINDS if kind.masses == "none" or not any(data.absent for data in measurements)]
+    offered = {group[0]: group for kind in kinds for group in kind.offered(of, told, options)}
     return tuple(Candidate(offered[first]) for first in ordered(robot, offered))
 
 
@@ -228,12 +232,12 @@ def choose_terms(
         system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart))
         progress("choosing joint terms: linearising")
         fold = folds(group, count)
-        grams = system.grams(fold)
+        products = system.products(fold)
         largest = (int(group.max()) + 1) // _GROUPS_EACH
 
         def selected(among: Sequence[int]) -> _Selected:
-            order = system.way(np.sum(grams, axis=0), among, most=largest, lasting=True).order
-            figures, rms = system.judged(fold, group, grams, among, len(order), progress)
+            order = system.way(products, among, most=largest, lasting=True).order
+            figures, rms = system.judged(fold, group, products, among, len(order), progress)
             return _Selected(tuple(among), order, figures, rms)
 
         ways = [selected(among) for among in _ways_to_wind_up(chosen_from)]
@@ -245,7 +249,7 @@ def choose_terms(
         if most:
             progress("choosing joint terms: judging away from what was measured")
             blocks = folds(place, count)
-            away, _ = system.judged(blocks, place, system.grams(blocks), among, most)
+            away, _ = system.judged(blocks, place, system.products(blocks), among, most)
             # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
             if away[0].rms <= _FORETOLD * figures[0].rms:
                 most = largest_unharmed(away, apart=near.apart)
@@ -344,23 +348,25 @@ class _System:
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
         parameters = tuple(replace(p, prior=known.get(p.name, p.prior)) for p in whole.parameters)
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
-        names = [parameter.name for parameter in parameters]
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
         self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))
-        # What is known without any row: relations between targets, and that turns and a size which nothing tells stay.
+        # Known without any row: relations between targets, that turns and a size which nothing tells stay, and priors.
         related, moving = without_rows(self._problem, self._sigmas, self._x)
         rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
-        self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
-        self._columns = [[names.index(term.name) for term in candidate.terms] for candidate in offered]
-        self._blocks = _blocks(self._columns)
-        self._priors = np.array([parameter.hold for parameter in parameters]) ** 2
+        priors = np.array([parameter.hold for parameter in parameters]) ** 2
         # A stated prior pulls towards zero; a weak one holds at the geometric fit.
         stated = np.array([parameter.prior is not None for parameter in parameters])
-        self._pull = np.where(stated, self._x / scales(parameters), 0.0)
+        unknowns = range(len(parameters))
+        self._known[unknowns, unknowns] += priors
+        self._known[:-1, -1] += priors * np.where(stated, self._x / scales(parameters), 0.0)
+        self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
+        number = {parameter.name: k for k, parameter in enumerate(parameters)}
+        self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
+        self._filled = filled(self._columns)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
         """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
@@ -385,79 +391,88 @@ class _System:
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
 
-    def grams(self, fold: IntArray) -> Array:
-        """Return the Gram matrix of ``[J r]`` (p + 1, p + 1) of the rows of every fold."""
-        size = len(self._problem.parameters) + 1
-        found, start = np.zeros((int(fold.max()) + 1, size, size)), 0
-        for _, _, _, rows in self._rows():
-            own = fold[start : (start := start + len(rows))]
-            for k in np.unique(own):
-                flat = rows[own == k].reshape(-1, size)
-                found[k] += flat.T @ flat
-        return found
+    def products(self, fold: IntArray) -> Products:
+        """Return the products of the columns of ``[J r]`` (p + 1) for the rows of every fold (N,)."""
+
+        def rows() -> Iterable[tuple[IntArray, Array]]:
+            start = 0
+            for _, _, _, block in self._rows():
+                yield fold[start : (start := start + len(block))], block
+
+        return Products(rows(), int(fold.max()) + 1, self._numbers, len(self._known), self._filled[0])
 
     def judged(
         self,
         fold: IntArray,
         group: IntArray,
-        grams: Array,
+        products: Products,
         among: Sequence[int],
         steps: int,
         progress: Callable[[str], None] = lambda _: None,
     ) -> tuple[list[HeldOut], Mapping[str, Array]]:
         """Return what rows held out say of so many ``steps`` among candidates, and the rms of every quantity.
 
-        ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``grams``: of every fold.
+        ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``products``: of every fold.
         """
-        total, ways = np.sum(grams, axis=0), list[Array]()
-        for k, gram in enumerate(grams):
-            progress(f"choosing joint terms: fold {k + 1} of {len(grams)}")
-            ways.append(self.way(total - gram, among, steps=steps).values)
+        ways = list[Array]()
+        for k in range(len(products)):
+            progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
+            ways.append(self.way(products, among, without=k, steps=steps).values)
         progress("choosing joint terms: judging by what was held out")
         squares, rms = self.squares(fold, np.stack(ways))
         return [held_out(row, group) for row in squares], rms
 
     def way(
         self,
-        gram: Array,
+        products: Products,
         among: Sequence[int],
         *,
+        without: int | None = None,
         steps: int | None = None,
         most: int | None = None,
         lasting: bool = False,
     ) -> _Way:
-        """Return the way that rows with this Gram matrix (p + 1, p + 1) go ``among`` candidates, best first.
+        """Return the way that rows with these products go ``among`` candidates, best first, ``without`` a fold.
 
         At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the best
         lowers the sum of squares by more than chance would.
         """
-        p = len(gram) - 1
-        tableau = gram[:p] + self._known[:p]
-        tableau[range(p), range(p)] += self._priors
-        tableau[:, p] += self._priors * self._pull
-        _pivot(tableau, self._geometry)
-        order, left = list[int](), np.zeros(len(self._columns), dtype=bool)
-        left[list(among)] = True
-        entered = list(self._geometry)
-        values = np.zeros((1 + (len(among) if steps is None else min(steps, len(among))), p))
-        values[0, entered] = -tableau[entered, p]
-        squares = gram[p, p]
-        while len(order) < len(values) - 1:
-            gains = _gains(tableau, self._blocks, left) / self._costs
-            best = int(np.argmax(gains))
-            columns = self._columns[best]
-            taken = len(entered) - len(self._geometry) + len(columns)
-            if (most is not None and taken > most) or (
-                lasting and gains[best] * (self._numbers - len(entered)) <= _BY_CHANCE * squares
+        p, first = len(self._known) - 1, len(self._geometry)
+        # Rows of what entered, as they were then, and solved for their own unknowns; no others are ever needed.
+        rows, solved = np.empty((p, p + 1)), np.empty((p, p + 1))
+        entered, ends, order = list[int](), [0], list[int]()
+
+        def enter(new: Sequence[int]) -> None:
+            start = ends[-1]
+            own = slice(start, start + len(new))
+            rows[own] = products.rows(new, without) + self._known[new] - rows[:start, new].T @ solved[:start]
+            solved[own] = np.linalg.solve(rows[own, new], rows[own])
+            blocks.eliminate(rows[own], solved[own])
+            entered.extend(new)
+            ends.append(own.stop)
+
+        columns, _ = self._filled
+        C, g = products.blocks(without)
+        C, g = C + self._known[columns[:, :, None], columns[:, None, :]], g + self._known[columns, -1]
+        blocks = Blocks(self._filled, C, g, self._costs, among)
+        squares = float(products.rows([p], without)[0, p])
+        enter(self._geometry)
+        while len(order) < (len(among) if steps is None else min(steps, len(among))):
+            best, gain = blocks.take()
+            new, terms = self._columns[best], ends[-1] - first
+            if (most is not None and terms + len(new) > most) or (
+                lasting and gain * (self._numbers - ends[-1]) <= _BY_CHANCE * squares
             ):
                 break
-            squares -= gains[best] * self._costs[best]
+            squares -= gain * self._costs[best]
             order.append(best)
-            left[best] = False
-            _pivot(tableau, columns)
-            entered += columns
-            values[len(order), entered] = -tableau[entered, p]
-        return _Way(tuple(order), values[: len(order) + 1])
+            enter(new)
+        # They are triangular: the solution after so many steps is the sum of as many columns of the inverse.
+        inverse = solve_triangular(solved[: len(entered), entered], np.eye(len(entered)), unit_diagonal=True)
+        sums = np.cumsum(inverse * -solved[: len(entered), p], axis=1)
+        values = np.zeros((1 + len(order), p))
+        values[:, entered] = sums[:, np.array(ends[1:]) - 1].T
+        return _Way(tuple(order), values)
 
     def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
         """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
@@ -481,31 +496,3 @@ class _System:
                 sums[name] = sums.get(name, 0.0) + more
                 counts[name] = counts.get(name, 0) + len(rows)
         return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}
-
-
-def _pivot(tableau: Array, block: Sequence[int]) -> None:
-    """Eliminate a block of unknowns from a tableau (p, p + 1) of normal equations, in place."""
-    columns = np.array(block, dtype=np.intp)
-    own = np.linalg.solve(tableau[columns[:, None], columns], tableau[columns])
-    tableau -= tableau[:, columns] @ own
-    tableau[columns] = own
-
-
-def _blocks(columns: Sequence[Sequence[int]]) -> list[tuple[IntArray, IntArray]]:
-    """Return blocks (one or two unknowns each) of every size: their numbers (n,), and columns (n, size)."""
-    sizes = np.array([len(block) for block in columns])
-    return [
-        (which, np.array([columns[k] for k in which.tolist()], dtype=np.intp))
-        for which in (np.flatnonzero(sizes == size) for size in np.unique(sizes))
-    ]
-
-
-def _gains(tableau: Array, blocks: Iterable[tuple[IntArray, IntArray]], left: BoolArray) -> Array:
-    """Return how much each block that is ``left`` would lower the sum of squares; -inf of others."""
-    gains = np.full(len(left), -np.inf)
-    for numbers, every in blocks:
-        which, columns = numbers[left[numbers]], every[left[numbers]]
-        C = tableau[columns[:, :, None], columns[:, None, :]]
-        g = tableau[columns, -1]
-        gains[which] = np.einsum("ni,ni->n", g, np.linalg.solve(C, g[:, :, None])[:, :, 0])
-    return gains

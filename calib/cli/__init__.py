@@ -3,6 +3,8 @@
 What this package imports is light, so that ``calib --help`` and completion are there at once.
 """
 
+import errno
+import os
 import sys
 import warnings
 from typing import Annotated
@@ -54,6 +56,13 @@ def main() -> None:
         app(prog_name="calib")
     except CalibError as error:
         _say(str(error))
+        sys.exit(BAD_INPUT)
+    except OSError as error:
+        # Of --help and --version, which are written by others.
+        if error.errno not in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) or error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _say(f"standard output: cannot be written ({error.strerror}).")
         sys.exit(BAD_INPUT)
     except SystemExit as ending:
         # A command that has more to say of its interruption has said it.

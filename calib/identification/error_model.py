@@ -1,6 +1,7 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
 import fnmatch
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -176,7 +177,7 @@ class ErrorModel:
             for k, component in enumerate(POSE[: {"fixed": 0, "position": 3, "pose": 6}[self.tool]]):
                 free(f"{prefix}.{component}", "tool", (layout.tools + 6 * t + k, 1.0), length=k < 3)
         names = [parameter.name for parameter in found]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
+        if twice := sorted(name for name, count in Counter(names).items() if count > 1):
             raise JobError(f"the parameter name {twice[0]!r} means two things: a joint may not be called base or tool.")
         return tuple(found)
 
@@ -304,7 +305,7 @@ def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm
     given = tuple(terms)
     if alien := foreign(robot, given):
         raise JobError(f"terms: {alien.name!r} belongs to no joint or link of the robot.")
-    if twice := next((term for term in given if given.count(term) > 1), None):
+    if twice := next((term for term, count in Counter(given).items() if count > 1), None):
         raise JobError(f"terms: {twice.name!r} comes twice.")
     return given
 

@@ -36,9 +36,10 @@ def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequen
     """
     every: list[Flexure] = []
     of_term = [range(0)] * len(terms)
+    of_links = [(t, term, kind_of(term)) for t, term in enumerate(terms) if kind_of(term).of_link]
     for kind in KINDS:
-        for t, term in enumerate(terms):
-            if kind.of_link and kind_of(term) is kind:
+        for t, term, own in of_links:
+            if own is kind:
                 start = len(every)
                 for i, name in enumerate(joints):
                     if term.reading in (name, ""):
@@ -96,8 +97,10 @@ class Transmission:
         lengths = np.array([0.0] * len(readings) + [link_length(segments[flexure.joint]) for flexure in moved.every])
         self._bases_of: list[tuple[slice | IntArray, tuple[Basis, Basis]]] = []
         self._slopes_of: list[tuple[slice | IntArray, Slope]] = []
-        for kind in KINDS:
-            those = np.flatnonzero([kind_of(terms[t]) is kind for t in number.tolist()])
+        kinds = [KINDS.index(kind_of(term)) for term in terms]
+        kind_of_share = np.array(kinds, dtype=np.intp)[number]
+        for k, kind in enumerate(KINDS):
+            those = np.flatnonzero(kind_of_share == k)
             if those.size:
                 coordinate = self._coordinate[those]
                 of_kind = tuple(terms[t] for t in number[those].tolist())

@@ -71,7 +71,7 @@ class Reader(NamedTuple):
     seeds: Callable[[], list[bytes]]
     words: tuple[bytes, ...]
     largest: int = 20_000
-    seconds: int = 10  # of one input, by the clock; lines that are watched take several times as long
+    seconds: int = 10  # of processor time, of one input; lines that are watched take several times as long
 
 
 def judge(read: Callable[[bytes], object], data: bytes) -> None:
@@ -610,6 +610,9 @@ READERS: dict[str, Reader] = {
     "live": Reader(_live, lambda: [b'{"readings": [0, 1, 2, 3, 4, 5], "apart": 100.0}'], _NUMBERS + _ODD + _JSON),
     "looks": Reader(_looks, _shapes, _NUMBERS + _ODD + _XML + _LOOK),
     "recording": Reader(fuzz_sensors.recording, fuzz_sensors.recordings, _NUMBERS + _ODD + _BAG, largest=60_000),
+    "importing": Reader(
+        fuzz_sensors.importing, fuzz_sensors.imports, _NUMBERS + _ODD + _CSV + _TOML + _JSON + _BAG, 60_000, 60
+    ),
     "log": Reader(fuzz_sensors.log, fuzz_sensors.logs, _NUMBERS + _ODD + _CSV),
     "photograph": Reader(fuzz_sensors.photograph, fuzz_sensors.photographs, _NUMBERS + _ODD, largest=60_000),
     "session": Reader(fuzz_sensors.session, fuzz_sensors.sessions, _NUMBERS + _ODD + _CSV + _TOML),

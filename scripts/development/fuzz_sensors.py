@@ -241,6 +241,81 @@ def sessions() -> list[bytes]:
     ]
 
 
+# Whole commands. -------------------------------------------------------------------------------------------------
+
+_URDF = "arm.urdf"
+_PHOTOGRAPHS = ("images", "photos", "--board", "board.toml", "--readings", "readings.csv")
+_IMPORTS: tuple[tuple[str, ...], ...] = (
+    ("a.csv",),
+    ("a.csv", "b.csv"),
+    ("a.csv", "b.csv", "--by", "order"),
+    ("a.csv", "b.csv", "--stack", "hole"),
+    ("a.json", "b.yaml"),
+    ("own.conf", "--robot", "example:ur_description/urdf/ur10_robot.urdf"),
+    ("one.mcap", "--topic", "/tool"),
+    _PHOTOGRAPHS,
+    (*_PHOTOGRAPHS, "--robot", _URDF, "--tip", "probe"),
+    (*_PHOTOGRAPHS, "--orientation", "rpy", "--camera-on", "floor"),
+)
+
+
+def importing(data: bytes) -> None:
+    """Run ``calib import`` as the first byte says: it writes what it was told to, or says why and writes nothing."""
+    folder = scratch() / "importing"
+    shutil.rmtree(folder, ignore_errors=True)
+    names = {name: contents for name, contents in unpacked(data[1:]).items() if name in _IMPORTED}
+    for name, contents in names.items():
+        file(f"importing/{name}", contents)
+    for k in range(3):
+        file(f"importing/photos/p{k}.png", _pictures()[k])
+    file(f"importing/{_URDF}", (ROBOTS / "arm_cmm" / "arm_cmm.urdf").read_bytes())
+    arguments = _IMPORTS[data[0] % len(_IMPORTS)] if data else _IMPORTS[0]
+    before = set(folder.rglob("*"))
+    places = [str(folder / word) if word in (*_IMPORTED, _URDF, "photos") else word for word in arguments]
+    try:
+        app(["import", *places, "-o", str(folder / "table.csv"), "-q"], standalone_mode=False, prog_name="calib")
+    except (CalibError, typer.BadParameter) as e:
+        assert set(folder.rglob("*")) == before, "something is written although it was refused"
+        if isinstance(e, CalibError):
+            raise
+    else:
+        assert (folder / "table.csv").is_file(), "nothing is written"
+
+
+_IMPORTED = ("a.csv", "b.csv", "a.json", "b.yaml", "own.conf", "one.mcap", "board.toml", "readings.csv")
+
+
+@functools.cache
+def _pictures() -> list[bytes]:
+    return [bytes(opencv().imencode(".png", _picture(0.2 * k))[1]) for k in range(3)]
+
+
+def imports() -> list[bytes]:
+    """Return what every import reads."""
+    joints = b"name;j1 [deg];j2 [deg]\nP1;1;2\nP2;3;4\n"
+    points = b"name,x [mm],y [mm],z [mm]\nP1,1,2,3\nP2,4,5,6\n"
+    deltas = "".join(f"delta_{name} = [ 1e-4, 0, -2e-5, 0.0003, 0, 0]\n" for name in ("theta", "a", "d", "alpha"))
+    bag = next(one[1:] for one in recordings() if one[:1] == b"\1")
+    files = (
+        *({"a.csv": joints, "b.csv": points},) * 3,
+        {"a.csv": points, "b.csv": points},
+        {"a.json": b'[{"name": "P1", "q": [1, 2]}]', "b.yaml": b"'P1': {x: 1, y: 2}\n"},
+        {"own.conf": f"[mounting]\n{deltas}joint_checksum = [ 0xb3241580]\n".encode()},
+        {"one.mcap": bag},
+        *({"board.toml": board_toml(_PRINT).encode(), "readings.csv": readings} for readings in _photographed()),
+    )
+    return [bytes([k]) + packed(own) for k, own in enumerate(files)]
+
+
+def _photographed() -> list[bytes]:
+    names = ",".join(f"joint_{k} [deg]" for k in range(1, 7))
+    heads = (f"image,{names}", f"image,{names}", "image,x [mm],y [mm],z [mm],rx [deg],ry [deg],rz [deg]")
+    return [
+        "\n".join([head, "p0.png,1,2,3,4,5,6", "p1.png,2,3,4,5,6,7", "p2.png,9,8,7,6,5,4", ""]).encode()
+        for head in heads
+    ]
+
+
 def lens(data: bytes) -> None:
     """Read a lens of somebody else."""
     found, size = read_lens(file("lens.yaml", data))

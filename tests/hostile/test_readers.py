@@ -13,7 +13,16 @@ from scripts.development.fuzz_readers import READERS, judge, mutated, packed, un
 
 CORPUS = Path(__file__).resolve().parents[1] / "corpus"
 FOUND = sorted(path.relative_to(CORPUS).as_posix() for path in CORPUS.glob("*/*"))
-MUTATIONS = {"board": 15, "case": 50, "command": 8, "gaussian": 100, "mesh": 100, "proposal": 60, "recording": 25}
+MUTATIONS = {
+    "board": 15,
+    "case": 50,
+    "command": 8,
+    "gaussian": 100,
+    "importing": 30,
+    "mesh": 100,
+    "proposal": 60,
+    "recording": 25,
+}
 MUTATIONS |= {"session": 30, "stream": 40, "uncertainty": 60}
 
 

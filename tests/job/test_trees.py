@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment.choice import candidates
+from calib.job.inputs import load
 from calib.robot.links import arm_of, link_placements
+from calib.robot.terms import kind_of
 from calib.robot.urdf import parse_urdf
 from tests.support.cases import run, write_table
 from tests.support.machines import anywhere, pose
@@ -304,3 +307,13 @@ def test_points_that_differ_row_by_row_on_a_second_arm(cell: tuple[Path, Tree], 
     assert said.code == 0, said
     found = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
     assert found["validation"]["after"]["position"]["rms"] < 2.5 * SIGMA * 1e3
+
+
+def test_masses_are_not_offered_where_a_table_lacks_the_other_arm(cell: tuple[Path, Tree]) -> None:
+    folder, _ = cell
+    job = folder / "auto.toml"
+    job.write_text(JOB + RIGHT + LEFT, encoding="utf-8")
+    inputs = load(job)
+    assert any(data.absent for data in inputs.identify)
+    kinds = {kind_of(one.terms[0]).masses for one in candidates(inputs.model.urdf_robot, inputs.identify)}
+    assert kinds == {"none"}
