@@ -165,9 +165,7 @@ class Residue:
                 J, number = _compact(block)
                 whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]
                 whole = self.problem.whitened(i, block.rows, whole)
-                yield WhitenedRows(
-                    i, block.rows, whole[:, :, -1], whole[:, :, :-1], number, self.w[i][block.rows]
-                )
+                yield WhitenedRows(i, block.rows, whole[:, :, -1], whole[:, :, :-1], number, self.w[i][block.rows])
 
     def covariances(self, rows: WhitenedRows) -> Array:
         """Return the covariance (c, c) of the columns of rows, or (n, c + a, c + a) of those of every row."""

@@ -47,8 +47,8 @@ class Fit:
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
     ``memories``: how rows with times err together, which the covariance includes; ``covariance_alone`` (p, p): what it
-    would be if all rows erred independently. ``together``: of every set, how rows of a photograph err together, by which
-    they are weighed; empty where none do.
+    would be if all rows erred independently. ``together``: of every set, how rows of a photograph err
+    together, by which they are weighed; empty where none do.
     """
 
     model: ErrorModel

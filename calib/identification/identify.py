@@ -162,7 +162,7 @@ def _erring_together(
     variances: Sequence[float | None] | None,
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Return problem and solution with the rows of photographs weighed as they err together, where they do."""
-    if problem.robust or variances is not None and any(v is not None for v in variances):
+    if problem.robust or (variances is not None and any(v is not None for v in variances)):
         return problem, found, learned
     before: tuple[Together | None, ...] = ()
     for _ in range(_MOST_WEIGHINGS):

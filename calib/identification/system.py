@@ -314,7 +314,9 @@ def _blocks(data: Measurements) -> Iterator[slice]:
     while start < len(data):
         end = min(start + size, len(data))
         if cuts is not None:
-            end = int(cuts[max(np.searchsorted(cuts, end, side="right") - 1, np.searchsorted(cuts, start, side="right"))])
+            end = int(
+                cuts[max(np.searchsorted(cuts, end, side="right") - 1, np.searchsorted(cuts, start, side="right"))]
+            )
         yield slice(start, end)
         start = end
 

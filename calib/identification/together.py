@@ -82,8 +82,7 @@ def _photographs(number: IntArray) -> Iterator[tuple[int, IntArray]]:
     """Yield the number of each photograph, and its rows."""
     order = np.argsort(number, kind="stable")
     kinds, starts = np.unique(number[order], return_index=True)
-    for k, rows in zip(kinds.tolist(), np.split(order, starts[1:]), strict=True):
-        yield k, rows
+    yield from zip(kinds.tolist(), np.split(order, starts[1:]), strict=True)
 
 
 class _Heads(NamedTuple):
@@ -163,7 +162,7 @@ def _widths(heads: _Heads, known: Array) -> tuple[float, float, float, float] | 
         return system(_LENGTH * float(np.exp(theta[0])), _ANGLE * float(np.exp(theta[1])))[0]
 
     limit = float(np.log(_RANGE))
-    start = min(((cost(np.array(at)), at) for at in ((-5.0, -5.0), (-2.0, -2.0), (0.0, 0.0), (1.0, 1.0))))[1]
+    start = min((cost(np.array(at)), at) for at in ((-5.0, -5.0), (-2.0, -2.0), (0.0, 0.0), (1.0, 1.0)))[1]
     best = minimize(cost, np.array(start), method="L-BFGS-B", bounds=[(-limit, limit)] * 2)
     if cost(np.array([-30.0, -30.0])) - float(best.fun) < float(chdtri(2.0, _RARELY)):
         return None
@@ -180,5 +179,6 @@ def variances_of(models: Sequence[float], sets: Sequence[int], found: Sequence["
     ``sets``: the set of every component.
     """
     return [
-        model**2 if not found or (own := found[i]) is None else own.variance for model, i in zip(models, sets, strict=True)
+        model**2 if not found or (own := found[i]) is None else own.variance
+        for model, i in zip(models, sets, strict=True)
     ]

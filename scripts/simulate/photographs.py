@@ -207,9 +207,7 @@ class Renderer:
 class Arm:
     """A UR5, or another arm that ends in tool0, whose joint frames are off by small errors, and its nominal self."""
 
-    def __init__(
-        self, rng: np.random.Generator, length: float, angle: float, zero: float, *, urdf: str = UR5
-    ) -> None:
+    def __init__(self, rng: np.random.Generator, length: float, angle: float, zero: float, *, urdf: str = UR5) -> None:
         self.urdf = yourdfpy.URDF.load(str(resolve(urdf)), load_meshes=False, build_scene_graph=False)
         joints, link, chain = {j.child: j for j in self.urdf.robot.joints}, TIP, []
         while link in joints:
