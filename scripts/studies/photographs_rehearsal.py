@@ -4,8 +4,8 @@
         [--only TEXT]
 
 Every case and seed is one line of the store; what is there already is not simulated again. A small arm, a UR3, takes
-24 photographs; 16 identify and 8 are held out, in three splits by whole photographs. The job is the one that ``calib import
-images`` writes. The first seeds are rendered, and go through the commands ``calib import images`` and ``calib
+24 photographs; 16 identify and 8 are held out, in three splits by whole photographs. The job is the one that ``calib
+import images`` writes. The first seeds are rendered, and go through the commands ``calib import images`` and ``calib
 calibrate``; of the others corners are simulated, each found to 0.05 px, by the same mathematics, which is not the
 toolkit's.
 
