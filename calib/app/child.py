@@ -30,8 +30,6 @@ with loading():
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
     from calib.results.report import report_of
-    from calib.robot.load import load_robot
-    from calib.robot.sources import EXAMPLE, resolve
 
 # Tables of text, which are read as they are; others become one first.
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
@@ -130,22 +128,20 @@ def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Seque
         )
     print_ = read_board(Path(boards[0]))
     answers, robot = asked["answers"], asked["robot"]
-    arm = None
-    if robot:
-        arm = load_robot(resolve(robot) if robot.startswith(EXAMPLE) else Path(robot), answers.get("tip"))
-    orientation = answers.get("orientation")
     found = import_photographs(
         Path(PHOTOGRAPHS),
         print_,
         Path(tables[0]),
-        robot=arm,
-        orientation=orientation,
+        urdf=robot or None,
+        tip=answers.get("tip"),
+        orientation=answers.get("orientation"),
         progress=say,
     )
+    if not (found.urdf or robot):
+        raise JobError(f"{found.remarks[0]}, and there is no robot yet; drop its URDF, or choose an example.")
     table = _made(_MARKS, found.table())
-    link = "flange" if found.urdf else None if arm is None else arm.tip
     model = _made(_FLANGE, found.urdf) if found.urdf else robot
-    write_atomically(Path(JOB), found.job(model, link, table, boards[0], camera_on=asked["camera_on"]))
+    write_atomically(Path(JOB), found.job(model, table, boards[0], camera_on=asked["camera_on"]))
     told = found.contents()
     reasons = [f"{remark}." for remark in found.remarks]
     reasons += [f"{one.name} is left out: {one.left_out}." for one in found.photographs if one.left_out]

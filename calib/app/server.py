@@ -29,16 +29,17 @@ _LARGEST_PAGE = 200_000_000
 _PIECE = 1 << 20
 
 
-async def serve(folder: Path | None, port: int, started: Callable[[str], None]) -> None:
+async def serve(folder: Path | None, port: int, started: Callable[[str, str], None]) -> None:
     """Serve the page until it is cancelled. ``folder``: where files are kept, else for as long as the page is served.
 
-    ``port`` 0: any free one. ``started`` is told the address, which holds a secret: who has it may use the page.
-    Raises OutputError where folder or port cannot be had.
+    ``port`` 0: any free one. ``started`` is told the address, which holds a secret: who has it may use the page; and an
+    address that leads there once, for whom others may watch. Raises OutputError where folder or port cannot be had.
     """
     with private_folder(folder) as place:
-        session, secret = Session(place), secrets.token_urlsafe(16)
+        session, secret, once = Session(place), secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         given = {"session": session}
         routes = [
+            (rf"/{once}", _Door, {"way": [f"/{secret}/"]}),
             (rf"/{secret}/(app\.js|app\.css|)", _Page, given),
             (rf"/{secret}/state", _State, given),
             (rf"/{secret}/examples", _Examples, given),
@@ -48,11 +49,26 @@ async def serve(folder: Path | None, port: int, started: Callable[[str], None]) 
             (rf"/{secret}/calibration\.zip", _Folder, given),
         ]
         async with listening(routes, port) as address:
-            started(f"{address}{secret}/")
+            started(f"{address}{secret}/", f"{address}{once}")
             try:
                 await asyncio.Event().wait()
             finally:
                 await session.cancel()
+
+
+class _Door(Guarded):
+    """Leads to the page, once: other users of this computer may see with which address a browser was started."""
+
+    def initialize(self, way: list[str]) -> None:
+        self.way = way
+
+    def get(self) -> None:
+        if self.way:
+            self.redirect(self.way.pop())
+            return
+        self.set_status(403)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish("This address has been used. The address that the terminal shows still leads to the page.")
 
 
 class _Ours(Guarded):
@@ -69,9 +85,6 @@ class _Ours(Guarded):
     def refuse(self, status: int, sentence: str) -> None:
         self.set_status(status)
         self.finish({"sentence": sentence})
-
-    def data_received(self, chunk: bytes) -> None:
-        raise NotImplementedError  # asked for by tornado of handlers that take a body piece by piece, as _Files does
 
 
 class _Page(_Ours):

@@ -30,8 +30,7 @@ def import_images(
         from calib.job.photographs import import_photographs
         from calib.job.read import read_board
         from calib.presentation.contact_sheet import Shot, contact_sheet
-        from calib.robot.load import load_robot
-        from calib.robot.sources import EXAMPLE, resolve
+        from calib.robot.sources import EXAMPLE
     if len(folders) != 1 or board is None or readings is None:
         raise typer.BadParameter("images takes one folder, --board and --readings.")
     if camera_on not in ("tip", "floor"):
@@ -40,11 +39,10 @@ def import_images(
     for file in (page, job, urdf):
         refuse_taken(file)
     print_ = read_board(board)
-    arm = None
-    if robot is not None:
-        arm = load_robot(resolve(robot) if robot.startswith(EXAMPLE) else Path(robot), tip)
     with telling.progress(0, alike=True) as say:
-        found = import_photographs(folders[0], print_, readings, robot=arm, orientation=orientation, progress=say)
+        found = import_photographs(
+            folders[0], print_, readings, urdf=robot, tip=tip, orientation=orientation, progress=say
+        )
     write_new(out, found.table())
     shots = [
         Shot(one.name, one.size, one.small, one.found.pixels, one.found.sigma, one.left_out)
@@ -59,19 +57,17 @@ def import_images(
     if model is not None:
         if not (found.urdf or model.startswith(EXAMPLE)):
             model = os.path.relpath(model, out.absolute().parent)
-        link = "flange" if found.urdf else None if arm is None else arm.tip
         named = os.path.relpath(board, out.absolute().parent)
-        write_new(job, found.job(model, link, out.name, named, camera_on=camera_on))
+        write_new(job, found.job(model, out.name, named, camera_on=camera_on))
         written.append(job)
     _tell(telling, found.contents(), written)
 
 
 def _tell(telling: Telling, contents: Mapping[str, Any], written: Sequence[Path]) -> None:
-    from calib.presentation.console import printable
 
     said = [f"{remark}." for remark in contents["remarks"]]
     said += [f"{one['image']} is left out: {one['why']}." for one in contents["left_out"]]
     used, count = contents["used"], contents["used"] + len(contents["left_out"])
     said.append(f"{contents['corners']} corners of {used} of {count} photographs; {contents['sigma']:.3f} px each.")
     said.append(f"Written: {', '.join(map(str, written))}.")
-    telling.tell(lambda: {"files": [str(file) for file in written], **contents}, lambda: map(printable, said))
+    telling.tell(lambda: {"files": [str(file) for file in written], **contents}, lambda: said)

@@ -73,13 +73,19 @@ def listed(arms: Sequence[Chain]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(arm.tip for arm in arms))
 
 
+def whole_chains(document: Urdf) -> tuple[Chain, ...]:
+    """Return the arms that are no beginning of another, the longest first."""
+    arms = chains(document)
+    return tuple(
+        arm for arm in arms if not any(o.joints[: len(arm.joints)] == arm.joints for o in arms if o is not arm)
+    )
+
+
 def tips(urdf: str | Path) -> tuple[str, ...]:
     """Return one sentence for every arm of a URDF: its joints and its tip."""
     document = read_urdf(urdf)
-    arms = chains(document)
-    whole = [arm for arm in arms if not any(o.joints[: len(arm.joints)] == arm.joints for o in arms if o is not arm)]
     return tuple(
         f"{document.where}: {len(arm.joints)} joints from {arm.base or document.root} to {arm.tip}: "
         f"{', '.join(arm.joints)}."
-        for arm in whole
+        for arm in whole_chains(document)
     ) or (f"{document.where}: no joint moves.",)

@@ -15,7 +15,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
-from calib.foundations.words import shown
+from calib.foundations.words import listed, shown
+from calib.job.chains import chains, whole_chains
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import POSITION, orientations, stacked
 from calib.measurement.formats.images import (
@@ -31,7 +32,9 @@ from calib.measurement.formats.sheet import Sheet, read_sheet
 from calib.measurement.layout import name_and_unit
 from calib.measurement.prints import Print
 from calib.measurement.table import Columns, read_table
+from calib.robot.load import load_robot
 from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 
 IMAGE = "image"
 LEAST_PHOTOGRAPHS = 3
@@ -57,7 +60,8 @@ class Photograph(NamedTuple):
 class Imported:
     """Photographs of one size (w, h) with readings: ``titles`` and ``readings`` by name. ``remarks``: how these came.
 
-    ``urdf``: of the six axes that stand for the flange's pose, where no robot is known.
+    ``robot``: what the readings are of. ``urdf``: of the six axes that stand for the flange's pose, where no robot is
+    known.
     """
 
     photographs: tuple[Photograph, ...]
@@ -66,6 +70,7 @@ class Imported:
     readings: Mapping[str, tuple[str, ...]]
     print_: Print
     remarks: tuple[str, ...]
+    robot: Robot | None
     urdf: str = ""
 
     @property
@@ -97,7 +102,7 @@ class Imported:
                 rows.append((*before, *numbers, f"{max(sigma, 1e-3):.{_DIGITS}f}"))
         return csv_text(rows)
 
-    def job(self, urdf: str, tip: str | None, table: str, board: str, *, camera_on: str) -> str:
+    def job(self, urdf: str, table: str, board: str, *, camera_on: str) -> str:
         """Return a job of a table of pixels: all that may deviate free, the lens too, a quarter held out."""
         alone = bool(self.urdf)
         free = ["# The robot is taken as given: hand-eye and lens alone."] if alone else []
@@ -108,7 +113,7 @@ class Imported:
             "",
             "[robot]",
             f"urdf = {json.dumps(urdf)}",
-            *([] if tip is None else [f"tip = {json.dumps(tip)}"]),
+            *self._ends(),
             "",
             "[error_model]",
             *free,
@@ -131,13 +136,21 @@ class Imported:
         ]
         return "\n".join(lines) + "\n"
 
+    def _ends(self) -> list[str]:
+        if self.robot is None:
+            return ['tip = "flange"'] if self.urdf else []
+        root = self.robot.urdf.root
+        base = [] if self.robot.base == root else [f"base = {json.dumps(self.robot.base)}"]
+        return [f"tip = {json.dumps(self.robot.tip)}", *base]
+
 
 def import_photographs(
     folder: Path,
     print_: Print,
     readings: Path,
     *,
-    robot: Robot | None = None,
+    urdf: str | Path | None = None,
+    tip: str | None = None,
     orientation: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Imported:
@@ -145,12 +158,15 @@ def import_photographs(
 
     ``readings``: a table with the column ``image``, and columns of the joints; or ``x``, ``y``, ``z`` and the
     quaternion, or three angles of an ``orientation``, of the flange as its controller states it. Then the readings are
-    those with which the nominal ``robot`` is there; without a robot they are six axes that put the flange there.
+    those with which the nominal robot of ``urdf`` is there; without it they are six axes that put the flange there.
+    Without a ``tip``, it is that of the arm whose joints the readings have.
 
     Raises CalibError where less than three photographs remain, or readings cannot be had.
     """
     files = _files(folder)
-    titles, by_image, remarks, urdf = _readings(readings, robot, orientation)
+    robot, said = (None, ()) if urdf is None else _arm(urdf, tip, readings)
+    titles, by_image, remarks, made = _readings(readings, robot, orientation)
+    remarks = (*said, *remarks)
     detect = detector(print_)
     seen: list[Photograph] = []
     for file in files:
@@ -168,7 +184,7 @@ def import_photographs(
     if lost:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         remarks += (f"{readings}: there is no photograph {shown(lost[0])}{more} in {folder}",)
-    imported = Imported(photographs, size, titles, taken, print_, remarks, urdf)
+    imported = Imported(photographs, size, titles, taken, print_, remarks, robot, made)
     if len(imported.used) < LEAST_PHOTOGRAPHS:
         first = next((f"; {one.name}: {one.left_out}" for one in photographs if one.left_out), "")
         raise MeasurementError(
@@ -232,7 +248,7 @@ def _readings(
 ) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]], tuple[str, ...], str]:
     """Return titles and cells of the readings by image, how they came, and the URDF that they are of, where made."""
     sheet = read_sheet(path)
-    names = [name_and_unit(title)[0].strip().split("[")[0].strip() for title in sheet.titles]
+    names = _names(sheet)
     if IMAGE not in names:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
     images = _images(sheet, names.index(IMAGE))
@@ -245,6 +261,29 @@ def _readings(
         said += ", which are taken; its poses of the flange are not needed"
     rows = {image: tuple(row[k] for k in own) for image, row in zip(images, sheet.rows, strict=True)}
     return tuple(sheet.titles[k] for k in own), rows, (said,), ""
+
+
+def _arm(urdf: str | Path, tip: str | None, readings: Path) -> tuple[Robot, tuple[str, ...]]:
+    """Return the robot of a URDF up to a tip, and remarks. Without a ``tip``: the arm whose joints the readings have.
+
+    Raises CalibError where several arms are meant alike, or the URDF has no such link.
+    """
+    document = read_urdf(urdf)
+    if tip is not None:
+        return load_robot(document, tip), ()
+    known = set(_names(read_sheet(readings)))
+    found = next((arm for arm in chains(document) if known.issuperset(arm.joints)), None)
+    whole = whole_chains(document)
+    if found is None and len(whole) == 1:
+        found = whole[0]
+    if found is None:
+        return load_robot(document), ()
+    others = f"; {listed(found.others, most=4)} would do as well" if found.others else ""
+    return load_robot(document, found.tip, found.base), (f"{document.where}: the tip is {found.tip}{others}",)
+
+
+def _names(sheet: Sheet) -> list[str]:
+    return [name_and_unit(title)[0].strip().split("[")[0].strip() for title in sheet.titles]
 
 
 def _images(sheet: Sheet, column: int) -> list[str]:

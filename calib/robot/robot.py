@@ -20,15 +20,7 @@ from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
-from calib.robot.gravity import (
-    STANDARD_GRAVITY,
-    Holding,
-    Load,
-    Payload,
-    Weights,
-    checked_gravity,
-    checked_payload,
-)
+from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Kinematics, MovingType, Regressor
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton

@@ -2,8 +2,9 @@
 
     python scripts/benchmarks/first_picture.py [--poses 1000] [--times 7]
 
-Prints the shortest times and their ratio, and how many pictures a second are drawn while the scene is turned; exits
-with 1 where the ratio is above 3 or the page above 15 MB.
+Prints the shortest times and their ratio, how many pictures a second can be drawn of the whole scene, and how many are
+drawn while it is turned: a machine without a graphics card then draws less. Exits with 1 where the ratio is above 3 or
+the page above 15 MB.
 """
 
 import argparse
@@ -49,6 +50,20 @@ TURNED = """new Promise(done => {
   done(times.sort((a, b) => a - b)[15]);
 })"""
 
+# As it is turned by hand: a step a picture, for some seconds, after those in which it learns how fast it is.
+MOVED = """new Promise(done => {
+  let begun = performance.now(), first = 0, a = 0;
+  requestAnimationFrame(function turn(now) {
+    a += 0.05;
+    camera.position.copy(viewer.controls.target).add(new THREE.Vector3(3 * Math.cos(a), 1.5, 3 * Math.sin(a)));
+    viewer.controls.update();
+    const frames = viewer.renderer.info.render.frame;
+    if (!first && now - begun > 4000) { first = frames; begun = now; }
+    if (first && now - begun > 4000) done(1000 * (frames - first) / (now - begun));
+    else requestAnimationFrame(turn);
+  });
+})"""
+
 
 def scene(poses: int) -> Scene:
     """Return a Panda with its meshes at random poses, with random errors."""
@@ -88,13 +103,14 @@ def main() -> int:
         page.ask("Page.addScriptToEvaluateOnNewDocument", source=DRAWN)
         pairs = [[first_picture(page, file.as_uri()) for file in (empty, full)] for _ in range(arguments.times)]
         turned = float(page.evaluate(TURNED))
+        moved = float(page.evaluate(MOVED))
         assert page.trouble == []
     # Other work on the machine only ever adds.
     times = [min(column) for column in zip(*pairs, strict=True)]
     ratio = times[1] / times[0]
     print(f"{arguments.poses} poses: {size / 1e6:.1f} MB; first picture after {times[1]:.0f} ms,", end=" ")
     print(f"of an empty meshcat scene after {times[0]:.0f} ms: {ratio:.2f} times.")
-    print(f"Turned, it is drawn {1e3 / turned:.0f} times a second.")
+    print(f"The whole of it is drawn {1e3 / turned:.0f} times a second, and {moved:.0f} times while it is turned.")
     return int(ratio > MOST_RATIO or size > MOST_BYTES)
 
 

@@ -225,7 +225,7 @@ def test_a_real_positioner_and_a_camera(fresh: Page, tmp_path: Path) -> None:
     fresh.drop("#drop", [tmp_path / "positioner.urdf", REAL / "positioner_camera" / "measurements.yaml"])
     settle(fresh)
     # Metres and millimetres fit alike: the arm has no length that would tell.
-    assert "lengths in mm and in m fit equally well" in fresh.evaluate("byId('asked').textContent")
+    assert "lengths in m and in mm fit equally well" in fresh.evaluate("byId('asked').textContent")
     answers = fresh.evaluate("[...document.querySelectorAll('#choices button')].map(b => b.textContent)")
     fresh.evaluate(f"window.before = state, byId('choice-{answers.index('m')}').click(), true")
     fresh.wait_for("state !== window.before")
@@ -233,6 +233,25 @@ def test_a_real_positioner_and_a_camera(fresh: Page, tmp_path: Path) -> None:
     shown = grid(fresh)
     assert (shown["x"][1], shown["joint_1"][1]) == ("m", "rad")
     assert calibrated(fresh)
+
+
+def test_photographs_of_a_board_calibrate_an_arm(fresh: Page, tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    from scripts.simulate import photographs as simulation
+    from tests.support.photographs import small_session
+
+    simulation.write(tmp_path, small_session(3, 8), 3)
+    files = [*sorted((tmp_path / "photographs").iterdir()), tmp_path / "board.toml", tmp_path / "readings.csv"]
+    fresh.drop("#drop", files)
+    settle(fresh)
+    assert "readings of the joints, and there is no robot yet" in fresh.evaluate("byId('sentence').textContent")
+    changed(fresh, "robot", simulation.UR5)
+    assert fresh.evaluate("state.sentence") == ""
+    why = fresh.evaluate("byId('why').textContent")
+    assert "the tip is tool0; 'wrist_3_link', 'ee_link' would do as well" in why
+    assert "corners of 8 photographs" in why
+    assert "times better" in calibrated(fresh)
+    assert fresh.trouble == []
 
 
 def test_without_a_server_the_page_says_so(fresh: Page, server: Server) -> None:

@@ -1,6 +1,7 @@
 """The requests of the page: who may ask, what files may hold, and how work is cancelled."""
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -28,10 +29,14 @@ PANDA = "example:panda_description/urdf/panda.urdf"
 class Server:
     """``calib app`` in a process, and its page's requests without a browser."""
 
-    def __init__(self, *arguments: str | Path) -> None:
+    def __init__(self, *arguments: str | Path, **environment: str) -> None:
         command = [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", MAIN, "app"]
         self.process = subprocess.Popen(
-            [*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [*command, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **environment},
         )
         assert self.process.stdout is not None
         said = ""
@@ -164,6 +169,28 @@ def test_requests_without_sense_are_answered_in_words(empty: Server, path: str, 
     status, answer = empty.ask("POST", path, body)
     assert (status, list(answer)) == (400, ["sentence"])
     assert answer["sentence"].endswith(".")
+
+
+def test_a_browser_is_started_with_an_address_that_leads_to_the_page_once(tmp_path: Path) -> None:
+    watched, script = tmp_path / "address", tmp_path / "browser.sh"
+    script.write_text(f'#!/bin/sh\nprintf %s "$1" > {watched}.new\nmv {watched}.new {watched}\n')
+    script.chmod(0o700)
+    server = Server("--open", BROWSER=f"{script} %s")
+    end = time.monotonic() + 60
+    while not watched.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    door = watched.read_text()
+    assert door.startswith(server.origin)
+    assert server.page.split("/")[-2] not in door
+    with urllib.request.urlopen(door, timeout=60) as answer:
+        assert answer.url == server.page
+        assert b"Calibrate a robot arm" in answer.read()
+    with pytest.raises(urllib.error.HTTPError, match="403") as refused:
+        urllib.request.urlopen(door, timeout=60)
+    with refused.value:
+        assert b"has been used" in refused.value.read()
+    server.end()
 
 
 def test_files_have_a_size_and_a_kind(empty: Server) -> None:

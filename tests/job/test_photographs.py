@@ -14,6 +14,7 @@ cv2 = pytest.importorskip("cv2")
 from calib.job.read import read_board  # noqa: E402
 from scripts.simulate import photographs as simulation  # noqa: E402
 from tests.support.cases import run  # noqa: E402
+from tests.support.photographs import small_session  # noqa: E402
 
 UR5 = simulation.UR5
 SEED, IMAGES = 3, 10
@@ -21,9 +22,7 @@ SEED, IMAGES = 3, 10
 
 @pytest.fixture(scope="module")
 def session() -> simulation.Session:
-    some = simulation.session(SEED, IMAGES)
-    lens = simulation.Lens(fx=452.0, fy=451.0, cx=322.0, cy=177.0, size=(640, 360))
-    return simulation.Session(some.arm, lens, some.sheet, some.look, some.camera, some.board, some.readings)
+    return small_session(SEED, IMAGES)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +46,7 @@ def imported(folder: Path, readings: str = "readings.csv", *more: str):
 
 
 def test_two_commands_lead_from_photographs_to_a_calibrated_arm(folder: Path, session: simulation.Session) -> None:
-    said = imported(folder, "readings.csv", "--robot", UR5, "--tip", "tool0")
+    said = imported(folder, "readings.csv", "--robot", UR5)
     assert (said.code, said.err) == (0, "")
     assert f"corners of {IMAGES} of {IMAGES} photographs" in said.out.replace("\n", " ")
     page = (folder / "marks_photographs.html").read_text()

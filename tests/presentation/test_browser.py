@@ -218,6 +218,13 @@ def test_links_stand_where_python_puts_them(page: Page, out: Path, outcome: Cali
         assert said == f"Pose {row + 1} of 492, {s.rows[row]}: before {before:.3f} mm, after {after:.3f} mm"
 
 
+def in_order(page: Page, drawn: Any) -> Any:
+    """Return what is drawn of each row, in the order of the rows."""
+    found = np.empty_like(drawn)
+    found[page.evaluate("spread")] = drawn
+    return found
+
+
 def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, out: Path, outcome: Calibration) -> None:
     s = scene_of(outcome)
     page.size(1280, 800)
@@ -229,7 +236,7 @@ def test_vectors_lead_from_the_points_to_the_magnified_predictions(page: Page, o
         node = f"viewer.scene_tree.find({path}).object"
         parts = "n => (n.children[0] ? n.children : [n]).map(m => [...m.geometry.attributes.position.array])"
         found = page.evaluate(f"({parts})({node})")
-        return [np.array(flat).reshape(492, -1, 3) for flat in found]
+        return [in_order(page, np.array(flat).reshape(492, -1, 3)) for flat in found]
 
     (dots,) = corners("['measured', '<object>']")
     np.testing.assert_allclose(dots.mean(axis=1), measured, atol=2e-6)
@@ -258,7 +265,7 @@ def test_colours_tell_the_direction_or_the_table_of_errors(page: Page, out: Path
         mesh = f"viewer.scene_tree.find(['{cloud}', '<object>']).object.children[1]"
         flat = np.array(page.evaluate(f"[...{mesh}.geometry.attributes.color.array]"))
         kinds = np.array(page.evaluate("KINDS.map(colour => colour.toArray())"))
-        seen = flat.reshape(492, -1, 3)[:, 0]
+        seen = in_order(page, flat.reshape(492, -1, 3))[:, 0]
         return np.abs(seen[:, None] - kinds).sum(axis=2).argmin(axis=1), np.abs(seen[:, None] - kinds).sum(axis=2).min()
 
     for cloud, predicted in (("before", s.before), ("after", s.after)):
@@ -288,7 +295,7 @@ def test_regions_are_as_large_as_stated_and_stand_where_the_errors_end(
     data = np.concatenate([judged.data.readings for judged in outcome.sets])
     for (n, _), drawn in zip(s.regions.items(), corners, strict=True):
         centre = to_base[:3, :3] @ (s.measured[n] + factor * (s.after - s.measured)[n]) + to_base[:3, 3]
-        sure = calib.tool_uncertainty(outcome.machine, data[n : n + 1])
+        sure = calib.judging.tool_uncertainty(outcome.machine, data[n : n + 1])
         R = s.calibrated.root[:3, :3]
         C = R.T @ sure.covariance[0, :3, :3] @ R
         off = (drawn - centre) / factor
@@ -305,9 +312,29 @@ def test_thousands_of_points_are_points_of_the_card(page: Page, tmp_path: Path) 
     for name, where in (("measured", many.measured), ("before", many.measured + 20.0 * (many.before - many.measured))):
         found = "[...(node.isPoints ? node : node.children[1]).geometry.attributes.position.array]"
         flat = page.evaluate(f"(node => {found})(viewer.scene_tree.find(['{name}', '<object>']).object)")
-        np.testing.assert_allclose(np.array(flat).reshape(-1, 3), where, atol=1e-5)
+        np.testing.assert_allclose(in_order(page, np.array(flat).reshape(-1, 3)), where, atol=1e-5)
     picture = pixels(page, tmp_path / "many.png")
     assert (picture.max(axis=2) - picture.min(axis=2) > 90).sum() > 3000  # errors in colours
+
+
+def test_less_is_drawn_while_a_slow_machine_moves_and_all_of_it_at_rest(page: Page, tmp_path: Path) -> None:
+    (tmp_path / "many.html").write_text(render_scene(first_picture.scene(2500)), encoding="utf-8")
+    page.size(1280, 800)
+    page.open((tmp_path / "many.html").as_uri())
+    page.wait_for("still === 0 && nodeAt('nominal').object.visible")
+    count = (
+        "(viewer.render(), (({ triangles, lines, points }) => [triangles, lines, points])(viewer.renderer.info.render))"
+    )
+    whole = page.evaluate(f"late = 0, {count}")
+    # It is late with three pictures, then the camera is turned.
+    light = page.evaluate(f"late = 3, viewer.controls.dispatchEvent({{ type: 'change' }}), {count}")
+    assert light[0] < 0.2 * whole[0]
+    assert light[1] < 0.5 * whole[1]
+    assert 300 < light[2] < 0.5 * whole[2]
+    assert page.evaluate("spread.length === new Set(spread).size")
+    page.wait_for("still === 0")
+    assert page.evaluate(count) == whole
+    assert page.trouble == []
 
 
 def test_parallelogram_moves_when_it_is_played(page: Page, out: Path) -> None:

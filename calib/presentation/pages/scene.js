@@ -54,6 +54,7 @@ function copies(shape, matrices, tint) {
   geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
   geometry.setAttribute("color", new THREE.BufferAttribute(color, 3));
   geometry.setIndex(new THREE.BufferAttribute(faces, 1));
+  geometry.userData.each = each;
   return new THREE.Mesh(geometry, paint);
 }
 
@@ -61,6 +62,7 @@ function copies(shape, matrices, tint) {
 function specks(points, tint, size, outline) {
   const geometry = new THREE.BufferGeometry().setFromPoints(points), across = size / Math.tan(VIEW * Math.PI / 360);
   geometry.setAttribute("color", new THREE.Float32BufferAttribute(points.flatMap((_, n) => tint(n).toArray()), 3));
+  geometry.userData.each = 1;
   const look = new THREE.PointsMaterial({ size: across, vertexColors: true });
   if (outline) {
     const picture = document.createElement("canvas"), pen = picture.getContext("2d");
@@ -73,16 +75,22 @@ function specks(points, tint, size, outline) {
 }
 const VIEW = 35;  // degrees of the camera
 const ROUND = "M16 0a16 16 0 1 0 .01 0z", EDGED = "M16 0L32 16 16 32 0 16z";
-const many = measured.length > 2000;
+const many = measured.length > 500;
+// Rows in an order in which the first of them are from everywhere: where little can be drawn, these are.
+const common = (a, b) => b ? common(b, a % b) : a;
+let stride = Math.max(1, Math.round(0.618 * measured.length));
+while (common(stride, measured.length) > 1) stride++;
+const spread = measured.map((_, k) => k * stride % measured.length);
 
 function vectors(name, cloud, shape, outline, tint) {
-  const at = measured.map(p => new THREE.Vector3(...p));
-  const way = cloud.errors.map(e => new THREE.Vector3(...e).multiplyScalar(factor));
+  const at = spread.map(n => new THREE.Vector3(...measured[n]));
+  const way = spread.map(n => new THREE.Vector3(...cloud.errors[n]).multiplyScalar(factor));
   const ends = at.map((p, n) => p.clone().add(way[n])), group = new THREE.Group();
   if (many) {
     const lines = new THREE.BufferGeometry().setFromPoints(at.flatMap((p, n) => [p, ends[n]]));
     const colours = at.flatMap((_, n) => { const rgb = tint(n).toArray(); return [...rgb, ...rgb]; });
     lines.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
+    lines.userData.each = 2;
     group.add(new THREE.LineSegments(lines, thread), specks(ends, tint, 1.3 * page.radius, outline));
   } else {
     const one = new THREE.Vector3(1, 1, 1), still = new THREE.Quaternion();
@@ -140,7 +148,7 @@ function draw() {
   document.querySelectorAll("[data-shade]").forEach(e => {
     e.style.background = "#" + (kind || e.dataset.shade === "dot" ? dots : tints.at(e.dataset.shade)).getHexString();
   });
-  const tint = cloud => kind ? n => KINDS[kind(cloud, n)] : n => tints[cloud.kinds[n]];
+  const tint = cloud => kind ? k => KINDS[kind(cloud, spread[k])] : k => tints[cloud.kinds[spread[k]]];
   if (colour) {
     byId("magnitude").hidden = Boolean(kind);
     key.replaceChildren(...(meanings[by] || []).map((text, k) => {
@@ -152,7 +160,7 @@ function draw() {
   }
   if (!measured.length) return;
   const ofDots = by in page.colourings ? tint(after) : () => dots, r = page.radius;
-  const places = measured.map(p => new THREE.Vector3(...p));
+  const places = spread.map(n => new THREE.Vector3(...measured[n]));
   const dot = new THREE.OctahedronGeometry(1.1 * r), diamond = new THREE.OctahedronGeometry(1.6 * r);
   // Of hundreds none is looked at alone, and a machine without a graphics card draws corners one by one.
   const ball = measured.length > 300 ? new THREE.BoxGeometry(1.5 * r, 1.5 * r, 1.5 * r) : new THREE.IcosahedronGeometry(1.2 * r, 0);
@@ -168,6 +176,59 @@ function draw() {
 if (colour) colour.addEventListener("change", () => { draw(); choose(); });
 draw();
 night.addEventListener("change", () => { draw(); choose(); });
+
+// Without a graphics card a picture takes long. There, while something moves, less is drawn: the calibrated arm in coarse
+// shapes, and of the points as many as there is time for. What rests is drawn whole.
+const LATE = 100, STILL = 300, MOST = 3000, SHEER = ["nominal", "regions"];  // ms, ms, corners of lines and faces
+let late = 0, light = false, still = 0;
+function moving() {
+  clearTimeout(still);
+  still = setTimeout(() => { still = 0; lighten(false); }, STILL);
+  if (late > 2) lighten(true);
+}
+function timed() {
+  if (!still || light || late > 2) return;
+  const start = performance.now();
+  requestAnimationFrame(() => requestAnimationFrame(() => {
+    late = performance.now() - start > LATE ? late + 1 : 0;
+  }));
+}
+function lighten(on) {
+  if (light === on) return;
+  light = on;
+  nodeAt("robot").object.traverse(part => {
+    if (!part.isMesh) return;
+    const shapes = part.userData.shapes ||= { whole: part.geometry, coarse: coarse(part.geometry) };
+    part.geometry = on ? shapes.coarse : shapes.whole;
+  });
+  const parts = [];
+  for (const name of ["measured", "before", "after"])
+    if (boxes.find(box => box.dataset.layer === name)?.checked)
+      nodeAt(name).object.traverse(part => { if (part.geometry) parts.push(part.geometry); });
+  const rows = MOST / parts.reduce((sum, geometry) => sum + geometry.userData.each / (geometry.index ? 3 : 1), 0);
+  for (const geometry of parts) geometry.setDrawRange(0, on ? Math.ceil(rows) * geometry.userData.each : Infinity);
+  choose();
+}
+// Of all corners in a cell of a grid the first stands for all; they keep normals and colours.
+function coarse(whole) {
+  const at = whole.attributes.position, index = whole.index, p = new THREE.Vector3();
+  whole.computeBoundingBox();
+  const { min, max } = whole.boundingBox, cell = Math.max(...max.clone().sub(min).toArray()) / 9 || 1;
+  const first = new Map(), faces = new Map();
+  const corner = i => {
+    const key = p.fromBufferAttribute(at, i).sub(min).divideScalar(cell).toArray().map(Math.floor).join();
+    if (!first.has(key)) first.set(key, i);
+    return first.get(key);
+  };
+  for (let k = 0; k + 2 < (index || at).count; k += 3) {
+    const face = [0, 1, 2].map(i => corner(index ? index.getX(k + i) : k + i)), [a, b, c] = face;
+    if (a !== b && b !== c && c !== a) faces.set([...face].sort().join(), face);
+  }
+  const made = new THREE.BufferGeometry();
+  Object.assign(made.attributes, whole.attributes);
+  made.setIndex([...faces.values()].flat());
+  return made;
+}
 
 // Arms: a link sits in its parent at origin, then motion; parents come first.
 const order = [], placed = new Set([page.root]);
@@ -193,6 +254,7 @@ function place(arm, positions) {
     links[child] = links[parent].clone().multiply(arm.origins[k]).multiply(motion);
   }
   for (const [link, T] of Object.entries(links)) viewer.set_transform([arm.name, link], T.toArray());
+  moving();
   if (arm.name === "robot") viewer.set_transform(["frames", "tip"], links[page.tip].toArray());
 }
 
@@ -272,7 +334,7 @@ let names = true;
 function choose() {
   for (const box of boxes)
     if (box.dataset.layer === "labels") names = box.checked;
-    else viewer.set_property(box.dataset.layer.split("/"), "visible", box.checked);
+    else viewer.set_property(box.dataset.layer.split("/"), "visible", box.checked && !(light && SHEER.includes(box.dataset.layer)));
   if (last >= 0) viewer.set_property(["current"], "visible", wanted("measured"));
   viewer.set_dirty();
 }
@@ -379,7 +441,8 @@ function measure() {
   byId("bar").textContent = length >= 0.1 ? `${+length.toPrecision(1)} m` : `${+(1000 * length).toPrecision(1)} mm`;
 }
 const render = viewer.render.bind(viewer);
-viewer.render = () => { render(); arrange(); measure(); };
+viewer.render = () => { render(); arrange(); measure(); timed(); };
+viewer.controls.addEventListener("change", moving);
 
 // A point is told when it is pointed at, and shown with the arm when it is clicked.
 const told = byId("told");
