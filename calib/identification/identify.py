@@ -121,8 +121,8 @@ def _identify(
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
-    whole = _with_common(problem, found.variances)
-    sigmas = weights.sigmas_of(plain, whole, after)
+    spread_out = _with_common(problem, found.variances)
+    sigmas = weights.sigmas_of(plain, spread_out, after)
     spread, memories = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
     return Fit(
         model=model,
@@ -139,7 +139,7 @@ def _identify(
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
-        noise=_noise(problem, found._replace(variances=whole), after),
+        noise=_noise(problem, found._replace(variances=spread_out), after),
         losses=problem.losses,
         machine=machine,
         nominal=nominal,
