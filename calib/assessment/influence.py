@@ -105,14 +105,16 @@ class Residue:
             fit.measurements,
             relations=fit.model.relations,
             given_losses=fit.losses,
+            together=fit.together,
         )
-        variances = [noise.model**2 for noise in fit.noise]
+        variances = fit.variances
         plain = weights.sigmas_of(problem, variances)
         weighted = weights.sigmas_of(problem, variances, fit.residuals)
         w = tuple((a[:, 0] / b[:, 0]) ** 2 for a, b in zip(plain, weighted, strict=True))
         squares = [
-            float(np.sum(own[:, None] * (r / sigma) ** 2)) / losses.shrinkage(loss, r.shape[1])
-            for own, r, sigma, loss in zip(w, fit.residuals, plain, fit.losses, strict=True)
+            float(np.sum(own[:, None] * problem.whitened(i, slice(None), (r / sigma)[:, :, None])[:, :, 0] ** 2))
+            / losses.shrinkage(loss, r.shape[1])
+            for i, (own, r, sigma, loss) in enumerate(zip(w, fit.residuals, plain, fit.losses, strict=True))
         ]
         freedom = [
             sum(noise.degrees_of_freedom for noise in fit.noise if noise.measurements == i)
@@ -161,9 +163,9 @@ class Residue:
             for block in rates.blocks(data):
                 sigma = self.sigma[i][block.rows]
                 J, number = _compact(block)
-                yield WhitenedRows(
-                    i, block.rows, block.observed.residual / sigma, J / sigma[:, :, None], number, self.w[i][block.rows]
-                )
+                whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]
+                whole = self.problem.whitened(i, block.rows, whole)
+                yield WhitenedRows(i, block.rows, whole[:, :, -1], whole[:, :, :-1], number, self.w[i][block.rows])
 
     def covariances(self, rows: WhitenedRows) -> Array:
         """Return the covariance (c, c) of the columns of rows, or (n, c + a, c + a) of those of every row."""

@@ -18,6 +18,7 @@ from calib.identification.machine import Machine
 from calib.identification.memory import Memory
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
+from calib.identification.together import Together, variances_of
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot
 
@@ -46,7 +47,8 @@ class Fit:
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
     ``memories``: how rows with times err together, which the covariance includes; ``covariance_alone`` (p, p): what it
-    would be if all rows erred independently.
+    would be if all rows erred independently. ``together``: of every set, how rows of a photograph err
+    together, by which they are weighed; empty where none do.
     """
 
     model: ErrorModel
@@ -75,6 +77,14 @@ class Fit:
     learned: tuple[LearnedPrior, ...] = ()
     narrowed: float = 1.0
     memories: tuple[Memory, ...] = ()
+    together: tuple[Together | None, ...] = ()
+
+    @property
+    def variances(self) -> list[float]:
+        """Of every component, the variance of a row by itself beyond the instrument's, in m^2, rad^2 or px^2."""
+        return variances_of(
+            [noise.model for noise in self.noise], [noise.measurements for noise in self.noise], self.together
+        )
 
     @property
     def robot(self) -> Robot:

@@ -18,19 +18,22 @@ from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
-from calib.identification.learned import solve_learning
+from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Solution, solution_at, solve
-from calib.identification.system import Problem, residuals
+from calib.identification.system import Problem, Rates, photograph_numbers, residuals
+from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
 
 # Searches from where anchors are elsewhere, at most: each time fewer are.
 _MOST_TURNS = 3
+# Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
+_MOST_WEIGHINGS, _SAME_WEIGHING = 4, 0.02
 
 
 @checked
@@ -101,6 +104,8 @@ def _identify(
     found = _with_anchors(problem, found, variances)
     if found.freed:
         problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+    plain = problem
+    problem, found, learned = _erring_together(problem, found, learned, variances)
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
@@ -112,11 +117,13 @@ def _identify(
     if null_space == "minimal" and directions:
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
         problem = replace(problem, parameters=tuple(parameters[k] for k in kept))
-        found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), variances)
+        given = _given(problem, variances)
+        found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
     after = residuals(model.robot, sets, machine)
-    sigmas = weights.sigmas_of(problem, found.variances, after)
-    spread, memories = with_memory(problem, found.x, sigmas, after, found.spread)
+    spread_out = _with_common(problem, found.variances)
+    sigmas = weights.sigmas_of(plain, spread_out, after)
+    spread, memories = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
     return Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
@@ -132,7 +139,7 @@ def _identify(
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
-        noise=_noise(problem, found, after),
+        noise=_noise(problem, found._replace(variances=spread_out), after),
         losses=problem.losses,
         machine=machine,
         nominal=nominal,
@@ -144,7 +151,78 @@ def _identify(
         learned=learned,
         narrowed=found.narrowed,
         memories=memories,
+        together=problem.together,
     )
+
+
+def _erring_together(
+    problem: Problem,
+    found: Solution,
+    learned: tuple[LearnedPrior, ...],
+    variances: Sequence[float | None] | None,
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
+    """Return problem and solution with the rows of photographs weighed as they err together, where they do."""
+    if problem.robust or (variances is not None and any(v is not None for v in variances)):
+        return problem, found, learned
+    before: tuple[Together | None, ...] = ()
+    for _ in range(_MOST_WEIGHINGS):
+        now = _together(problem, found)
+        if all(own is None for own in now):
+            return problem, found, learned
+        problem = replace(problem, together=now)
+        problem, found, learned = solve_learning(problem, found.x, _given(problem, variances))
+        if before and all(
+            one is other or (one and other and abs(np.log(one.common / other.common)) < _SAME_WEIGHING)
+            for one, other in zip(now, before, strict=True)
+        ):
+            break
+        before = now
+    return problem, found, learned
+
+
+def _given(problem: Problem, variances: Sequence[float | None] | None) -> Sequence[float | None] | None:
+    """Return the model variances that are given, of every component: those of rows that err together, too."""
+    if not problem.together:
+        return variances
+    return [None if (own := problem.together[c.measurements]) is None else own.variance for c in problem.components]
+
+
+def _with_common(problem: Problem, variances: Sequence[float]) -> tuple[float, ...]:
+    """Return model variances of every component with what its rows have in common."""
+    if not problem.together:
+        return tuple(variances)
+    return tuple(
+        v + (0.0 if (own := problem.together[c.measurements]) is None else own.common)
+        for c, v in zip(problem.components, variances, strict=True)
+    )
+
+
+def _together(problem: Problem, found: Solution) -> tuple[Together | None, ...]:
+    """Return how rows of photographs err together, of every set, at a solution."""
+    units = scales(problem.parameters)
+    at = problem.machine(found.x)
+    hold = np.array([p.hold for p in problem.parameters])
+    centre = np.array([0.0 if p.centre is None else p.centre for p in problem.parameters])
+    centre = np.where([p.of_robot or p.centre is not None for p in problem.parameters], centre, found.x)
+    prior = np.column_stack([np.diag(hold), hold * (found.x - centre) / units])
+    return tuple(_of_set(problem, data, at, units, prior) for data in problem.measurements)
+
+
+def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, prior: Array) -> Together | None:
+    if data.board is None or data.times is not None:
+        return None
+    number = photograph_numbers(data)
+    if int(number.max(initial=-1)) + 1 < FEWEST:
+        return None
+    J = np.empty((*data.sigma.shape, len(units)))
+    by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
+    for block in Rates(problem, at, units).blocks(data):
+        J[block.rows], r[block.rows] = block.J, block.observed.residual
+        by_twist[block.rows] = block.observed.twist
+    told = likeliest(number, by_twist, J, r, data.sigma, prior)
+    if told is None:
+        return None
+    return Together.of(*told, number, by_twist, np.sqrt(data.sigma**2 + told[2]))
 
 
 def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:

@@ -26,6 +26,7 @@ from calib.identification.parameters import Entries, Parameter, scales
 from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, TargetsFollowed, motions, taken_out
 from calib.identification.targets import split_of
+from calib.identification.together import Together
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
@@ -50,7 +51,7 @@ class Problem:
 
     ``held``: deviations of the robot where they are not free; zero when None. ``relations``: what is known between
     targets. ``given_losses``: one for each set; least squares for all when None. ``nominals``: what does not follow the
-    unknowns, made once.
+    unknowns, made once. ``together``: of every set, how rows of a photograph err together; none do where it is empty.
     """
 
     model: ErrorModel
@@ -61,12 +62,18 @@ class Problem:
     relations: tuple[Relation, ...] = ()
     given_losses: tuple[Loss, ...] | None = None
     nominals: Nominals = field(default_factory=Nominals)
+    together: tuple[Together | None, ...] = ()
 
     @property
     def losses(self) -> tuple[Loss, ...]:
         """The loss of every set."""
         linear: Loss = "linear"
         return (linear,) * len(self.measurements) if self.given_losses is None else self.given_losses
+
+    def whitened(self, i: int, rows: slice, whitened: Array) -> Array:
+        """Return rows (n, d, k) of set i over their sigmas, less what those of a photograph have in common."""
+        together = self.together[i] if self.together else None
+        return whitened if together is None else together.less(whitened, rows)
 
     @property
     def robust(self) -> bool:
@@ -208,12 +215,12 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
         of_set = [(collected[k], component.columns) for k, component in components if component.measurements == i]
         for block in rates.blocks(data):
             residual, s = block.observed.residual, sigma[block.rows, :, None]
-            left[block.rows] = residual
-            whitened = np.concatenate([block.J, residual[:, :, None]], axis=2) / s
+            whitened = problem.whitened(i, block.rows, np.concatenate([block.J, residual[:, :, None]], axis=2) / s)
+            left[block.rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else residual
             if whole is not None:
                 whole.add(block.J, block.moved, sigma[block.rows], block.grounds)
             for own, columns in of_set:
-                turned = None if block.own is None else (block.own / s)[:, columns]
+                turned = None if block.own is None else problem.whitened(i, block.rows, block.own / s)[:, columns]
                 own.add(whitened[:, columns], turned, block.block)
         found.append(left)
     related, set_up_motions = _of_the_whole(problem, rates, at, whole)
@@ -301,10 +308,32 @@ class _Links(dict[str, TipModel]):
 
 
 def _blocks(data: Measurements) -> Iterator[slice]:
-    """Yield the rows of a set, few enough at a time."""
-    size = BLOCK // data.sigma.shape[1]
-    for start in range(0, len(data), size):
-        yield slice(start, start + size)
+    """Yield the rows of a set, few enough at a time; what a camera sees in one photograph is not parted."""
+    size, start = BLOCK // data.sigma.shape[1], 0
+    cuts = _between_photographs(data) if data.kind == "pixels" and len(data) > size else None
+    while start < len(data):
+        end = min(start + size, len(data))
+        if cuts is not None:
+            end = int(
+                cuts[max(np.searchsorted(cuts, end, side="right") - 1, np.searchsorted(cuts, start, side="right"))]
+            )
+        yield slice(start, end)
+        start = end
+
+
+def _between_photographs(data: Measurements) -> IntArray:
+    """Return the numbers of rows before which no photograph has begun that goes on, the end being one."""
+    number = photograph_numbers(data)
+    last = np.zeros(int(number.max(initial=0)) + 1, dtype=np.intp)
+    last[number] = np.arange(len(number))
+    until = np.maximum.accumulate(last[number])
+    return np.append(np.flatnonzero(until[:-1] < np.arange(1, len(number))) + 1, len(number))
+
+
+def photograph_numbers(data: Measurements) -> IntArray:
+    """Return the photograph (N,) of every row: rows of one target and tool with the same readings."""
+    at = np.column_stack([data.readings, data.tool, data.setup, data.target])
+    return np.asarray(np.unique(at, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
 
 
 def _bases(frames: Frames, data: Measurements, rows: slice) -> Array:

@@ -80,7 +80,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     every = (*fit.parameters, *fit.held)
     frames, held = fit.machine.frames, fit.machine.deviations
     relations = fit.model.relations
-    problem = Problem(fit.model, every, frames, fit.measurements, held, relations, fit.losses)
+    problem = Problem(fit.model, every, frames, fit.measurements, held, relations, fit.losses, together=fit.together)
     split = _split(fit, problem)
     x = values_at(fit.model.robot, every, frames, held)
     at, sigmas, waves = problem.machine(x), _sigmas(fit, problem), usual_waves(fit.model.robot, identified)
@@ -223,7 +223,7 @@ class _Taught(NamedTuple):
 
 def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
     """Return the standard deviations (N, d) of every set, by which no row that lies off tells more than others do."""
-    found = weights.sigmas_of(problem, [noise.model**2 for noise in fit.noise], fit.residuals, search=True)
+    found = weights.sigmas_of(problem, fit.variances, fit.residuals, search=True)
     if not problem.robust:
         return found
     far = [np.sqrt(np.mean((r / sigma) ** 2, axis=1)) for r, sigma in zip(fit.residuals, found, strict=True)]

@@ -88,7 +88,10 @@ class Systematic:
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 whole /= sigma[block.rows, :, None]
                 whole = np.concatenate([whole[:, :, :-1], B, whole[:, :, -1:]], axis=2)
-                by_own = None if block.own is None else block.own / sigma[block.rows, :, None]
+                whole = problem.whitened(i, block.rows, whole)
+                by_own = None
+                if block.own is not None:
+                    by_own = problem.whitened(i, block.rows, block.own / sigma[block.rows, :, None])
                 for c, columns in own:
                     yield SystematicRows(
                         c, whole[:, columns], by_own if by_own is None else by_own[:, columns], block.block

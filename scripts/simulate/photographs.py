@@ -30,23 +30,28 @@ UR5 = "example:ur_description/urdf/ur5_robot.urdf"
 TIP = "tool0"
 # As many rays a pixel, each way.
 RAYS = 4
+# As many rows of pixels at a time.
+STRIP = 16
 
 
 @dataclass(frozen=True)
 class Lens:
-    """OpenCV's numbers."""
+    """OpenCV's numbers; ``k``: five of distortion, or the eight of the rational model."""
 
     fx: float = 905.0
     fy: float = 903.0
     cx: float = 645.0
     cy: float = 355.0
-    k: tuple[float, float, float, float, float] = (-0.06, 0.09, 6e-4, -4e-4, -0.03)
+    k: tuple[float, ...] = (-0.06, 0.09, 6e-4, -4e-4, -0.03)
     size: tuple[int, int] = (1280, 720)
 
     def bend(self, x: Array, y: Array) -> tuple[Array, Array]:
-        k1, k2, p1, p2, k3 = self.k
+        k1, k2, p1, p2, k3, *rational = self.k
         r2 = x * x + y * y
         f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if rational:
+            k4, k5, k6 = rational
+            f = f / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         return x * f + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * f + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
 
     def rays(self) -> tuple[Array, Array]:
@@ -76,6 +81,7 @@ class Sheet:
     aspect: float = 0.0
     shear: float = 0.0
     bend: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of x^2, y^2, x y, in 1 / m
+    wave: float = 0.0  # height of waves, in m, as no quadratic has them
 
     @property
     def middle(self) -> Array:
@@ -91,7 +97,8 @@ class Sheet:
 
     def height(self, flat: Array) -> Array:
         x, y = flat[..., 0], flat[..., 1]
-        return self.bend[0] * x * x + self.bend[1] * y * y + self.bend[2] * x * y
+        bent = self.bend[0] * x * x + self.bend[1] * y * y + self.bend[2] * x * y
+        return bent + self.wave * np.sin(75.0 * x + 1.0) * np.cos(60.0 * y) if self.wave else bent
 
     def corners(self) -> Array:
         x, y = np.meshgrid(np.arange(1, self.squares[0]), np.arange(1, self.squares[1]))
@@ -139,6 +146,7 @@ class Renderer:
     lens: Lens
     sheet: Sheet
     look: Look = field(default_factory=Look)
+    rays_each_way: int = RAYS
 
     def __post_init__(self) -> None:
         self._rays = self.lens.rays()
@@ -159,11 +167,22 @@ class Renderer:
         seen = self.lens.see(self.sheet.place(border) @ T[:3, :3].T + T[:3, 3])
         low = np.clip(np.floor(seen.min(axis=0)).astype(int) - 12, 0, (w - 1, h - 1))
         high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + 12, 1, (w, h))
-        box = np.s_[low[1] : high[1], low[0] : high[0]]
         grey = np.full((h, w), self.look.ground)
+        # Strip by strip: what is worked on stays near the processor.
+        for top in range(low[1], high[1], STRIP):
+            below = min(top + STRIP, high[1])
+            grey[top:below, low[0] : high[0]] = self._strip(T, np.array([low[0], top]), np.array([high[0], below]))
+        grey = gaussian_filter(grey, self.look.blur, mode="nearest") if self.look.blur else grey
+        v, u = np.mgrid[:h, :w]
+        return np.asarray(grey * (1 + self.look.falling[0] * (u / w - 0.5) + self.look.falling[1] * (v / h - 0.5)))
+
+    def _strip(self, T: Array, low: NDArray[np.int_], high: NDArray[np.int_]) -> Array:
+        """The light on pixels from low to high, each (x, y), before it is blurred."""
+        edge = self.sheet.square * np.array(self.sheet.squares)
         # The middles of rays within pixels, RAYS each way: where they look changes evenly from pixel to pixel.
-        count = (high - low)[::-1] * RAYS
-        at = [(np.arange(n) + 0.5) / RAYS - 0.5 + o for n, o in zip(count, low[::-1], strict=True)]
+        each = self.rays_each_way
+        count = (high - low)[::-1] * each
+        at = [(np.arange(n) + 0.5) / each - 0.5 + o for n, o in zip(count, low[::-1], strict=True)]
         grid = np.meshgrid(*at, indexing="ij")
         x, y = (map_coordinates(ray, grid, order=1, mode="nearest") for ray in self._rays)
         R, t = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
@@ -178,11 +197,7 @@ class Renderer:
         light = np.where(
             on, self.look.black + (self.look.white - self.look.black) * self.sheet.white(drawn), self.look.ground
         )
-        small = light.reshape(count[0] // RAYS, RAYS, count[1] // RAYS, RAYS).mean(axis=(1, 3))
-        grey[box] = small
-        grey = gaussian_filter(grey, self.look.blur, mode="nearest") if self.look.blur else grey
-        v, u = np.mgrid[:h, :w]
-        return np.asarray(grey * (1 + self.look.falling[0] * (u / w - 0.5) + self.look.falling[1] * (v / h - 0.5)))
+        return np.asarray(light.reshape(count[0] // each, each, count[1] // each, each).mean(axis=(1, 3)))
 
     def corners(self, T: Array) -> Array:
         """Where the corners truly are (n, 2), in px."""
@@ -190,10 +205,10 @@ class Renderer:
 
 
 class Arm:
-    """A UR5 whose joint frames are off by small errors, and its nominal self."""
+    """A UR5, or another arm that ends in tool0, whose joint frames are off by small errors, and its nominal self."""
 
-    def __init__(self, rng: np.random.Generator, length: float, angle: float, zero: float) -> None:
-        self.urdf = yourdfpy.URDF.load(str(resolve(UR5)), load_meshes=False, build_scene_graph=False)
+    def __init__(self, rng: np.random.Generator, length: float, angle: float, zero: float, *, urdf: str = UR5) -> None:
+        self.urdf = yourdfpy.URDF.load(str(resolve(urdf)), load_meshes=False, build_scene_graph=False)
         joints, link, chain = {j.child: j for j in self.urdf.robot.joints}, TIP, []
         while link in joints:
             chain.insert(0, joints[link])
