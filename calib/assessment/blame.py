@@ -22,7 +22,7 @@ from calib.assessment.judged import JudgedSet
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, residuals_of
+from calib.identification.identify import identify_alike, residuals_of
 from calib.identification.initialisation.lenses import legible, photographs_of
 from calib.identification.photographs import Optics, poses_of
 from calib.identification.photographs import fit as bundle
@@ -197,7 +197,7 @@ def _left(fit: Fit, judged: Sequence[JudgedSet], freed: Collection[CauseName]) -
     frames = [escape(p.name) for p in fit.parameters if not p.of_robot and not p.nuisance]
     named = [escape(p.name) for p in fit.parameters if p.of_robot and "arm" in freed]
     try:
-        again = identify(fit.model, own, free=[*frames, *named], losses=fit.losses)
+        again = identify_alike(fit, own, [*frames, *named])
         return _square(residuals_of(again, [_with(one.data, freed) for one in judged], again.machine))
     except (IdentificationError, MeasurementError):
         return None

@@ -64,6 +64,15 @@ def identify(
         return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
 
 
+def identify_alike(fit: Fit, measurements: Sequence[Measurements], free: Sequence[str]) -> Fit:
+    """Identify again what is free, from as many sets, with the weights of a fit: how its rows err together is kept.
+
+    Fits that are to be compared weigh rows alike; a model that explains less would call its own errors common ones.
+    """
+    with one_thread():
+        return _identify(fit.model, measurements, free, None, "nearest", None, fit.losses, fit.together)
+
+
 def _identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
@@ -72,6 +81,7 @@ def _identify(
     null_space: NullSpacePolicy,
     model_sigmas: Sequence[float | None] | None,
     losses: Sequence[Loss] | None,
+    together: tuple[Together | None, ...] | None = None,
 ) -> Fit:
     if null_space not in ("nearest", "minimal", "refuse"):
         raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
@@ -105,7 +115,11 @@ def _identify(
     if found.freed:
         problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     plain = problem
-    problem, found, learned = _erring_together(problem, found, learned, variances)
+    if together is None:
+        problem, found, learned = _erring_together(problem, found, learned, variances)
+    elif together:
+        problem = replace(problem, together=together)
+        problem, found, learned = solve_learning(problem, found.x, _given(problem, variances))
     parameters = problem.parameters
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
