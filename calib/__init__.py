@@ -10,7 +10,7 @@
     calib.save(found, "results")
 
 SI units inside and in every argument: m, rad. More is in ``calib.commands`` (corrected targets, controllers),
-``calib.planning``, ``calib.measuring`` (instruments, targets), ``calib.judging`` (models, sensitivity, acceptance),
+``calib.planning``, ``calib.measuring`` (instruments, targets), ``calib.judging`` (uncertainty, models, sensitivity),
 ``calib.positioner`` (external axes) and ``calib.dh``. A name is loaded, with the libraries that it needs, when first
 used.
 """
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from calib.assessment.acceptance import verify
     from calib.assessment.advice import advice
     from calib.assessment.checking import check
-    from calib.assessment.drift import compare
-    from calib.assessment.outliers import outliers
     from calib.assessment.planning import plan
     from calib.assessment.validation import hold_out
     from calib.foundations.errors import (
@@ -45,10 +43,8 @@ if TYPE_CHECKING:
     from calib.identification.identify import identify
     from calib.identification.parameters import Priors
     from calib.job.calibrate import calibrate
-    from calib.job.propose import propose
     from calib.machine.calibrated import CalibratedMachine, machine_of
     from calib.machine.model_file import load_machine
-    from calib.machine.tool_uncertainty import outside_identified, tool_uncertainty, uncertainty_map
     from calib.machine.urdf import write_urdf
     from calib.measurement.arrays import poses, positions
     from calib.measurement.measurements import Measurements
@@ -59,7 +55,6 @@ if TYPE_CHECKING:
     from calib.results.calibration import Calibration, assess
     from calib.results.folder import report, save, scene
     from calib.robot import dh
-    from calib.robot.gravity import Payload
     from calib.robot.load import load_robot
     from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
     from calib.robot.terms import JointTerm
@@ -69,8 +64,6 @@ _HOMES = {
     "assessment.acceptance": "verify",
     "assessment.advice": "advice",
     "assessment.checking": "check",
-    "assessment.drift": "compare",
-    "assessment.outliers": "outliers",
     "assessment.planning": "plan",
     "assessment.validation": "hold_out",
     "foundations.errors": "CalibError IdentificationError JobError MeasurementError OutputError RobotError",
@@ -79,10 +72,8 @@ _HOMES = {
     "identification.identify": "identify",
     "identification.parameters": "Priors",
     "job.calibrate": "calibrate",
-    "job.propose": "propose",
     "machine.calibrated": "CalibratedMachine machine_of",
     "machine.model_file": "load_machine",
-    "machine.tool_uncertainty": "outside_identified tool_uncertainty uncertainty_map",
     "machine.urdf": "write_urdf",
     "measurement.arrays": "poses positions",
     "measurement.measurements": "Measurements",
@@ -93,7 +84,6 @@ _HOMES = {
     "results.calibration": "Calibration assess",
     "results.folder": "report save scene",
     "robot": "dh",
-    "robot.gravity": "Payload",
     "robot.load": "load_robot",
     "robot.robot": "ClosedLoop Coupling Deviations Robot",
     "robot.terms": "JointTerm",
@@ -122,10 +112,9 @@ if not TYPE_CHECKING:  # which would take every misspelt name for one of these
 __all__ = [
     "CalibError", "CalibratedMachine", "Calibration", "ClosedLoop", "Coupling", "Deviations", "ErrorModel", "Fit",
     "IdentificationError", "JobError", "JointTerm", "Known", "MeasurementError", "Measurements", "OutputError",
-    "Payload", "Priors", "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "compare",
-    "data_frame", "dh", "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of",
-    "measuring", "outliers", "outside_identified", "plan", "planning", "plot", "poses", "positioner", "positions",
-    "propose", "read_measurements", "report", "save", "scene", "table", "tool_uncertainty", "uncertainty_map", "verify",
-    "write_urdf",
+    "Priors", "Robot", "RobotError", "advice", "assess", "calibrate", "check", "commands", "data_frame", "dh",
+    "error_model", "hold_out", "identify", "judging", "load_machine", "load_robot", "machine_of", "measuring", "plan",
+    "planning", "plot", "poses", "positioner", "positions", "read_measurements", "report", "save", "scene", "table",
+    "verify", "write_urdf",
 ]
 # fmt: on

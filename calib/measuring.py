@@ -4,6 +4,7 @@ from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
 from calib.job.proposal import Proposal, ProposedTable, Question
+from calib.job.propose import propose
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.arrays import distances, poses, positions, sockets
 from calib.measurement.boards import Board
@@ -16,7 +17,7 @@ from calib.measurement.streams.rest import at_rest
 from calib.measurement.streams.stream import Clock
 from calib.measurement.table import Columns
 from calib.robot.conditions import Conditions
-from calib.robot.gravity import Load
+from calib.robot.gravity import Load, Payload
 
 __all__ = [
     "Board",
@@ -28,6 +29,7 @@ __all__ = [
     "LaserTracker",
     "Load",
     "Measurements",
+    "Payload",
     "Proposal",
     "ProposedTable",
     "Question",
@@ -39,6 +41,7 @@ __all__ = [
     "distances",
     "poses",
     "positions",
+    "propose",
     "read_measurements",
     "read_stream",
     "seen_by",

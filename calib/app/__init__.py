@@ -7,9 +7,6 @@ folder.py           the private folder: names, sizes, and the folder as one file
 child.py            a look or a calibration, by the public functions, in a process that can be cancelled
 """
 
-from typing import TYPE_CHECKING
+from calib.foundations.lazy import modules_on_use
 
-from calib.foundations.lazy import submodules_of
-
-if not TYPE_CHECKING:  # which would take every misspelt name for a module
-    __getattr__ = submodules_of(__name__)
+modules_on_use(__name__)

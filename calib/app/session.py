@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calib.app.folder import JOB, RESULTS, kind_of, remove, take
+from calib.app.folder import JOB, kind_of, remove, take
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.words import shown
@@ -188,10 +188,6 @@ class Session:
             self._look = found
         else:
             self._look = {**(self._look or {}), **found}
-
-    def has_results(self) -> bool:
-        """Return whether the folder has results of the job that is shown."""
-        return self._results is not None and (self.folder / RESULTS).is_dir()
 
 
 async def _ended(child: asyncio.subprocess.Process) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.brief import brief
+from calib.foundations.chance import bound as bound_of
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
@@ -20,7 +21,7 @@ from calib.identification.initialisation.base_and_tools import KnownFrames, TipO
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_motions
-from calib.machine.uncertainty import Uncertainty, squared_bound
+from calib.machine.uncertainty import Uncertainty
 from calib.robot.conditions import ordinary
 from calib.robot.deviation import COMPONENTS
 from calib.robot.robot import Deviations, Robot
@@ -116,7 +117,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     readings = _common_readings(old, new, seed)
     # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
     tests = max(int(np.count_nonzero(known)), 1)
-    bound = np.sqrt(squared_bound(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
+    bound = np.sqrt(bound_of(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
     by_entry = _by_entry(old, readings, count)
     changes = []
     for k in np.flatnonzero(known):

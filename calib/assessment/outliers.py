@@ -44,7 +44,7 @@ class OutlyingRow:
 
 @dataclass(frozen=True, slots=True)
 class Outliers:
-    """Rows, jumps of targets, and groups, each the least likely first. Made by :func:`calib.outliers`."""
+    """Rows, jumps of targets, and groups, each the least likely first. Made by :func:`calib.judging.outliers`."""
 
     __repr__ = brief
 

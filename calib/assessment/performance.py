@@ -8,7 +8,7 @@ where they are used, and in docs/arm_cmm_performance.md.
 
 All points are centres of the probe ball in the arm's base: where the arm stands does not enter. Where the ball sits on
 the arm does. It is found as that of every such probe, from a cone touched in many articulations, and in the same way
-for the nominal and the calibrated arm: see :func:`probe_point`. SI throughout.
+for the nominal and the calibrated arm: see :func:`calib.positioner.pivot.pivot`. SI throughout.
 """
 
 from collections.abc import Sequence
@@ -197,16 +197,6 @@ def _sphere(points: Array, place: str) -> Sphere:
         return least_squares_sphere(points)
     except MeasurementError as e:
         raise MeasurementError(f"sphere {place!r}: {e}") from e
-
-
-def probe_point(tips: Array, cones: Sequence[str], guess: Array) -> Array:
-    """Return where on the tip link the ball's centre (3,) is, from touches of cones at unknown places.
-
-    ``tips`` (N, 4, 4): the tip link in the base; ``cones``: N names. Row n says t_n + R_n p = c of its cone, which is
-    linear in p and c: the p for which the touches of every cone scatter least, each about its own mean. What the
-    articulations do not show of p stays as in ``guess`` (3,), all in m.
-    """
-    return pivot(tips, cones, guess=guess).tool_point
 
 
 # ---- the figures, from touches

@@ -4,27 +4,17 @@ import contextlib
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import PATH, command
+from calib.cli.options import Open, Port, option
 from calib.cli.view import shown_at
 from calib_start import loading
+
+_FOLDER = "A new or empty folder that keeps files and results; else they go at Ctrl-C."
 
 
 @command("app", PATH, "calib app --open")
 def app(
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--folder",
-            metavar="FOLDER",
-            help="A new or empty folder that keeps files and results; else they go at Ctrl-C.",
-            show_default=False,
-            readable=False,
-        ),
-    ] = None,
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0 takes a free one.")] = 0,
-    open_: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    folder: Annotated[Path | None, option("--folder", "FOLDER", _FOLDER)] = None, port: Port = 0, open_: Open = False
 ) -> None:
     """Calibrate on a page of this computer, until Ctrl-C.
 

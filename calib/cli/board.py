@@ -6,16 +6,13 @@ from typing import Annotated, Literal
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, written
 from calib_start import loading
 
 
 @command("board", PREPARE, "calib board -o board/")
 def board(
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="FOLDER", help="New folder for what is to be printed.", readable=False),
-    ],
+    out: Annotated[Path, written("FOLDER", "New folder for what is to be printed.")],
     kind: Annotated[str, typer.Option("--kind", help="charuco or chessboard.")] = "charuco",
     squares: Annotated[str, typer.Option("--squares", help="Squares across and down, like 7x5.")] = "7x5",
     square: Annotated[str, typer.Option("--square", help="Side of a square.")] = "30 mm",
@@ -37,7 +34,6 @@ def board(
         from calib.job.board import board_toml
         from calib.measurement.formats.images import marker_bits
         from calib.measurement.prints import Print
-        from calib.presentation.console import printable
         from calib.presentation.printed_board import drawing, pdf, svg
     allowed, with_markers = RANGES["square, marker"], kind != "chessboard"
     print_ = Print(
@@ -52,7 +48,7 @@ def board(
     width, height = of.size
     said = f"{out} holds board.pdf and board.svg, {width:g} x {height:g} mm, and board.toml. Print at 100 %."
     Telling(as_json, quiet).tell(
-        lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [printable(said)]
+        lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [said]
     )
 
 

@@ -6,15 +6,10 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import NOT_TRUSTED, PATH, Telling, command
-from calib.cli.options import JobFile, Json, Quiet
+from calib.cli.options import JobFile, Json, Quiet, written
 from calib_start import loading
 
-OutFolder = Annotated[
-    Path,
-    typer.Option(
-        "--out", "-o", metavar="FOLDER", help="Folder of results; older results there are replaced.", readable=False
-    ),
-]
+OutFolder = Annotated[Path, written("FOLDER", "Folder of results; older results there are replaced.")]
 
 
 @command("calibrate", PATH, "calib calibrate calibration.toml -o out/")
@@ -27,13 +22,13 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
     with loading():
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.calibrate import calibrate as calibrate_job
-        from calib.presentation.console import printable, short_report
+        from calib.presentation.console import short_report
         from calib.results.folder import result
         from calib.results.report import report_of
     telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING) as say:
         outcome = calibrate_job(job, out, say, say.expect)
-    written = printable(f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json.")
-    telling.tell(lambda: result(outcome), lambda: [*short_report(report_of(outcome)), written])
+    where = f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json."
+    telling.tell(lambda: result(outcome), lambda: [*short_report(report_of(outcome)), where])
     if outcome.doubts:
         raise typer.Exit(NOT_TRUSTED)

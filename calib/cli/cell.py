@@ -6,39 +6,22 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, MeshRoots, Quiet, argument, option, written
 from calib.foundations.choices import PlacedIn
 from calib_start import loading
 
 
 @command("cell", MORE, "calib cell arm_out/ positioner_out/ -o cell.urdf")
 def cell(
-    arm: Annotated[
-        Path, typer.Argument(metavar="ARM", help="Results of the arm, or its URDF.", show_default=False, readable=False)
-    ],
-    positioner: Annotated[
-        Path,
-        typer.Argument(metavar="POSITIONER", help="Results of the positioner.", show_default=False, readable=False),
-    ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="The cell's URDF, to be written.", readable=False)
-    ],
-    scene: Annotated[
-        Path | None,
-        typer.Option("--scene", metavar="FILE", help="Also draw it (HTML).", show_default=False, readable=False),
-    ] = None,
+    arm: Annotated[Path, argument("ARM", "Results of the arm, or its URDF.")],
+    positioner: Annotated[Path, argument("POSITIONER", "Results of the positioner.")],
+    out: Annotated[Path, written("FILE", "The cell's URDF, to be written.")],
+    scene: Annotated[Path | None, option("--scene", "FILE", "Also draw it (HTML).")] = None,
     placed_in: Annotated[
         PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
     ] = "arm",
-    prefix: Annotated[
-        str | None, typer.Option("--prefix", metavar="NAME", help="Put before names that both use.", show_default=False)
-    ] = None,
-    mesh_root: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--mesh-root", metavar="FOLDER", help="A folder to read meshes from.", show_default=False, readable=False
-        ),
-    ] = None,
+    prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use.")] = None,
+    mesh_root: MeshRoots = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -52,7 +35,6 @@ def cell(
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
         from calib.presentation.cell_scene import cell_scene
-        from calib.presentation.console import printable
         from calib.presentation.scene import render_scene
     if scene == out:
         raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
@@ -71,5 +53,5 @@ def cell(
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), "scene": None if scene is None else str(scene), **found.contents()},
-        lambda: [printable(f"The cell is in {out}.{changed}")],
+        lambda: [f"The cell is in {out}.{changed}"],
     )

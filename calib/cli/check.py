@@ -93,9 +93,6 @@ def _tell_one(robots: list[str], tables: list[str], telling: Telling) -> None:
     with loading():
         from calib.job.chains import tips
         from calib.job.propose import told
-        from calib.presentation.console import printable
     said = [line for robot in robots for line in tips(robot)] + [line for table in tables for line in told(table)]
     missing = "measurements: calib check ARM.urdf TABLE.csv" if robots else "the robot: calib check ARM.urdf TABLE.csv"
-    telling.tell(
-        lambda: {"reasons": said}, lambda: [*map(printable, said), printable(f"More can be told with {missing}.")]
-    )
+    telling.tell(lambda: {"reasons": said}, lambda: [*said, f"More can be told with {missing}."])

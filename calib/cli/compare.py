@@ -3,34 +3,19 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, written
 from calib_start import loading
 
 if TYPE_CHECKING:
     from calib.assessment.drift import Comparison
 
-_OLD = typer.Argument(metavar="OLD", help="Results of the earlier calibration.", show_default=False, readable=False)
-_LATER = typer.Argument(metavar="NEW", help="Results of the later calibration.", show_default=False, readable=False)
-
 
 @command("compare", JUDGE, "calib compare old/ new/")
 def compare(
-    old: Annotated[Path, _OLD],
-    new: Annotated[Path, _LATER],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="A page with both side by side (.html).",
-            show_default=False,
-            readable=False,
-        ),
-    ] = None,
+    old: Annotated[Path, argument("OLD", "Results of the earlier calibration.")],
+    new: Annotated[Path, argument("NEW", "Results of the later calibration.")],
+    out: Annotated[Path | None, written("FILE", "A page with both side by side (.html).")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -43,8 +28,8 @@ def compare(
         from calib.assessment.drift import compare as compared
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.presentation.acceptance_tables import change_sheet, comparison_lines
-        from calib.presentation.tables import sheet_table
+        from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
+        from calib.presentation.console import strong
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -56,7 +41,8 @@ def compare(
     if out is not None:
         write_new(out, _page(old, new, found))
     changes = [change_sheet(found)] if found.changes else []
-    telling.tell(found.contents, lambda: [*map(sheet_table, changes), *comparison_lines(found)])
+    *said, moved = comparison_sentences(found)
+    telling.tell(found.contents, lambda: [*changes, *said, strong(moved)])
 
 
 def _page(old: Path, new: Path, found: "Comparison") -> str:

@@ -6,29 +6,17 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName, argument, option, written
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
-
-TargetFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="TARGETS", help="Joint targets, poses or positions (CSV).", show_default=False, readable=False
-    ),
-]
-CommandFile = Annotated[
-    Path, typer.Option("--out", "-o", metavar="FILE", help="The corrected table, to be written.", readable=False)
-]
 
 
 @command("compensate", PATH, "calib compensate out/ targets.csv -o corrected.csv")
 def compensate(
     results: ResultFolder,
-    targets: TargetFile,
-    out: CommandFile,
-    tool: Annotated[
-        str, typer.Option("--tool", metavar="NAME", help="The tool that shall reach the targets.")
-    ] = "tool",
+    targets: Annotated[Path, argument("TARGETS", "Joint targets, poses or positions (CSV).")],
+    out: Annotated[Path, written("FILE", "The corrected table, to be written.")],
+    tool: Annotated[str, option("--tool", "NAME", "The tool that shall reach the targets.")] = "tool",
     setup: SetupName = None,
     frame: Annotated[PoseFrame, typer.Option("--frame", help="In whose frame poses are given.")] = "base",
     what: Annotated[What, typer.Option("--what", help="What of a target is to be reached.")] = "pose",
@@ -53,7 +41,7 @@ def compensate(
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
-        from calib.presentation.console import printable, warning
+        from calib.presentation.console import warning
     refuse_taken(out)
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
@@ -72,6 +60,6 @@ def compensate(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
             *map(warning, outside),
-            printable(f"{len(found)} targets, {said}. The corrected commands are in {out}."),
+            f"{len(found)} targets, {said}. The corrected commands are in {out}.",
         ],
     )

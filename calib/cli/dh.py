@@ -6,25 +6,17 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib.foundations.choices import Convention
 from calib_start import loading
-
-DhSource = Annotated[
-    Path,
-    typer.Argument(metavar="FILE", help="A DH table (.csv) or a URDF (.urdf).", show_default=False, readable=False),
-]
-DhOut = Annotated[
-    Path, typer.Option("--out", "-o", metavar="FILE", help="The other one, to be written.", readable=False)
-]
 
 
 @command("dh", MORE, "calib dh table.csv -o arm.urdf")
 def dh(
-    source: DhSource,
-    out: DhOut,
-    tip: Annotated[str | None, typer.Option("--tip", metavar="LINK", help="Tip link of a URDF.")] = None,
-    base: Annotated[str | None, typer.Option("--base", metavar="LINK", help="Base link of a URDF.")] = None,
+    source: Annotated[Path, argument("FILE", "A DH table (.csv) or a URDF (.urdf).")],
+    out: Annotated[Path, written("FILE", "The other one, to be written.")],
+    tip: Annotated[str | None, option("--tip", "LINK", "Tip link of a URDF.")] = None,
+    base: Annotated[str | None, option("--base", "LINK", "Base link of a URDF.")] = None,
     convention: Annotated[Convention | None, typer.Option(help="Convention of the table: standard by default.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -36,7 +28,6 @@ def dh(
     with loading():
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
-        from calib.presentation.console import printable
         from calib.robot import dh as dh_of
         from calib.robot.load import load_robot
     kinds = {source.suffix.lower(), out.suffix.lower()}
@@ -51,5 +42,5 @@ def dh(
         write_new(out, dh_of.write_dh(table))
     Telling(as_json, quiet).tell(
         lambda: {"file": str(out), **table.contents()},
-        lambda: [printable(f"{len(table.rows)} rows, {table.convention} convention; the file is {out}.")],
+        lambda: [f"{len(table.rows)} rows, {table.convention} convention; the file is {out}."],
     )

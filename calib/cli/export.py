@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, option, written
 from calib.foundations.choices import Target
 from calib.foundations.units import MM
 from calib_start import loading
@@ -22,10 +22,8 @@ _WORSE = (
 def export(
     results: ResultFolder,
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The file, to be written.", readable=False)],
-    tool: Annotated[
-        str | None, typer.Option("--tool", metavar="NAME", help="Whose arm, where the robot has several.")
-    ] = None,
+    out: Annotated[Path, written("FILE", "The file, to be written.")],
+    tool: Annotated[str | None, option("--tool", "NAME", "Whose arm, where the robot has several.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -40,7 +38,7 @@ def export(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.folders import reading_folder
         from calib.machine.model_file import load_machine
-        from calib.presentation.console import printable, warning
+        from calib.presentation.console import warning
         from calib.results.folder import DH_FILE
         from calib.robot import dh
     refuse_taken(out)
@@ -63,12 +61,10 @@ def export(
                 warning(f"{part.part}: not in the file; this moves the tip by {_said(part.cost)}.")
                 for part in found.left_out
             ),
-            printable(
-                f"Distance of the tip from that of the calibrated machine, over random poses {where}: the nominal "
-                f"machine {_said(found.before)}, {machine} {_said(found.lost)}."
-            ),
+            f"Distance of the tip from that of the calibrated machine, over random poses {where}: the nominal "
+            f"machine {_said(found.before)}, {machine} {_said(found.lost)}.",
             *([warning(_WORSE)] if found.lost > found.before else []),
-            printable(f"Read back and compared; the file is {out}."),
+            f"Read back and compared; the file is {out}.",
         ],
     )
 

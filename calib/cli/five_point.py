@@ -3,26 +3,16 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
-
-_POINTS = typer.Argument(
-    metavar="POINTS", help="tilt, rotary, x, y, z of the five places (CSV).", show_default=False, readable=False
-)
-_OUT = typer.Option(
-    "--out", "-o", metavar="FILE", help="Also the positioner's URDF, to be written.", show_default=False, readable=False
-)
-_SIGMA = typer.Option("--sigma", metavar="LENGTH", help="Standard deviation of a touched coordinate.")
 
 
 @command("five-point", MORE, "calib five-point five.csv -o positioner.urdf")
 def five_point(
-    points: Annotated[Path, _POINTS],
-    out: Annotated[Path | None, _OUT] = None,
-    sigma: Annotated[str, _SIGMA] = "0.1 mm",
+    points: Annotated[Path, argument("POINTS", "tilt, rotary, x, y, z of the five places (CSV).")],
+    out: Annotated[Path | None, written("FILE", "Also the positioner's URDF, to be written.")] = None,
+    sigma: Annotated[str, option("--sigma", "LENGTH", "Standard deviation of a touched coordinate.")] = "0.1 mm",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -36,8 +26,8 @@ def five_point(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.positioner import five_point_of
-        from calib.presentation.console import printable, warning
-        from calib.presentation.positioner_tables import axes_table
+        from calib.presentation.console import warning
+        from calib.presentation.positioner_tables import axes_sheet
     if out is not None:
         refuse_taken(out)
     found = five_point_of(points, sigma=parse_within(sigma, RANGES["sigma"], "sigma"))
@@ -47,7 +37,7 @@ def five_point(
         found.contents,
         lambda: [
             *(warning(finding.sentence) for finding in found.findings),
-            axes_table(found),
-            *([] if out is None else [printable(f"The positioner's URDF is {out}.")]),
+            axes_sheet(found),
+            *([] if out is None else [f"The positioner's URDF is {out}."]),
         ],
     )

@@ -6,30 +6,19 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import BAD_INPUT, INTERRUPTED, MORE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
-
-JobFiles = Annotated[
-    list[Path], typer.Argument(metavar="JOBS...", help="Job files (TOML).", show_default=False, readable=False)
-]
 
 
 @command("fleet", MORE, "calib fleet jobs/*.toml -o fleet/")
 def fleet(
-    jobs: JobFiles,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="FOLDER", help="Folder of all results: one in it for every job.", readable=False
-        ),
-    ] = Path("fleet"),
+    jobs: Annotated[list[Path], argument("JOBS...", "Job files (TOML).")],
+    out: Annotated[Path, written("FOLDER", "Folder of all results: one in it for every job.")] = Path("fleet"),
     workers: Annotated[
         int | None,
         typer.Option("--jobs", "-j", metavar="N", min=1, help="Number of processes.  [default: one for every core]"),
     ] = None,
-    dask: Annotated[
-        str | None, typer.Option("--dask", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
-    ] = None,
+    dask: Annotated[str | None, option("--dask", "ADDRESS", "A Dask scheduler, as tcp://host:8786.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -44,9 +33,8 @@ def fleet(
         from calib.foundations.folders import made_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
-        from calib.presentation.console import printable, show_error, warning
+        from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
-        from calib.presentation.tables import sheet_table
     telling = Telling(as_json, quiet)
     chosen = fleet_jobs(jobs, out)
     try:
@@ -63,10 +51,10 @@ def fleet(
     telling.tell(
         lambda: summary(lines),
         lambda: [
-            sheet_table(fleet_sheet(lines)),
+            fleet_sheet(lines),
             *(warning(f"{line.name}: {line.word}: {' '.join(line.why)}") for line in lines if line.word != "trusted"),
-            printable(fleet_sentence(lines) + unchanged),
-            printable(f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job."),
+            fleet_sentence(lines) + unchanged,
+            f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job.",
         ],
     )
     words = {line.word for line in lines}

@@ -64,11 +64,10 @@ def import_images(
 
 
 def _tell(telling: Telling, contents: Mapping[str, Any], written: Sequence[Path]) -> None:
-    from calib.presentation.console import printable
 
     said = [f"{remark}." for remark in contents["remarks"]]
     said += [f"{one['image']} is left out: {one['why']}." for one in contents["left_out"]]
     used, count = contents["used"], contents["used"] + len(contents["left_out"])
     said.append(f"{contents['corners']} corners of {used} of {count} photographs; {contents['sigma']:.3f} px each.")
     said.append(f"Written: {', '.join(map(str, written))}.")
-    telling.tell(lambda: {"files": [str(file) for file in written], **contents}, lambda: map(printable, said))
+    telling.tell(lambda: {"files": [str(file) for file in written], **contents}, lambda: said)

@@ -1,74 +1,39 @@
 """``calib import``: files that are no plain tables, or whose joints and points are apart, as one table."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument, option, written
 from calib_start import loading
+
+if TYPE_CHECKING:
+    from calib.measurement.formats.sheet import Sheet
 
 # The first word for photographs.
 _IMAGES = "images"
+_FILES = "One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER."
+_STACK = "Put the files one below the other; a column TITLE has their names."
+_ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
+_READINGS = "Of images: a table of the joints, or of the flange's pose, with the column image."
 
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
 def import_(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER.",
-            show_default=False,
-            readable=False,
-        ),
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The table, to be written.", readable=False)
-    ] = None,
+    files: Annotated[list[Path], argument("FILE...", _FILES)],
+    out: Annotated[Path | None, written("FILE", "The table, to be written.")] = None,
     by: Annotated[
-        str | None,
-        typer.Option("--by", help="Title of the column that names rows, or the word order.", show_default=False),
+        str | None, typer.Option("--by", help="Title of the column that names rows, or the word order.")
     ] = None,
-    stack: Annotated[
-        str | None,
-        typer.Option(
-            "--stack",
-            metavar="TITLE",
-            help="Put the files one below the other; a column TITLE has their names.",
-            show_default=False,
-        ),
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="URDF",
-            help="FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job.",
-            show_default=False,
-        ),
-    ] = None,
+    stack: Annotated[str | None, option("--stack", "TITLE", _STACK)] = None,
+    robot: Annotated[str | None, option("--robot", "URDF", _ROBOT)] = None,
     topic: Annotated[
-        str | None,
-        typer.Option(
-            "--topic", metavar="NAME", help="Of a recording: the topic, or rigid body, to be read.", show_default=False
-        ),
+        str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, to be read.")
     ] = None,
-    board: Annotated[
-        Path | None,
-        typer.Option("--board", metavar="FILE", help="Of images: board.toml.", show_default=False, readable=False),
-    ] = None,
-    readings: Annotated[
-        Path | None,
-        typer.Option(
-            "--readings",
-            metavar="FILE",
-            help="Of images: a table of the joints, or of the flange's pose, with the column image.",
-            show_default=False,
-            readable=False,
-        ),
-    ] = None,
+    board: Annotated[Path | None, option("--board", "FILE", "Of images: board.toml.")] = None,
+    readings: Annotated[Path | None, option("--readings", "FILE", _READINGS)] = None,
     tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None,
     orientation: Annotated[
         str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")
@@ -91,7 +56,6 @@ def import_(
         from calib.foundations.files import refuse_taken, write_new
         from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet, stacked
-        from calib.presentation.console import printable
     if any(is_recording(file) for file in files):
         _recording(files, topic, out, Telling(as_json, quiet))
         return
@@ -115,34 +79,32 @@ def import_(
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
-    said = [f"{remark}." for remark in sheet.remarks]
-    said.append(f"{len(sheet.rows)} rows of {len(sheet.titles)} columns are in {out}.")
-    Telling(as_json, quiet).tell(
-        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
-        lambda: map(printable, said),
-    )
+    _tell(sheet, f"{len(sheet.titles)} columns", out, Telling(as_json, quiet))
 
 
 def _recording(files: list[Path], topic: str | None, out: Path | None, telling: Telling) -> None:
     """List the topics of a recording, or write one of them."""
     from calib.foundations.files import refuse_taken, write_new
     from calib.measurement.formats.recordings import read_topic, topics
-    from calib.presentation.console import printable
-    from calib.presentation.recording_tables import topic_table
+    from calib.presentation.recording_tables import topic_sheet
 
     if len(files) != 1 or (topic is None) != (out is None):
         raise typer.BadParameter("a recording is one file or folder; --topic and -o go together.")
     if topic is None or out is None:
         found = topics(files[0])
-        telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_table(found)])
+        telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_sheet(found)])
         return
     refuse_taken(out)
     sheet = read_topic(files[0], topic)
     write_new(out, sheet.csv())
-    said = [*(f"{remark}." for remark in sheet.remarks), f"{len(sheet.rows)} rows of {topic} are in {out}."]
+    _tell(sheet, topic, out, telling)
+
+
+def _tell(sheet: "Sheet", of: str, out: Path, telling: Telling) -> None:
+    remarks = [f"{remark}." for remark in sheet.remarks]
     telling.tell(
-        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": said[:-1]},
-        lambda: map(printable, said),
+        lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": remarks},
+        lambda: [*remarks, f"{len(sheet.rows)} rows of {of} are in {out}."],
     )
 
 
@@ -150,7 +112,6 @@ def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> Non
     from calib.compensation.controllers.ur_own import with_ur_kinematics
     from calib.foundations.errors import RobotError
     from calib.foundations.files import read_bytes, write_new
-    from calib.presentation.console import printable
     from calib.robot.urdf import read_urdf
 
     if len(files) != 1:
@@ -158,4 +119,4 @@ def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> Non
     text = read_bytes(files[0], RobotError, 1_000_000).decode(errors="replace")
     write_new(out, with_ur_kinematics(read_urdf(robot), text, str(files[0])))
     said = f"{out} is {robot} with the axes of {files[0]}."
-    telling.tell(lambda: {"file": str(out)}, lambda: [printable(said)])
+    telling.tell(lambda: {"file": str(out)}, lambda: [said])

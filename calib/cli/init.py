@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument
 from calib.cli.proposing import (
     Angles,
     ColumnNames,
@@ -24,10 +24,7 @@ from calib_start import loading
 @command("init", PATH, "calib init arm.urdf measured.csv")
 def init(
     urdf: Annotated[str, typer.Argument(metavar="URDF", help="The robot, or example:...", show_default=False)],
-    data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA...", help="Tables of measurements.", show_default=False, readable=False),
-    ],
+    data: Annotated[list[Path], argument("DATA...", "Tables of measurements.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
         "calibration.toml"
     ),
@@ -53,7 +50,6 @@ def init(
         from calib.foundations.files import refuse_taken, write_new
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
-        from calib.presentation.console import printable
     refuse_taken(output)
     if xacro:
         urdf = str(_expanded(Path(urdf), output))
@@ -67,7 +63,7 @@ def init(
     write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
     if not as_json:
-        telling.tell(dict, lambda: [printable(f"{output} is written; calib calibrate {output} -o out/ goes on.")])
+        telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
 
 
 def _expanded(source: Path, output: Path) -> Path:

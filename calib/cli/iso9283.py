@@ -3,19 +3,17 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, argument
 from calib_start import loading
-
-_CYCLES = typer.Argument(
-    metavar="CYCLES", help="Attained poses of repeated cycles (CSV).", show_default=False, readable=False
-)
 
 
 @command("iso9283", JUDGE, "calib iso9283 cycles.csv")
-def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quiet = False) -> None:
+def iso9283(
+    cycles: Annotated[Path, argument("CYCLES", "Attained poses of repeated cycles (CSV).")],
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
     """Evaluate repeated cycles after ISO 9283.
 
     Accuracy and repeatability of poses and of distances, variation between directions of approach, and drift. The
@@ -24,6 +22,6 @@ def iso9283(cycles: Annotated[Path, _CYCLES], as_json: Json = False, quiet: Quie
     with loading():
         from calib.assessment.iso9283 import figures, records
         from calib.measurement.cycles import read_cycles
-        from calib.presentation.acceptance_tables import iso_table
+        from calib.presentation.acceptance_tables import iso_sheet
     found = figures(read_cycles(cycles))
-    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_table(found)])
+    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_sheet(found)])

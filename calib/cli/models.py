@@ -35,8 +35,7 @@ def models(
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
         from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
-        from calib.presentation.console import printable, warning
-        from calib.presentation.tables import sheet_table
+        from calib.presentation.console import warning
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
     telling = Telling(as_json, quiet)
@@ -66,7 +65,7 @@ def models(
         found.contents,
         lambda: [
             *(warning(f"{name}: {why}") for name, why in found.refused.items()),
-            sheet_table(comparison_sheet(found)),
-            *map(printable, comparison_sentences(found)),
+            comparison_sheet(found),
+            *comparison_sentences(found),
         ],
     )

@@ -1,22 +1,31 @@
 """Arguments and options that commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-# What cannot be read is bad input and no wrong usage, and whoever opens it says so: hence readable=False of all paths.
-JobFile = Annotated[
-    Path, typer.Argument(metavar="JOB", help="The job file (TOML).", show_default=False, readable=False)
-]
-ResultFolder = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FOLDER", help="A folder of results of calib calibrate.", show_default=False, readable=False
-    ),
-]
-SetupName = Annotated[
-    str | None, typer.Option("--setup", metavar="NAME", help="Which set-up, where the calibration had several.")
-]
+
+def argument(metavar: str, help_: str) -> Any:
+    """Return an argument; what is no readable file is bad input and no wrong usage, and whoever opens it says so."""
+    return typer.Argument(metavar=metavar, help=help_, readable=False)
+
+
+def option(name: str, metavar: str, help_: str) -> Any:
+    """Return an option with a value, as :func:`argument` does."""
+    return typer.Option(name, metavar=metavar, help=help_, readable=False)
+
+
+def written(metavar: str, help_: str) -> Any:
+    """Return the option ``--out``: a file or a folder to be written."""
+    return typer.Option("--out", "-o", metavar=metavar, help=help_, readable=False)
+
+
+JobFile = Annotated[Path, argument("JOB", "The job file (TOML).")]
+ResultFolder = Annotated[Path, argument("FOLDER", "A folder of results of calib calibrate.")]
+SetupName = Annotated[str | None, option("--setup", "NAME", "Which set-up, where the calibration had several.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Port = Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0 takes a free one.")]
+Open = Annotated[bool, typer.Option("--open", help="Open it in the browser.")]
+MeshRoots = Annotated[list[Path] | None, option("--mesh-root", "FOLDER", "A folder to read meshes from.")]

@@ -3,26 +3,18 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder
+from calib.cli.options import Json, Quiet, ResultFolder, argument, option
 from calib_start import loading
-
-TouchFiles = Annotated[
-    list[Path], typer.Argument(metavar="TOUCHES...", help="Touched points (CSV).", show_default=False, readable=False)
-]
-ProbeFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--probe", metavar="FILE", help="A cone touched to find the probe point.", show_default=False, readable=False
-    ),
-]
 
 
 @command("performance", JUDGE, "calib performance out/ cone.csv lengths.csv")
 def performance(
-    results: ResultFolder, touches: TouchFiles, probe: ProbeFile = None, as_json: Json = False, quiet: Quiet = False
+    results: ResultFolder,
+    touches: Annotated[list[Path], argument("TOUCHES...", "Touched points (CSV).")],
+    probe: Annotated[Path | None, option("--probe", "FILE", "A cone touched to find the probe point.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Evaluate acceptance tests of an arm CMM.
 
@@ -33,7 +25,7 @@ def performance(
         from calib.assessment.performance import before_and_after
         from calib.machine.model_file import load_machine
         from calib.measurement.touches import read_touches
-        from calib.presentation.performance_tables import performance_table
+        from calib.presentation.performance_tables import performance_sheet
     telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
@@ -41,5 +33,6 @@ def performance(
         tests = [read_touches(path, model.robot) for path in touches]
         before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
     telling.tell(
-        lambda: {"before": before.records(), "after": after.records()}, lambda: [performance_table(before, after)]
+        lambda: {"before": before.records(), "after": after.records()},
+        lambda: [performance_sheet({"before": before, "after": after})],
     )

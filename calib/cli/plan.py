@@ -7,46 +7,35 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, MeshRoots, Quiet, argument, option, written
 from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
 
-Source = Annotated[
-    str, typer.Argument(metavar="ARM", help="A URDF (.urdf, or example:...) or a job (.toml).", show_default=False)
-]
-PoseFile = Annotated[
-    Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, to be written.", readable=False)
-]
 _NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
-
-
-def _option(name: str, metavar: str, help_: str) -> typer.models.OptionInfo:
-    option: typer.models.OptionInfo = typer.Option(name, metavar=metavar, help=help_, readable=False)
-    return option
 
 
 @command("plan", PREPARE, "calib plan arm.urdf -n 40 -o poses.csv")
 def plan(
-    arm: Source,
-    out: PoseFile,
+    arm: Annotated[str, argument("ARM", "A URDF (.urdf, or example:...) or a job (.toml).")],
+    out: Annotated[Path, written("FILE", "The poses, to be written.")],
     count: Annotated[int, typer.Option("--number", "-n", metavar="N", help="How many poses to choose.")] = 40,
-    candidates: Annotated[str, _option("--candidates", "N|FILE", "Random candidates, or a table of them.")] = "1000",
-    measured: Annotated[Path | None, _option("--measured", "FILE", "Poses measured already, to be completed.")] = None,
-    working: Annotated[Path | None, _option("--working", "FILE", "Poses where the tool must be accurate.")] = None,
-    tip: Annotated[str | None, _option("--tip", "LINK", "Tip link of a URDF, or of a job with several.")] = None,
+    candidates: Annotated[str, option("--candidates", "N|FILE", "Random candidates, or a table of them.")] = "1000",
+    measured: Annotated[Path | None, option("--measured", "FILE", "Poses measured already, to be completed.")] = None,
+    working: Annotated[Path | None, option("--working", "FILE", "Poses where the tool must be accurate.")] = None,
+    tip: Annotated[str | None, option("--tip", "LINK", "Tip link of a URDF, or of a job with several.")] = None,
     observes: Annotated[Planned, typer.Option(help="What is measured; pixels: beside a job's.")] = "position",
     criterion: Annotated[Criterion, typer.Option(help="What is optimised: see docs/assessment.md.")] = "I",
-    sigma: Annotated[str, _option("--sigma", "LENGTH", "Sigma of one measured coordinate.")] = "0.05 mm",
-    sigma_angle: Annotated[str, _option("--sigma-angle", "ANGLE", "Sigma of one measured angle.")] = "0.1 mrad",
-    misfit: Annotated[str, _option("--misfit", "LENGTH", "Rms error that the model leaves out.")] = "0.3 mm",
-    tool: Annotated[str, _option("--tool", "XYZ", "Rough place of the reflector in the tip link.")] = "50 0 50 mm",
-    tracker: Annotated[str | None, _option("--tracker", "XYZ", "Place of the tracker in the base link.")] = None,
-    facing: Annotated[str | None, _option("--facing", "XYZ", "Where the reflector faces, in the tip link.")] = None,
-    acceptance: Annotated[str, _option("--acceptance", "ANGLE", "Half the reflector's field of view.")] = "30 deg",
-    farthest: Annotated[str | None, _option("--farthest", "LENGTH", "The tracker's range.")] = None,
-    nearest: Annotated[str, _option("--nearest", "LENGTH", "The tracker's shortest distance.")] = "0 mm",
-    target: Annotated[str | None, _option("--target", "LENGTH", "Say how many poses keep the error below it.")] = None,
-    mesh_root: Annotated[list[Path] | None, _option("--mesh-root", "FOLDER", "A folder to read meshes from.")] = None,
+    sigma: Annotated[str, option("--sigma", "LENGTH", "Sigma of one measured coordinate.")] = "0.05 mm",
+    sigma_angle: Annotated[str, option("--sigma-angle", "ANGLE", "Sigma of one measured angle.")] = "0.1 mrad",
+    misfit: Annotated[str, option("--misfit", "LENGTH", "Rms error that the model leaves out.")] = "0.3 mm",
+    tool: Annotated[str, option("--tool", "XYZ", "Rough place of the reflector in the tip link.")] = "50 0 50 mm",
+    tracker: Annotated[str | None, option("--tracker", "XYZ", "Place of the tracker in the base link.")] = None,
+    facing: Annotated[str | None, option("--facing", "XYZ", "Where the reflector faces, in the tip link.")] = None,
+    acceptance: Annotated[str, option("--acceptance", "ANGLE", "Half the reflector's field of view.")] = "30 deg",
+    farthest: Annotated[str | None, option("--farthest", "LENGTH", "The tracker's range.")] = None,
+    nearest: Annotated[str, option("--nearest", "LENGTH", "The tracker's shortest distance.")] = "0 mm",
+    target: Annotated[str | None, option("--target", "LENGTH", "Say how many poses keep the error below it.")] = None,
+    mesh_root: MeshRoots = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random candidates.")] = 0,
     as_json: Json = False,
@@ -67,8 +56,6 @@ def plan(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
-        from calib.presentation.console import printable, warning
-        from calib.presentation.plan_tables import enough_sentence, forecast_table, index_table
     refuse_taken(out)
     telling = Telling(as_json, quiet)
     if observes == "pixels":
@@ -116,16 +103,4 @@ def plan(
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
-    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
-    telling.tell(
-        lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": notes},
-        lambda: [
-            *map(warning, notes),
-            printable(f"{len(found.readings)} candidates of {found.tried} poses{': ' + rejected if rejected else ''}."),
-            printable(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
-            forecast_table(planned),
-            index_table(planned),
-            *([] if target is None else [enough_sentence(planned, target, more=measured is not None)]),
-            printable(f"{len(planned.readings)} poses are in {out}."),
-        ],
-    )
+    given.tell_plan(telling, planned, found, notes, ("candidates", "poses"), out, target, more=measured is not None)

@@ -1,11 +1,14 @@
-"""What ``calib plan`` is told, in words and files, as the planner takes it."""
+"""What ``calib plan`` is told, in words and files, as the planner takes it; and what it tells."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from calib.assessment.candidates import Sight
+from calib.assessment.candidates import Candidates, Sight
+from calib.assessment.planning import Plan
+from calib.cli.application import Telling
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.choices import MOST_POSES, Observed
@@ -18,6 +21,8 @@ from calib.identification.error_model import ErrorModel, error_model
 from calib.job.stated import load_arm
 from calib.measurement.columns import stacked
 from calib.measurement.table import read_table
+from calib.presentation.console import warning
+from calib.presentation.plan_tables import enough_sentence, forecast_sheet, index_sheet
 from calib.robot.collision import SelfCollision, self_collision
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.load import load_robot
@@ -137,3 +142,30 @@ def parsed_length(text: str, what: str) -> float:
 def parsed_angle(text: str, what: str) -> float:
     """Return an angle in rad."""
     return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)
+
+
+def tell_plan(
+    telling: Telling,
+    planned: Plan,
+    found: Candidates,
+    notes: Sequence[str],
+    names: tuple[str, str],
+    out: Path,
+    target: str | None,
+    *,
+    more: bool,
+) -> None:
+    """Tell what was chosen, and from what. ``names``: of candidates, and of what is in ``out``."""
+    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items() if n)
+    telling.tell(
+        lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": list(notes)},
+        lambda: [
+            *map(warning, notes),
+            f"{len(found.readings)} {names[0]} of {found.tried} tried{': ' + rejected if rejected else ''}.",
+            f"They determine {planned.rank} combinations of {planned.parameters} parameters.",
+            forecast_sheet(planned),
+            index_sheet(planned),
+            *([] if target is None else [enough_sentence(planned, target, more=more)]),
+            f"{len(planned.readings)} {names[1]} are in {out}.",
+        ],
+    )

@@ -12,8 +12,6 @@ from calib.foundations.files import write_new
 from calib.foundations.ranges import RANGES, parse_within
 from calib.identification.identify import identify
 from calib.job.inputs import load
-from calib.presentation.console import printable, warning
-from calib.presentation.plan_tables import enough_sentence, forecast_table, index_table
 
 
 def plan_photographs(
@@ -52,16 +50,4 @@ def plan_photographs(
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(fit.robot, planned.readings))
-    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items() if n)
-    telling.tell(
-        lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": notes},
-        lambda: [
-            *map(warning, notes),
-            printable(f"{len(found.readings)} views of {found.tried} tried{': ' + rejected if rejected else ''}."),
-            printable(f"They determine {planned.rank} combinations of {planned.parameters} parameters."),
-            forecast_table(planned),
-            index_table(planned),
-            *([] if target is None else [enough_sentence(planned, target, more=True)]),
-            printable(f"{len(planned.readings)} photographs to take are in {out}."),
-        ],
-    )
+    given.tell_plan(telling, planned, found, notes, ("views", "photographs to take"), out, target, more=True)

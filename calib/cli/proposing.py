@@ -15,28 +15,23 @@ if TYPE_CHECKING:
     from calib.job.proposal import Proposal, Question
     from calib.presentation.console import Shown
 
-Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.", show_default=False)]
-Angles = Annotated[
-    str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.", show_default=False)
-]
-Lengths = Annotated[
-    str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.", show_default=False)
-]
+Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.")]
+Angles = Annotated[str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.")]
+Lengths = Annotated[str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.")]
 OrientationName = Annotated[
     str | None,
     typer.Option(
         "--orientation",
         help="What three angles are: rotation_vector, abc (KUKA), wpr (FANUC), rpy, or an order like ZYX or xyz.",
-        show_default=False,
     ),
 ]
 Observes = Annotated[
     str | None,
-    typer.Option("--observes", help="What was measured: position, pose, socket, distance.", show_default=False),
+    typer.Option("--observes", help="What was measured: position, pose, socket, distance."),
 ]
 ColumnNames = Annotated[
     list[str] | None,
-    typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable.", show_default=False),
+    typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable."),
 ]
 
 
@@ -48,7 +43,7 @@ def answers(
     observes: str | None,
     column: Sequence[str] | None,
 ) -> dict[str, Any]:
-    """Return what options answer, as :func:`calib.propose` takes it."""
+    """Return what options answer, as :func:`calib.measuring.propose` takes it."""
     columns = renamed(column)
     given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
     return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})
@@ -86,9 +81,9 @@ def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask:
 def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
     from calib.presentation.console import printable
 
-    typer.echo(printable(f"{question.text}:").plain, err=True)
+    typer.echo(printable(f"{question.text}:"), err=True)
     for k, choice in enumerate(question.choices, start=1):
-        typer.echo(printable(f"  {k}  {choice}").plain, err=True)
+        typer.echo(printable(f"  {k}  {choice}"), err=True)
     number = 0
     while not 1 <= number <= len(question.choices):
         number = typer.prompt("Which", type=int, err=True)
@@ -103,16 +98,16 @@ def tell_check(
 ) -> None:
     """Print what was looked at; before it the ``reasons`` of a proposal."""
     from calib.job.looking import NO_FINDINGS
-    from calib.presentation.console import printable, warning
+    from calib.presentation.console import warning
     from calib.presentation.tables import null_space_lines
 
     findings, seen, why = looked.findings, looked.seen, list(reasons)
 
     def shown() -> "list[Shown]":
         return [
-            *map(printable, why),
-            *(map(warning, findings) if findings else [printable(NO_FINDINGS)]),
-            printable(looked.sentence),
+            *why,
+            *(map(warning, findings) if findings else [NO_FINDINGS]),
+            looked.sentence,
             *null_space_lines(looked.brief, directions=len(seen.undetermined)),
         ]
 

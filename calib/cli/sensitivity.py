@@ -5,33 +5,20 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import JobFile, Json, Quiet
+from calib.cli.options import JobFile, Json, Quiet, option
 from calib_start import loading
 
-Errors = Annotated[
-    Path | None,
-    typer.Option(
-        "--errors",
-        metavar="FOLDER|FILE",
-        help="Results of calib calibrate on this job, or assumed errors (CSV: parameter, error).",
-        show_default=False,
-        readable=False,
-    ),
-]
-PlotFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--plot", metavar="FILE", help="Also draw it, as .svg, .png or .pdf.", show_default=False, readable=False
-    ),
-]
+_ERRORS = "Results of calib calibrate on this job, or assumed errors (CSV: parameter, error)."
 
 
 @command("sensitivity", PREPARE, "calib sensitivity calibration.toml --plot sensitivity.svg")
 def sensitivity(
-    job: JobFile, errors: Errors = None, plot: PlotFile = None, as_json: Json = False, quiet: Quiet = False
+    job: JobFile,
+    errors: Annotated[Path | None, option("--errors", "FOLDER|FILE", _ERRORS)] = None,
+    plot: Annotated[Path | None, option("--plot", "FILE", "Also draw it, as .svg, .png or .pdf.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
 
@@ -52,7 +39,8 @@ def sensitivity(
         from calib.job.inputs import load
         from calib.machine.model_file import load_machine
         from calib.presentation.plots import figure_bytes, sensitivity_figure
-        from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
+        from calib.presentation.sensitivity_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
+        from calib.presentation.tables import null_space_lines
         from calib.results.folder import robot_errors
     if plot is not None:
         refuse_taken(plot)
@@ -85,8 +73,9 @@ def sensitivity(
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},
         lambda: [
-            sensitivity_table(found),
-            *sensitivity_verdict(found),
-            *([] if study is None else [group_table(study)]),
+            sensitivity_sheet(found),
+            sensitivity_sentence(found),
+            *null_space_lines(found.undetermined),
+            *([] if study is None else [group_sheet(study)]),
         ],
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName, option, written
 from calib.foundations.choices import MOST_POSES
 from calib_start import loading
 
@@ -14,14 +14,11 @@ from calib_start import loading
 @command("uncertainty", JUDGE, "calib uncertainty out/ -o sigmas.csv")
 def uncertainty(
     results: ResultFolder,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Also write every sampled pose (CSV).", readable=False),
-    ] = None,
+    out: Annotated[Path | None, written("FILE", "Also write every sampled pose (CSV).")] = None,
     samples: Annotated[
         int, typer.Option("--samples", metavar="N", min=2, max=MOST_POSES, help="How many random poses.")
     ] = 2000,
-    tool: Annotated[str, typer.Option("--tool", metavar="NAME", help="The tool to tell the uncertainty of.")] = "tool",
+    tool: Annotated[str, option("--tool", "NAME", "The tool to tell the uncertainty of.")] = "tool",
     setup: SetupName = None,
     whole: Annotated[
         bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
@@ -38,10 +35,8 @@ def uncertainty(
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
-        from calib.presentation.acceptance_tables import map_csv, map_table
-        from calib.presentation.console import printable
+        from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
-        from calib.presentation.tables import sheet_table
     if out is not None:
         refuse_taken(out)
     telling = Telling(as_json, quiet)
@@ -61,8 +56,8 @@ def uncertainty(
     telling.tell(
         lambda: {"sigmas": found.percentiles(), "known": near.known_shares(), "budget": budget},
         lambda: [
-            map_table(found, near.known),
-            sheet_table(budget_sheet(budget, len(found.readings))),
-            *([] if out is None else [printable(f"Every pose is in {out}.")]),
+            map_sheet(found, near.known),
+            budget_sheet(budget, len(found.readings)),
+            *([] if out is None else [f"Every pose is in {out}."]),
         ],
     )

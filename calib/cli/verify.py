@@ -6,35 +6,30 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import JUDGE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName
+from calib.cli.options import Json, Quiet, ResultFolder, SetupName, argument, option
 from calib.cli.proposing import ColumnNames, OrientationName, renamed
 from calib.foundations.choices import Observed
 from calib_start import loading
-
-_NEW = typer.Argument(metavar="MEASUREMENTS", help="New measurements (CSV).", show_default=False, readable=False)
 
 
 @command("verify", JUDGE, 'calib verify out/ new.csv --limit "0.3 mm"')
 def verify(
     results: ResultFolder,
-    measurements: Annotated[Path, _NEW],
+    measurements: Annotated[Path, argument("MEASUREMENTS", "New measurements (CSV).")],
     observes: Annotated[Observed, typer.Option(help="What was measured.")] = "position",
-    sigma: Annotated[str | None, typer.Option("--sigma", metavar="LENGTH", help="Sigma of one number.")] = None,
-    limit: Annotated[str | None, typer.Option("--limit", metavar="LENGTH", help="Largest error allowed.")] = None,
+    sigma: Annotated[str | None, option("--sigma", "LENGTH", "Sigma of one number.")] = None,
+    limit: Annotated[str | None, option("--limit", "LENGTH", "Largest error allowed.")] = None,
     refit_base: Annotated[
         bool, typer.Option("--refit-base", help="The instrument was moved: find the base anew.")
     ] = False,
-    tool: Annotated[str | None, typer.Option("--tool", metavar="NAME", help="The tool that was measured.")] = None,
+    tool: Annotated[str | None, option("--tool", "NAME", "The tool that was measured.")] = None,
     setup: SetupName = None,
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Rows are in the order of measurement, which tells the side of approach.")
     ] = False,
     orientation: OrientationName = None,
     column: ColumnNames = None,
-    ignore: Annotated[
-        list[str] | None,
-        typer.Option("--ignore", metavar="TITLE", help="A column to pass over; repeatable.", show_default=False),
-    ] = None,
+    ignore: Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -51,7 +46,7 @@ def verify(
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns
-        from calib.presentation.acceptance_tables import verification_lines, verification_table
+        from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
     telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
@@ -76,7 +71,7 @@ def verify(
         outside = outside_identified(machine, data.readings)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside)},
-        lambda: [*map(warning, outside), verification_table(found), *verification_lines(found)],
+        lambda: [*map(warning, outside), verification_sheet(found), *verification_lines(found)],
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)

@@ -2,21 +2,14 @@
 
 import contextlib
 from collections.abc import Callable
-from typing import Annotated
-
-import typer
 
 from calib.cli.application import PATH, command
-from calib.cli.options import ResultFolder
+from calib.cli.options import Open, Port, ResultFolder
 from calib_start import loading
 
 
 @command("view", PATH, "calib view out/")
-def view(
-    results: ResultFolder,
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port; 0 takes a free one.")] = 0,
-    open_: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
-) -> None:
+def view(results: ResultFolder, port: Port = 0, open_: Open = False) -> None:
     """Serve the scene to this computer only, until Ctrl-C.
 
     It shows what scene.html shows. Joints can also be moved by hand, and newer results in the folder are shown at once.
@@ -41,10 +34,10 @@ def shown_at(what: str, *, open_: bool) -> Callable[..., None]:
     import threading
     import webbrowser
 
-    from calib.presentation.console import printable, show, warning
+    from calib.presentation.console import show, warning
 
     def started(address: str, door: str = "") -> None:
-        show(printable(f"{what} is at {address} until you press Ctrl-C."))
+        show(f"{what} is at {address} until you press Ctrl-C.")
         if open_:  # a browser of the terminal would keep the server from answering it
             threading.Thread(target=opened, args=(door or address,), daemon=True).start()
 

@@ -1,5 +1,6 @@
 """Modules that are loaded when they are first asked for (PEP 562)."""
 
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -15,3 +16,8 @@ def submodules_of(package: str) -> Callable[[str], ModuleType]:
         return import_module(f"{package}.{name}")
 
     return submodule
+
+
+def modules_on_use(package: str) -> None:
+    """Load the modules of a package when they are first asked for; type checkers know them by their files alone."""
+    vars(sys.modules[package])["__getattr__"] = submodules_of(package)

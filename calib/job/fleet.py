@@ -21,7 +21,7 @@ from calib.foundations.folders import reading_folder, real_folder, refuse_unwrit
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.read import Progress
-from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN
+from calib.results.folder import ALWAYS, TO_BE_SEEN, read_result
 from calib.results.versions import versions
 from calib.robot.sources import EXAMPLE, resolve
 
@@ -105,7 +105,7 @@ def unchanged(job: FleetJob) -> bool:
     try:
         with reading_folder(job.out):
             there = {entry.name for entry in job.out.iterdir()}
-            result = read_result(job)
+            result = read_result(job.out)
         return (
             there.issuperset((*ALWAYS, *TO_BE_SEEN))
             and result["versions"] == versions()
@@ -120,20 +120,6 @@ def _hash(job: FleetJob, name: str) -> str:
     """Return the hash of an input by its name in the result. While the job is the same, it names the same inputs."""
     path = job.path if name == job.path.name else job.path.parent / name
     return sha256(read_bytes(resolve(name) if name.startswith(EXAMPLE) else path, JobError))
-
-
-def read_result(job: FleetJob) -> dict[str, Any]:
-    """Return ``result.json`` of a job. Raises OutputError when its folder holds no readable one."""
-    path = job.out / RESULT_FILE
-    with reading_folder(job.out):
-        source = read_bytes(path, OutputError, LARGEST_JSON)
-    try:
-        contents = parse_json(source)
-    except NotJsonError as e:
-        raise OutputError(f"{path}: {e}.") from e
-    if not isinstance(contents, dict):
-        raise OutputError(f"{path}: is not a result of this tool.")
-    return contents
 
 
 def run_fleet(

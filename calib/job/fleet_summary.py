@@ -12,11 +12,11 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.json_text import document
-from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, read_result
+from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import REPORT_FILE
+from calib.results.folder import REPORT_FILE, read_result
 
 # Of rows and parameters, and of errors in m and rad: beyond all results.
 _MOST, _LARGEST = 10**9, 1e9
@@ -33,7 +33,7 @@ def _line(done: Done) -> JobLine:
     if done.failure is not None:
         return JobLine(job.name, file, "failed", (done.failure,))
     try:
-        return _calibrated(job.name, file, read_result(job))
+        return _calibrated(job.name, file, read_result(job.out))
     except OutputError as e:
         return JobLine(job.name, file, "failed", (str(e),))
     except (KeyError, TypeError, AttributeError):  # somebody else writes to this folder

@@ -24,10 +24,7 @@ from calib.job.refusals import (
     refuse_wrong_shapes,
     weights_not_known,
 )
-from calib.job.schema import (
-    Job,
-    MeasurementsSection,
-)
+from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
 from calib.job.tables import (
     OF_HELD_OUT,
@@ -108,8 +105,9 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             of = of_one_clock(section, tables)
             data = measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
             tables.append((own, data))
-        sets.append(shared_out(data, section))
-    sets, optics = with_optics(job, sets, prints, progress)
+        sets.append(data if section.hold_out is None else shared_out(data, section.hold_out, section.use))
+    seen = any(data.camera is not None for data in sets)
+    sets, optics = with_optics(job, sets, prints, progress) if seen else (sets, ())
     refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")

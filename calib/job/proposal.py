@@ -33,7 +33,7 @@ class Question:
         return f"{self.text}; answer by {how}."
 
     def answered(self, choice: str) -> dict[str, Any]:
-        """Return one of the choices as an argument of :func:`calib.propose`."""
+        """Return one of the choices as an argument of :func:`calib.measuring.propose`."""
         plain = choice.strip("'")
         if self.option == "--column":
             ours, _, theirs = plain.partition("=")
@@ -57,7 +57,7 @@ class ProposedTable:
 class Proposal:
     """How files of others are read as measurements of an arm.
 
-        found = calib.propose("arm.urdf", ["measured.csv"])
+        found = calib.measuring.propose("arm.urdf", ["measured.csv"])
         print(found.reasons)
         data = calib.read_measurements("measured.csv", found.robot, found.tables[0].observes,
                                        columns=found.tables[0].columns)

@@ -22,11 +22,7 @@ from calib.job.proposal import Proposal, ProposedTable, table_lines
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
-from calib.measurement.roles import (
-    Roles,
-    numbered_columns,
-    roles,
-)
+from calib.measurement.roles import Roles, numbered_columns, roles
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
@@ -49,7 +45,7 @@ def propose(
 ) -> Proposal:
     """Return how files of other programs are read as measurements of an arm, with reasons and questions.
 
-        found = calib.propose("arm.urdf", ["measured.csv"])
+        found = calib.measuring.propose("arm.urdf", ["measured.csv"])
         print(found.job())
 
     The arguments answer questions beforehand, for all files: ``angles`` and ``lengths``, units such as ``"deg"`` and

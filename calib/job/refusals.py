@@ -9,9 +9,7 @@ from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import rank_findings
 from calib.identification.targets import shapes
-from calib.job.schema import (
-    Job,
-)
+from calib.job.schema import Job
 from calib.job.tables import model_sigmas
 from calib.measurement.checks import Finding
 from calib.measurement.kinds import QUANTITIES

@@ -8,48 +8,8 @@ from calib.assessment.judged import Accepted
 from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
-from calib.job.fields import (
-    AboutDate,
-    AboutWords,
-    AnglePrior,
-    CompliancePrior,
-    Counts,
-    CouplingOffset,
-    Direction,
-    Distortion,
-    DistortionSigma,
-    FocalLength,
-    Gravity,
-    HarmonicsPrior,
-    InstrumentSigma,
-    LengthPrior,
-    LensSigma,
-    ModelSigma,
-    Multiple,
-    Name,
-    Names,
-    Position,
-    PrincipalPoint,
-    PrintedLength,
-    PrintedShare,
-    Quantity,
-    Quaternion,
-    RelationSigma,
-    Selection,
-    Share,
-    Sigma,
-    SigmaAngle,
-    at_most,
-    camera_place,
-    free_of_lens,
-    iterations,
-    list_of,
-    orientation_name,
-    quantity,
-    selection,
-    term_option,
-    this_schema,
-)
+from calib.job import fields
+from calib.job.fields import Name, Names, Quantity, at_most, quantity
 from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
 from calib.measurement.lens import NAMES
@@ -79,8 +39,8 @@ class CouplingSection(_Section):
     """
 
     joint: Name
-    drivers: Annotated[dict[str, Multiple], Field(min_length=1), AT_MOST["robot.coupling.drivers"]]
-    offset: CouplingOffset | None = None
+    drivers: Annotated[dict[str, fields.Multiple], Field(min_length=1), AT_MOST["robot.coupling.drivers"]]
+    offset: fields.CouplingOffset | None = None
 
 
 class LoopSection(_Section):
@@ -96,17 +56,17 @@ class PayloadSection(_Section):
     """``payload``: what a link carries, the tip where none is named, of a table its own."""
 
     mass: Annotated[Quantity, PlainValidator(quantity("mass"))]
-    position: Position = _ORIGIN
+    position: fields.Position = _ORIGIN
     link: Name | None = None
 
 
 class AboutSection(_Section):
     """``[about]``: what the report says of the calibration besides its figures."""
 
-    date: AboutDate | None = None
-    serial: AboutWords | None = None
-    operator: AboutWords | None = None
-    note: AboutWords | None = None
+    date: fields.AboutDate | None = None
+    serial: fields.AboutWords | None = None
+    operator: fields.AboutWords | None = None
+    note: fields.AboutWords | None = None
 
 
 class RobotSection(_Section):
@@ -121,7 +81,7 @@ class RobotSection(_Section):
     base: str | None = None
     links: Names = ()
     mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
-    gravity: Gravity = _GRAVITY
+    gravity: fields.Gravity = _GRAVITY
     payload: PayloadSection | None = None
     coupling: Annotated[tuple[CouplingSection, ...], AT_MOST["robot.coupling"]] = ()
     loop: Annotated[tuple[LoopSection, ...], AT_MOST["robot.loop"]] = ()
@@ -133,17 +93,20 @@ class PriorSection(_Section):
     Or "learned": what the data teach of parameters that are alike.
     """
 
-    length: LengthPrior | None = None
-    angle: AnglePrior | None = None
-    harmonics: HarmonicsPrior | None = None
-    elastic: CompliancePrior | None = None
+    length: fields.LengthPrior | None = None
+    angle: fields.AnglePrior | None = None
+    harmonics: fields.HarmonicsPrior | None = None
+    elastic: fields.CompliancePrior | None = None
 
 
 # A key for every kind of joint terms, and those beside it.
 _TERM_KEYS: Any = {
-    **{kind.key: (Annotated[Any, BeforeValidator(selection(*kind.words, "all", "none"))], "none") for kind in KINDS},
     **{
-        name: (Annotated[Any, BeforeValidator(term_option(name, option))], option.default)
+        kind.key: (Annotated[Any, BeforeValidator(fields.selection(*kind.words, "all", "none"))], "none")
+        for kind in KINDS
+    },
+    **{
+        name: (Annotated[Any, BeforeValidator(fields.term_option(name, option))], option.default)
         for kind in KINDS
         for name, option in kind.options.items()
     },
@@ -158,9 +121,9 @@ else:
 class ErrorModelSection(_Terms):
     """``[error_model]``: what is free."""
 
-    offsets: Selection = "none"
-    placements: Selection = "none"
-    dh: Selection = "none"
+    offsets: fields.Selection = "none"
+    placements: fields.Selection = "none"
+    dh: fields.Selection = "none"
     dh_convention: Literal["standard", "modified"] = "standard"
     dh_parallel: Annotated[Quantity, PlainValidator(quantity("error_model.dh_parallel"))] = quantity(
         "error_model.dh_parallel"
@@ -180,8 +143,8 @@ class ErrorModelSection(_Terms):
 class FrameSection(_Section):
     """``[tools.NAME]``: a known pose; the quaternion's order is w, x, y, z."""
 
-    position: Position
-    quaternion: Quaternion = _UPRIGHT
+    position: fields.Position
+    quaternion: fields.Quaternion = _UPRIGHT
 
 
 class BasePriorSection(_Section):
@@ -200,10 +163,10 @@ class BaseSection(FrameSection):
 class SetupSection(_Section):
     """``[setups.NAME]``: where the base stood, as ``[base]`` has it, or not known; and what bore on the robot there."""
 
-    position: Position | None = None
-    quaternion: Quaternion | None = None
+    position: fields.Position | None = None
+    quaternion: fields.Quaternion | None = None
     prior: BasePriorSection | None = None
-    gravity: Gravity | None = None
+    gravity: fields.Gravity | None = None
     payload: PayloadSection | None = None
 
     @property
@@ -223,9 +186,9 @@ class TargetSection(_Section):
 
     on: Name = FLOOR
 
-    position: Position | None = None
-    quaternion: Quaternion | None = None
-    normal: Direction | None = None
+    position: fields.Position | None = None
+    quaternion: fields.Quaternion | None = None
+    normal: fields.Direction | None = None
     height: Annotated[Quantity, PlainValidator(quantity("height"))] | None = None
 
     @property
@@ -237,11 +200,11 @@ class TargetSection(_Section):
 class RelationSection(_Section):
     """``[[relations]]``: one number known of two targets. An angle's sigma is an angle, that of the others a length."""
 
-    targets: Annotated[tuple[Name, Name], BeforeValidator(list_of(2, "two names"))]
+    targets: Annotated[tuple[Name, Name], BeforeValidator(fields.list_of(2, "two names"))]
     distance: Annotated[Quantity, PlainValidator(quantity("relations.distance"))] | None = None
     angle: Annotated[Quantity, PlainValidator(quantity("relations.angle"))] | None = None
     offset: Annotated[Quantity, PlainValidator(quantity("relations.offset"))] | None = None
-    sigma: RelationSigma
+    sigma: fields.RelationSigma
 
     @property
     def kind(self) -> RelationKind:
@@ -252,18 +215,18 @@ class RelationSection(_Section):
 class LensSigmaSection(_Section):
     """``lens_sigma`` of a camera: standard deviations of free numbers of its lens about those given."""
 
-    fx: LensSigma | None = None
-    fy: LensSigma | None = None
-    cx: LensSigma | None = None
-    cy: LensSigma | None = None
-    k1: DistortionSigma | None = None
-    k2: DistortionSigma | None = None
-    p1: DistortionSigma | None = None
-    p2: DistortionSigma | None = None
-    k3: DistortionSigma | None = None
-    k4: DistortionSigma | None = None
-    k5: DistortionSigma | None = None
-    k6: DistortionSigma | None = None
+    fx: fields.LensSigma | None = None
+    fy: fields.LensSigma | None = None
+    cx: fields.LensSigma | None = None
+    cy: fields.LensSigma | None = None
+    k1: fields.DistortionSigma | None = None
+    k2: fields.DistortionSigma | None = None
+    p1: fields.DistortionSigma | None = None
+    p2: fields.DistortionSigma | None = None
+    k3: fields.DistortionSigma | None = None
+    k4: fields.DistortionSigma | None = None
+    k5: fields.DistortionSigma | None = None
+    k6: fields.DistortionSigma | None = None
 
     @property
     def by_name(self) -> dict[str, float]:
@@ -283,33 +246,33 @@ class InstrumentSection(_Section):
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]
-    sigma: InstrumentSigma | None = None
+    sigma: fields.InstrumentSigma | None = None
     sigma_per_metre: Annotated[Quantity, PlainValidator(quantity("sigma_per_metre"))] = quantity("sigma_per_metre")(
         "0 um"
     )
-    station: Position = _ORIGIN
+    station: fields.Position = _ORIGIN
     model: Name | None = None
     urdf: Name | None = None
     tip: Name | None = None
     tool: Name | None = None
-    point: Position | None = None
+    point: fields.Position | None = None
     pivot: Name | None = None
-    camera_on: Annotated[Any, BeforeValidator(camera_place)] = None
-    fx: FocalLength | None = None
-    fy: FocalLength | None = None
-    cx: PrincipalPoint | None = None
-    cy: PrincipalPoint | None = None
-    k1: Distortion = 0.0
-    k2: Distortion = 0.0
-    p1: Distortion = 0.0
-    p2: Distortion = 0.0
-    k3: Distortion = 0.0
-    k4: Distortion = 0.0
-    k5: Distortion = 0.0
-    k6: Distortion = 0.0
-    lens: Annotated[Any, BeforeValidator(free_of_lens)] = "given"
+    camera_on: Annotated[Any, BeforeValidator(fields.camera_place)] = None
+    fx: fields.FocalLength | None = None
+    fy: fields.FocalLength | None = None
+    cx: fields.PrincipalPoint | None = None
+    cy: fields.PrincipalPoint | None = None
+    k1: fields.Distortion = 0.0
+    k2: fields.Distortion = 0.0
+    p1: fields.Distortion = 0.0
+    p2: fields.Distortion = 0.0
+    k3: fields.Distortion = 0.0
+    k4: fields.Distortion = 0.0
+    k5: fields.Distortion = 0.0
+    k6: fields.Distortion = 0.0
+    lens: Annotated[Any, BeforeValidator(fields.free_of_lens)] = "given"
     lens_sigma: LensSigmaSection = LensSigmaSection()
-    size: Counts | None = None
+    size: fields.Counts | None = None
     lens_file: Name | None = None
 
 
@@ -317,11 +280,11 @@ class BoardSection(_Section):
     """A ``board.toml``: what was printed, how well its scale is known, and which shape the print may have."""
 
     kind: PrintKind
-    squares: Counts
-    square: PrintedLength
-    marker: PrintedLength | None = None
+    squares: fields.Counts
+    square: fields.PrintedLength
+    marker: fields.PrintedLength | None = None
     dictionary: str = ""
-    square_sigma: PrintedShare = SQUARE_SIGMA
+    square_sigma: fields.PrintedShare = SQUARE_SIGMA
     shape: PrintShape = "auto"
 
 
@@ -331,7 +294,7 @@ class SolverSection(_Section):
     kind: Literal["least_squares", "total_differential"] = "least_squares"
     stop: Annotated[Quantity, PlainValidator(quantity("solver.stop"))] = quantity("solver.stop")("0.3 mm")
     rounding: Annotated[Quantity, PlainValidator(quantity("solver.rounding"))] | None = None
-    most: Annotated[int, BeforeValidator(iterations)] = 20
+    most: Annotated[int, BeforeValidator(fields.iterations)] = 20
 
 
 class ResidualModelSection(_Section):
@@ -376,8 +339,8 @@ class MeasurementsSection(_Section):
     latency: Literal["free"] | None = None
     gap: Annotated[Quantity, PlainValidator(quantity("gap"))] | None = None
     observes: Kind = "position"
-    sigma: Sigma | None = None
-    sigma_angle: SigmaAngle | None = None
+    sigma: fields.Sigma | None = None
+    sigma_angle: fields.SigmaAngle | None = None
     instrument: str | None = None
     board: Name | None = None
     tip: Name | None = None
@@ -386,21 +349,21 @@ class MeasurementsSection(_Section):
     payload: PayloadSection | None = None
     length_offset: Name | None = None
     use: Literal["identify", "validate", "nodes"] = "identify"
-    model_sigma: ModelSigma | None = None
+    model_sigma: fields.ModelSigma | None = None
     model_sigma_angle: Annotated[Quantity, PlainValidator(quantity("model_sigma_angle"))] | None = None
     loss: Loss = "linear"
-    hold_out: Share | None = None
+    hold_out: fields.Share | None = None
     in_order: bool = False
     columns: Annotated[dict[str, str], AT_MOST["measurements.columns"]] = Field(default_factory=dict)
     ignore: Names = ()
-    orientation: Annotated[str | None, BeforeValidator(orientation_name)] = None
+    orientation: Annotated[str | None, BeforeValidator(fields.orientation_name)] = None
     targets: Annotated[dict[str, Name], AT_MOST["measurements.targets"]] = Field(default_factory=dict)
 
 
 class Job(_Section):
     """A whole job. ``accept``: checks of the verdict that the user answers for, and that do not count."""
 
-    schema_: Annotated[Literal[1], BeforeValidator(this_schema)] = Field(alias="schema")
+    schema_: Annotated[Literal[1], BeforeValidator(fields.this_schema)] = Field(alias="schema")
     about: AboutSection = AboutSection()
     robot: RobotSection
     error_model: ErrorModelSection = ErrorModelSection()

@@ -11,12 +11,7 @@ from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.job.arm import ReadArm, read_arm
 from calib.job.propose import reading_that_fits
 from calib.job.read import Progress, read_board
-from calib.job.schema import (
-    FLOOR,
-    InstrumentSection,
-    Job,
-    MeasurementsSection,
-)
+from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
 from calib.machine.touching import touched
 from calib.measurement.checks import Finding
@@ -98,15 +93,13 @@ def with_held_out(job: Job) -> Job:
     return job.model_copy(update={"measurements": (*job.measurements, *again)})
 
 
-def shared_out(data: Measurements, section: MeasurementsSection) -> Measurements:
-    """Return what of a table one section has: all, or whole groups of rows, spread at random but alike every time.
+def shared_out(data: Measurements, share: float, use: str) -> Measurements:
+    """Return what of a table is of one use: whole groups of rows, spread at random but alike every time.
 
     Raises MeasurementError when the rows are of one pose or one group.
     """
-    if section.hold_out is None:
-        return data
-    kept, held_out = hold_out(data, section.hold_out)
-    return held_out if section.use == "validate" else kept
+    kept, held_out = hold_out(data, share)
+    return held_out if use == "validate" else kept
 
 
 def arms_of(job: Job, path: Path) -> dict[str, ReadArm]:

@@ -6,9 +6,8 @@ of two rows in length scales of the joints, and noise at every row. Far from all
 its standard deviation grows to a. After Rasmussen and Williams, *Gaussian processes for machine learning*, 2006.
 """
 
-import io
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -20,12 +19,11 @@ from scipy.spatial.distance import cdist
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.errors import JobError, MeasurementError, OutputError
-from calib.foundations.files import read_bytes, write_atomically
+from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.linear import one_thread
 from calib.foundations.units import MM
-from calib.machine.grid import FRAMES, SCHEMA, Frame, Leaning, axes_of, head_of, refuse_other_robot
-from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
+from calib.machine.grid import FRAMES, Frame, Leaning, axes_of, head_of, load_residuals, residual_bytes
+from calib.machine.npz import NotReadableError
 from calib.robot.robot import Reading
 
 Dimension = Literal["angle", "length"]
@@ -237,42 +235,26 @@ def _trained(
 
 def gaussian_bytes(known: GaussianResiduals) -> bytes:
     """Return a process as an npz file: its rows and its kernel, the same bytes for the same process."""
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        schema=np.array(SCHEMA),
-        frame=np.array(known.frame),
-        joints=np.array(known.joints, dtype=np.int64),
-        dimensions=np.array(known.readings),
-        points=known.points,
-        errors=known.errors,
-        amplitude=np.array(known.kernel.amplitude),
-        scales=known.kernel.scales,
-        noise=np.array(known.kernel.noise),
-    )
-    return buffer.getvalue()
-
-
-def save_gaussian(known: GaussianResiduals, path: str | Path) -> None:
-    """Write a process as an npz file. Raises OutputError when it cannot be written."""
-    write_atomically(Path(path), gaussian_bytes(known))
+    kernel = known.kernel
+    arrays = {
+        "points": known.points,
+        "errors": known.errors,
+        "amplitude": np.array(kernel.amplitude),
+        "scales": kernel.scales,
+        "noise": np.array(kernel.noise),
+    }
+    return residual_bytes(known.frame, known.joints, known.readings, arrays)
 
 
 def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> GaussianResiduals:
-    """Read a process that :func:`save_gaussian` wrote; nothing in the file is ever executed.
+    """Read a process as :func:`gaussian_bytes` makes it; nothing in the file is ever executed.
 
     Raises OutputError with one sentence when the file is not such a process, or not one of a robot with these readings.
     """
-    data = read_bytes(Path(path), OutputError, LARGEST_FILE)
-    try:
-        known = _gaussian_of(arrays_of(data, _KEYS))
-    except NotReadableError as e:
-        raise OutputError(f"{path}: is not a Gaussian process of this toolkit: {e}.") from e
-    refuse_other_robot(f"{path}: is", known.readings, robot_readings)
-    return known
+    return load_residuals(path, _KEYS, _gaussian_of, ("a Gaussian process", "of"), robot_readings)
 
 
-def _gaussian_of(arrays: dict[str, npt.NDArray[Any]]) -> GaussianResiduals:
+def _gaussian_of(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianResiduals:
     frame, readings = head_of(arrays, {})
     for key, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():

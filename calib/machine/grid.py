@@ -6,10 +6,10 @@ at the nodes, measured minus predicted, are kept in the axes of the base or of t
 
 import io
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, cast
+from typing import Any, Final, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
-from calib.foundations.files import read_bytes, write_atomically
+from calib.foundations.files import read_bytes
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.robot.robot import Reading
@@ -109,21 +109,6 @@ class SectorGrid:
     def when_clamped(self) -> str:
         """What :meth:`at` returns outside, where it clamps."""
         return "the nearest known errors are taken"
-
-    def at_by_distance(self, readings: Array) -> Array:
-        """Return the error vectors (N, 3) as :meth:`at`, by weights 1 / distance^2 of the corners of each cell.
-
-        Distances are in steps of the grid. For comparison: a linear field is not reproduced.
-        """
-        lower, place = self._cells(self._clipped(readings))
-        corners = np.array(list(itertools.product((0, 1), repeat=len(self.axes))))
-        squared = np.sum((place[:, None] - corners) ** 2, axis=2)
-        # At a node its own weight outgrows all others beyond the last digit.
-        weights = 1.0 / np.maximum(squared, 1e-30)
-        weights /= np.sum(weights, axis=1, keepdims=True)
-        nodes = self.errors[tuple(np.moveaxis(lower[:, None] + corners, 2, 0))]
-        values = np.sum(weights[:, :, None] * nodes, axis=1)
-        return np.asarray(np.where(self._covered(readings)[:, None], values, np.nan))
 
     def outside(self, readings: Array) -> tuple[str, ...]:
         """Return for every row of readings (N, nr) why it is outside the grid, or an empty text."""
@@ -362,48 +347,64 @@ def _nearest_measured(measured: BoolArray) -> IntArray:
 
 def grid_bytes(grid: SectorGrid) -> bytes:
     """Return a grid as an npz file: plain arrays, the same bytes for the same grid."""
+    arrays = {
+        "reference": grid.reference,
+        "axes": np.concatenate(grid.axes),
+        "lengths": np.array([len(axis) for axis in grid.axes], dtype=np.int64),
+        "errors": grid.errors,
+        "measured": grid.measured,
+    }
+    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays)
+
+
+def residual_bytes(
+    frame: Frame, joints: Sequence[int], readings: Sequence[tuple[str, str]], arrays: Mapping[str, npt.NDArray[Any]]
+) -> bytes:
+    """Return a residual model as an npz file: the head that :func:`head_of` reads, then its own ``arrays``."""
+    head: dict[str, Any] = {
+        "schema": SCHEMA,
+        "frame": frame,
+        "joints": np.array(joints, np.int64),
+        "dimensions": readings,
+    }
     buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        schema=np.array(SCHEMA),
-        frame=np.array(grid.frame),
-        joints=np.array(grid.joints, dtype=np.int64),
-        dimensions=np.array(grid.readings),
-        reference=grid.reference,
-        axes=np.concatenate(grid.axes),
-        lengths=np.array([len(axis) for axis in grid.axes], dtype=np.int64),
-        errors=grid.errors,
-        measured=grid.measured,
-    )
+    np.savez(buffer, **head, **dict[str, Any](arrays))
     return buffer.getvalue()
 
 
-def save_grid(grid: SectorGrid, path: str | Path) -> None:
-    """Write a grid as an npz file. Raises OutputError when it cannot be written."""
-    write_atomically(Path(path), grid_bytes(grid))
-
-
 def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> SectorGrid:
-    """Read a grid that :func:`save_grid` wrote; nothing in the file is ever executed.
+    """Read a grid as :func:`grid_bytes` makes it; nothing in the file is ever executed.
 
     Raises OutputError with one sentence when the file is not such a grid, or not one of a robot with these readings.
     """
+    return load_residuals(path, _KEYS, _grid_of, ("a residual grid", "the grid of"), robot_readings)
+
+
+class _OfReadings(Protocol):
+    @property
+    def readings(self) -> tuple[tuple[str, Literal["angle", "length"]], ...]: ...
+
+
+_Residuals = TypeVar("_Residuals", bound=_OfReadings)
+
+
+def load_residuals(
+    path: str | Path,
+    keys: Sequence[str],
+    made: Callable[[Mapping[str, npt.NDArray[Any]]], _Residuals],
+    names: tuple[str, str],
+    robot_readings: Sequence[Reading] | None,
+) -> _Residuals:
+    """Read a residual model of these ``keys``. ``names``: what it is, and what it is of a robot, for messages."""
     data = read_bytes(Path(path), OutputError, LARGEST_FILE)
     try:
-        grid = _grid_of(arrays_of(data, _KEYS))
+        known = made(arrays_of(data, keys))
     except NotReadableError as e:
-        raise OutputError(f"{path}: is not a residual grid of this toolkit: {e}.") from e
-    refuse_other_robot(f"{path}: is the grid", grid.readings, robot_readings)
-    return grid
-
-
-def refuse_other_robot(
-    whose: str, readings: Sequence[tuple[str, str]], robot_readings: Sequence[Reading] | None
-) -> None:
-    """Raise OutputError where a file's ``readings`` (names and dimensions) are not the robot's; None: any robot's."""
-    if robot_readings is not None and tuple(readings) != tuple((r.name, r.dimension) for r in robot_readings):
-        theirs, ours = (", ".join(name for name, _ in readings), ", ".join(r.name for r in robot_readings))
-        raise OutputError(f"{whose} of a robot with the joints {theirs}, and this one has {ours}.")
+        raise OutputError(f"{path}: is not {names[0]} of this toolkit: {e}.") from e
+    if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
+        theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
+        raise OutputError(f"{path}: is {names[1]} a robot with the joints {theirs}, and this one has {ours}.")
+    return known
 
 
 def head_of(

@@ -10,8 +10,6 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
@@ -31,7 +29,7 @@ from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gauss
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
 from calib.machine.in_urdf import robot_in_urdf
 from calib.machine.residual_model import ResidualModel
-from calib.machine.uncertainty_file import UNCERTAINTY_FILE, load_uncertainty, uncertainty_json
+from calib.machine.uncertainty_file import UNCERTAINTY_FILE, Strict, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload
@@ -58,10 +56,6 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 _NORM_TOLERANCE = 1e-6
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
-
-
 def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     norm = float(np.linalg.norm(quaternion))
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
@@ -69,7 +63,7 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     return quaternion
 
 
-class PoseEntry(_Strict):
+class PoseEntry(Strict):
     """A pose: position in m, quaternion in the order w, x, y, z."""
 
     position: tuple[Number, Number, Number]
@@ -88,7 +82,7 @@ class PoseEntry(_Strict):
         return rigid.placement(rigid.rotation_of_quaternion(np.array(self.quaternion)), np.array(self.position))
 
 
-class JointEntry(_Strict):
+class JointEntry(Strict):
     """A joint of the chain: ``deviation`` (tx, ty, tz, rx, ry, rz) in m and rad, ``offset`` in rad or m if it moves."""
 
     name: str
@@ -103,7 +97,7 @@ class JointEntry(_Strict):
         return self
 
 
-class CouplingEntry(_Strict):
+class CouplingEntry(Strict):
     """Position of a moving joint = sum of multiples of readings + constant + its share of the offsets."""
 
     joint: str
@@ -118,7 +112,7 @@ def _known_kind(name: str) -> str:
     return name
 
 
-class TermEntry(_Strict):
+class TermEntry(Strict):
     """A joint term: the reading, or the link before a joint, moves by ``coefficient`` (SI) times what its kind says."""
 
     reading: str
@@ -144,16 +138,16 @@ class TermEntry(_Strict):
         return {key: value for key, value in plain(self).items() if value != "" or key != "body"}
 
 
-class GeometryEntry(_Strict):
+class GeometryEntry(Strict):
     """The machine of ``calibrated.urdf``, where a URDF cannot hold the whole one."""
 
     joints: tuple[JointEntry, ...]
     base: PoseEntry
-    setups: dict[str, PoseEntry] = {}
+    setups: dict[str, PoseEntry] = Field(default_factory=dict)
     tools: dict[str, PoseEntry]
 
 
-class ModelFile(_Strict):
+class ModelFile(Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad.
 
     ``base``: in the set-up named ``setup``; ``setups``: the base in the others; ``loads``: gravity and payload in those

@@ -138,7 +138,7 @@ class ToolUncertainty:
         distance = np.einsum(
             "ni,ni->n", errors, np.linalg.solve(self.covariance[:, :3, :3], errors[:, :, None])[..., 0]
         )
-        return np.asarray(distance <= squared_bound(probability, 3, self.degrees_of_freedom))
+        return np.asarray(distance <= bound(probability, 3, self.degrees_of_freedom))
 
     def __repr__(self) -> str:
         known = f"position {np.median(self.position) / MM:.4g} mm" if len(self.covariance) else "nothing"
@@ -170,11 +170,6 @@ class UncertaintyMap:
 def rms_by_cause(budget: Mapping[str, Array]) -> dict[str, list[float]]:
     """Return the rms over the poses of what every cause of a budget adds to position and orientation, in m and rad."""
     return {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in budget.items()}
-
-
-def squared_bound(probability: float, dimensions: int, degrees_of_freedom: float) -> float:
-    """Return the squared Mahalanobis radius of a region: k F(k, nu) with estimated noise, chi-square(k) without."""
-    return bound(probability, dimensions, degrees_of_freedom)
 
 
 def _root_trace(covariance: Array) -> Array:

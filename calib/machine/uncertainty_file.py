@@ -30,11 +30,13 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
 _Range = Annotated[tuple[_Number, _Number], AfterValidator(_ordered)]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """What a file of a machine holds: nothing that is not known, and no number that is none."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-class NoiseEntry(_Strict):
+class NoiseEntry(Strict):
     """A noise level; ``degrees_of_freedom`` is null where nothing was estimated."""
 
     model: Annotated[_Number, Field(ge=0.0)]
@@ -56,14 +58,14 @@ class NoiseEntry(_Strict):
         return NoiseLevel(self.model, self.total, freedom)
 
 
-class WavesEntry(_Strict):
+class WavesEntry(Strict):
     """Errors that follow the readings, as :class:`calib.machine.uncertainty.Waves` has them."""
 
     period: dict[str, Annotated[_Number, Field(gt=0.0)]]
     width: dict[str, Annotated[tuple[Annotated[_Number, Field(ge=0.0)], ...], Field(min_length=1, max_length=100)]]
 
 
-class UncertaintyFile(_Strict):
+class UncertaintyFile(Strict):
     """Schema 2 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
     Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor``

@@ -165,7 +165,7 @@ class Measurements:
     def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
         """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
 
-            heavy = calib.read_measurements("heavy.csv", robot).carrying(robot, calib.Payload(2.5))
+            heavy = calib.read_measurements("heavy.csv", robot).carrying(robot, calib.measuring.Payload(2.5))
 
         Raises MeasurementError where the robot was not loaded with that link.
         """

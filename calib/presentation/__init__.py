@@ -1,8 +1,5 @@
 """Presentation."""
 
-from typing import TYPE_CHECKING
+from calib.foundations.lazy import modules_on_use
 
-from calib.foundations.lazy import submodules_of
-
-if not TYPE_CHECKING:  # which would take every misspelt name for a module
-    __getattr__ = submodules_of(__name__)
+modules_on_use(__name__)

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
 from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
@@ -19,42 +17,35 @@ from calib.presentation.sheets import signed
 from calib.robot.robot import Reading
 
 
-def verification_table(found: Verification) -> Table:
+def verification_sheet(found: Verification) -> Sheet:
     """Return the errors of new measurements, as calibrated and with the base found anew."""
-    out = _table("Tip errors, measured minus predicted")
-    out.add_column("base")
-    for name in ("n", "mean", "rms", "p95", "max"):
-        out.add_column(name, justify="right")
-    out.add_column("unit")
-    whens = [("as calibrated", found.as_calibrated), ("found anew", found.base_refitted)]
-    for when, judgement in whens:
-        if judgement is not None:
-            for m in judgement.metrics.values():
-                factor, unit = DISPLAY[m.unit]
-                style = "bold" if judgement is found.decisive else None
-                shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
-                out.add_row(when, str(m.n), *shown, unit, style=style)
-    return out
+    rows = []
+    for when, judgement in (("as calibrated", found.as_calibrated), ("found anew", found.base_refitted)):
+        for m in () if judgement is None else judgement.metrics.values():
+            factor, unit = DISPLAY[m.unit]
+            shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
+            rows.append(Row((when, str(m.n), *shown, unit), strong=judgement is found.decisive))
+    numbers = ("n", "mean", "rms", "p95", "max")
+    title = "Tip errors, measured minus predicted"
+    return Sheet(title, ("base", *numbers, "unit"), frozenset(numbers), tuple(rows))
 
 
-def verification_lines(found: Verification) -> list[Text]:
+def verification_lines(found: Verification) -> list[str | Text]:
     """Return the verdict in sentences."""
-    lines = []
+    lines: list[str | Text] = []
     if found.limit is not None:
         largest = found.decisive.metrics["position"].max
         side = "is within" if found.within_limit else "exceeds"
-        lines.append(
-            Text(f"The largest position error, {largest / MM:.4f} mm, {side} the limit, {found.limit / MM:g} mm.")
-        )
-    lines.append(Text(_tested(found.decisive.test)))
+        lines.append(f"The largest position error, {largest / MM:.4f} mm, {side} the limit, {found.limit / MM:g} mm.")
+    lines.append(_tested(found.decisive.test))
     anew = found.base_refitted
     if anew is not None and found.base_moved is not None and not found.refit and not found.as_calibrated.test.passed:
         shift, turn = found.base_moved
         by = f"{shift / MM:.3f} mm and {turn / DEG:.4f} deg"
         if anew.test.passed:
-            lines.append(Text(f"A base moved by {by} explains them: the arm is as calibrated, but stands elsewhere."))
+            lines.append(f"A base moved by {by} explains them: the arm is as calibrated, but stands elsewhere.")
         else:
-            lines.append(Text(f"A base moved by {by} does not explain them either: the arm itself has changed."))
+            lines.append(f"A base moved by {by} does not explain them either: the arm itself has changed.")
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
     return lines
 
@@ -107,41 +98,31 @@ def comparison_sentences(found: Comparison) -> tuple[str, ...]:
     return together, at_tip, verdict
 
 
-def comparison_lines(found: Comparison) -> list[Text]:
-    """Return the verdict of a comparison in sentences."""
-    *said, verdict = comparison_sentences(found)
-    return [*map(Text, said), Text(verdict, style="bold")]
-
-
-def iso_table(figures: Sequence[IsoFigure]) -> Table:
+def iso_sheet(figures: Sequence[IsoFigure]) -> Sheet:
     """Return the figures of ISO 9283 in mm and degrees."""
-    out = _table("Figures after ISO 9283", "after the method of the standard; no certificate")
-    out.add_column("figure")
-    out.add_column("pose", overflow="fold")
-    for name in ("n", "value"):
-        out.add_column(name, justify="right")
-    out.add_column("unit")
+    rows = []
     for figure in figures:
         factor, unit = DISPLAY[figure.unit]
-        out.add_row(figure.name, figure.place, str(figure.n), f"{figure.value * factor:.4f}", unit)
-    return out
+        rows.append(Row((figure.name, figure.place, str(figure.n), f"{figure.value * factor:.4f}", unit)))
+    columns, said = ("figure", "pose", "n", "value", "unit"), "after the method of the standard; no certificate"
+    return Sheet("Figures after ISO 9283", columns, frozenset(("n", "value")), tuple(rows), said)
 
 
-def map_table(found: UncertaintyMap, known: BoolArray) -> Table:
+def map_sheet(found: UncertaintyMap, known: BoolArray) -> Sheet:
     """Return percentiles of the standard deviations over the workspace."""
-    out = _table(
-        "Standard deviation of the tool, in the instrument's frame", "all coordinates together, over sampled poses"
-    )
-    out.add_column("quantity")
-    for name in ("5 %", "median", "95 %", "max"):
-        out.add_column(name, justify="right")
-    out.add_column("unit")
-    out.add_column("known", justify="right")
+    rows = []
     for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
         factor, shown = DISPLAY[unit]
-        values = np.percentile(found.sigmas[:, k], (5, 50, 95, 100)) * factor
-        out.add_row(quantity, *(f"{value:.4f}" for value in values), shown, f"{100 * np.mean(known[:, k]):.0f} %")
-    return out
+        values = (f"{value * factor:.4f}" for value in np.percentile(found.sigmas[:, k], (5, 50, 95, 100)))
+        rows.append(Row((quantity, *values, shown, f"{100 * np.mean(known[:, k]):.0f} %")))
+    numbers = ("5 %", "median", "95 %", "max")
+    return Sheet(
+        "Standard deviation of the tool, in the instrument's frame",
+        ("quantity", *numbers, "unit", "known"),
+        frozenset((*numbers, "known")),
+        tuple(rows),
+        "all coordinates together, over sampled poses",
+    )
 
 
 def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
@@ -152,7 +133,3 @@ def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
     both = np.array([MM, DEG])
     rows = np.hstack([found.readings * factors, found.positions / MM, found.sigmas / both, found.null_space_rms / both])
     return csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)])
-
-
-def _table(title: str, caption: str | None = None) -> Table:
-    return Table(title=title, caption=caption, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD)

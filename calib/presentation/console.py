@@ -10,20 +10,27 @@ from rich.text import Text
 
 from calib.foundations.errors import OutputError
 from calib.foundations.units import MINUTE
-from calib.presentation.report.document import Prose, Report
+from calib.presentation.report.document import Prose, Report, Sheet
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
-# What a command may show: text, and tables.
-Shown = RenderableType
+# What a command may show: sentences, tables, and text in a style of its own.
+Shown = str | Sheet | RenderableType
 
 
-def show(*renderables: Shown) -> None:
+def show(*shown: Shown) -> None:
     """Print to standard output, in colours on a terminal and as plain text elsewhere."""
     console = Console(highlight=False, markup=False)
     if console.is_terminal:
-        console.print(Group(*renderables), width=min(WIDTH, console.width))
+        console.print(Group(*map(drawn, shown)), width=min(WIDTH, console.width))
     else:
-        write(plain(Group(*renderables)))
+        write(plain(Group(*map(drawn, shown))))
+
+
+def drawn(shown: Shown) -> RenderableType:
+    """Return what is shown as the terminal draws it."""
+    if isinstance(shown, Sheet):
+        return sheet_table(shown)
+    return Text(printable(shown)) if isinstance(shown, str) else shown
 
 
 def write(text: str) -> None:
@@ -43,42 +50,42 @@ def write(text: str) -> None:
         raise OutputError(f"standard output: cannot be written ({e.strerror}).") from e
 
 
-def short_report(report: Report) -> list[RenderableType]:
+def short_report(report: Report) -> list[Shown]:
     """Return what of a report belongs on a terminal: its short tables and sentences, and the verdict at the end."""
-    shown: list[RenderableType] = [warning(text) for text in report.verdict.warnings]
+    shown: list[Shown] = [warning(text) for text in report.verdict.warnings]
     for block in report.brief():
         if not isinstance(block, Prose):
-            shown.append(sheet_table(block))
+            shown.append(block)
         elif block.kind == "code":
             shown.append(literal("\n".join(block.sentences)))
         else:
-            shown += map(printable, block.sentences)
+            shown += block.sentences
     verdict = report.verdict
     good, bad = ("bold green", "green"), ("bold", "bold red")
     headline, reason = good if verdict.trusted else bad
-    shown.append(Text(_printable(verdict.headline), style=headline))
-    return [*shown, *(Text(_printable(text), style=reason) for text in verdict.reasons)]
+    shown.append(strong(verdict.headline, headline))
+    return [*shown, *(strong(text, reason) for text in verdict.reasons)]
 
 
-def printable(text: str) -> Text:
-    """Return a sentence to be shown; names in it can neither break the line nor command the terminal."""
-    return Text(_printable(text))
+def strong(text: str, style: str = "bold") -> Text:
+    """Return a sentence to be shown in a style."""
+    return Text(printable(text), style=style)
 
 
 def literal(text: str) -> Text:
     """Return text of several lines to be shown as it stands."""
-    return Text("\n".join(map(_printable, text.splitlines())), no_wrap=True)
+    return Text("\n".join(map(printable, text.splitlines())), no_wrap=True)
 
 
 def warning(text: str) -> Text:
     """Return a warning to be shown."""
-    return Text(_printable(f"Warning: {text}"), style="yellow")
+    return strong(f"Warning: {text}", "yellow")
 
 
 def show_error(text: str) -> None:
     """Print an error to standard error, on one line."""
     console = Console(stderr=True, highlight=False, markup=False)
-    console.print(Text(_printable(f"Error: {text}"), style="red"), soft_wrap=True)
+    console.print(strong(f"Error: {text}", "red"), soft_wrap=True)
 
 
 class Steps:
@@ -119,7 +126,7 @@ def progress(*, shown: bool, steps: int, alike: bool = False) -> Iterator[Steps]
         task = bar.add_task("starting")
 
         def tell(text: str, done: int, total: int) -> None:
-            bar.update(task, description=_printable(text), completed=done, total=total)
+            bar.update(task, description=printable(text), completed=done, total=total)
 
         yield Steps(tell, steps)
 
@@ -137,8 +144,11 @@ def time_taken(elapsed: float, done: float, total: float) -> str:
     return f"step {min(done + 1.0, total):.0f} of {total:.0f}, {elapsed:.0f} s"
 
 
-def _printable(text: str) -> str:
-    """Return text with an escape in the place of every character that does not print: line ends, controls, halves."""
+def printable(text: str) -> str:
+    """Return a sentence with an escape for every character that does not print: line ends, controls, halves.
+
+    Names in it can then neither break the line nor command the terminal.
+    """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

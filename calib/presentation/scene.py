@@ -20,16 +20,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
 from calib.presentation.mesh_counts import MOST_CORNERS
-from calib.presentation.meshes import (
-    Rgb,
-    Triangles,
-    balls,
-    creased,
-    joined_by_colour,
-    moved,
-    primitive,
-    sticks,
-)
+from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
 from calib.presentation.thin_meshes import thin_mesh
 from calib.presentation.viewer import (
     Command,

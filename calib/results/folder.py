@@ -168,19 +168,28 @@ def judged(found: Calibration | Fit) -> Calibration:
     return assess(found) if isinstance(found, Fit) else found
 
 
+def read_result(folder: Path) -> dict[str, Any]:
+    """Return ``result.json`` of a folder of results. Raises OutputError when it holds no readable one."""
+    path = folder / RESULT_FILE
+    with reading_folder(folder):
+        source = read_bytes(path, OutputError, LARGEST_JSON)
+    try:
+        contents = parse_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
+    if not isinstance(contents, dict):
+        raise OutputError(f"{path}: is not a result of this tool.")
+    return contents
+
+
 def robot_errors(folder: Path) -> dict[str, float]:
     """Return the identified parameters of a robot, in SI units, from a folder of results.
 
     Raises OutputError when the folder holds no readable result.
     """
-    path = folder / RESULT_FILE
-    with reading_folder(folder):
-        source = read_bytes(path, OutputError, LARGEST_JSON)
+    path, contents = folder / RESULT_FILE, read_result(folder)
     try:
-        records = parse_json(source)["parameters"]
-        found = {str(record["name"]): float(record["value"]) for record in records}
-    except NotJsonError as e:
-        raise OutputError(f"{path}: {e}.") from e
+        found = {str(record["name"]): float(record["value"]) for record in contents["parameters"]}
     except (ValueError, TypeError, KeyError, OverflowError) as e:
         raise OutputError(f"{path}: is not a result of this tool.") from e
     if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:

@@ -8,10 +8,10 @@ from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.chance import bound
 from calib.foundations.units import DISPLAY_OF
 from calib.identification.targets import shapes
 from calib.machine.tool_uncertainty import tool_uncertainty
-from calib.machine.uncertainty import squared_bound
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind, size
 from calib.measurement.measurements import Measurements, numbered
@@ -107,7 +107,7 @@ def _regions(found: Calibration, sets: Sequence[JudgedSet]) -> dict[int, Array]:
     if found.machine.uncertainty is None:
         return {}
     known = found.machine.uncertainty
-    radius = np.sqrt(squared_bound(0.95, 3, known.degrees_of_freedom))
+    radius = np.sqrt(bound(0.95, 3, known.degrees_of_freedom))
     total = sum(len(judged.data) for judged in sets)
     chosen = np.unique(np.linspace(0, total - 1, _MOST_REGIONS).astype(int))
     axes: dict[int, Array] = {}

@@ -9,14 +9,11 @@ from typing import Any
 from calib.assessment.drift import Comparison
 from calib.assessment.metrics import Metrics
 from calib.foundations.errors import OutputError
-from calib.foundations.files import LARGEST_JSON, read_bytes
-from calib.foundations.folders import reading_folder
-from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.units import MM
 from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
 from calib.presentation.report.document import Block, Prose, Report, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import RESULT_FILE
+from calib.results.folder import RESULT_FILE, read_result
 
 _Figures = Mapping[tuple[str, str, str], Metrics]
 
@@ -34,11 +31,8 @@ class Told:
 
 def told(folder: Path) -> Told:
     """Read what a folder of results tells of itself. Raises OutputError when it holds no readable result."""
-    path = folder / RESULT_FILE
-    with reading_folder(folder):
-        source = read_bytes(path, OutputError, LARGEST_JSON)
+    contents = read_result(folder)
     try:
-        contents = parse_json(source)
         return Told(
             folder,
             bool(contents["trusted"]),
@@ -46,10 +40,8 @@ def told(folder: Path) -> Told:
             {str(check["name"]): bool(check["passed"]) for check in contents["checks"]},
             {str(name): str(sha) for name, sha in contents["inputs"].items()},
         )
-    except NotJsonError as e:
-        raise OutputError(f"{path}: {e}.") from e
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as e:
-        raise OutputError(f"{path}: is not a result of this tool.") from e
+        raise OutputError(f"{folder / RESULT_FILE}: is not a result of this tool.") from e
 
 
 def _figures(metrics: Mapping[str, Any]) -> _Figures:

@@ -21,15 +21,7 @@ from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
-from calib.robot.gravity import (
-    STANDARD_GRAVITY,
-    Holding,
-    Load,
-    Payload,
-    Weights,
-    checked_gravity,
-    checked_payload,
-)
+from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Outline, Segment, follow

@@ -84,7 +84,7 @@ def fit(
     seen: set[str] = set()
     while split:
         # What is smaller than the noise that was stated does no harm, and a target that creeps has no end of splits.
-        moved = [jump for jump in calib.outliers(found).moved if float(np.linalg.norm(jump.shift)) > sigma]
+        moved = [jump for jump in calib.judging.outliers(found).moved if float(np.linalg.norm(jump.shift)) > sigma]
         jump = next((jump for jump in moved if jump.target not in seen), None)
         if jump is None:
             break
@@ -160,7 +160,7 @@ def main() -> int:
     for place, one in every.items():
         print(f"{place:12}{one.before * 1e3:9.3f}{one.after * 1e3:9.3f}{one.distance * 1e3:14.3f}")
     trained, _ = fit(robot, sets, elastic=arguments.wind_up)
-    for jump in calib.outliers(trained).moved:
+    for jump in calib.judging.outliers(trained).moved:
         print(f"{jump.target} seems to have moved after {jump.file}:{jump.line}.")
     return 0
 

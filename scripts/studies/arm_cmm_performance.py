@@ -19,8 +19,8 @@ from calib.identification.identify import identify
 from calib.job.inputs import load
 from calib.machine.calibrated import machine_of
 from calib.measurement.touches import read_touches
-from calib.presentation.performance_tables import performance_markdown, performance_table
-from calib.presentation.tables import plain
+from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.tables import plain, sheet_table
 
 CASE = Path(__file__).resolve().parents[2] / "robots" / "arm_cmm"
 JOB = CASE / "calibration_realistic.toml"
@@ -44,7 +44,9 @@ def markdown() -> str:
     truth = tomllib.loads((CASE / "truth_realistic.toml").read_text(encoding="utf-8"))
     before, after = figures(np.zeros(6), np.zeros(6))
     _, known = figures(np.radians(truth["cosine_deg"]), np.radians(truth["sine_deg"]))
-    return performance_markdown({"before": before, "after": after, "eccentricity known": known})
+    sheet = performance_sheet({"before": before, "after": after, "eccentricity known": known})
+    ruler = ["--:" if name in sheet.numbers else "---" for name in sheet.columns]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (sheet.columns, ruler, *(row.cells for row in sheet.rows)))
 
 
 def main() -> None:
@@ -53,7 +55,8 @@ def main() -> None:
     if parser.parse_args().markdown:
         print(markdown(), end="")
     else:
-        print(plain(performance_table(*figures(np.zeros(6), np.zeros(6)))), end="")
+        before, after = figures(np.zeros(6), np.zeros(6))
+        print(plain(sheet_table(performance_sheet({"before": before, "after": after}))), end="")
 
 
 if __name__ == "__main__":

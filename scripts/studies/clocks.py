@@ -23,9 +23,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.foundations.chance import bound
 from calib.machine.calibrated import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
-from calib.machine.uncertainty import squared_bound
 from scripts.development.judge_machines import Array, arm
 from scripts.simulate.streams import UR10, Recorded, motion, record
 from scripts.studies.store import simulate, stored
@@ -105,7 +105,7 @@ def inside(fit: calib.Fit, readings: Array, errors: Array) -> float:
     """Share of true points inside the stated 95 % regions around what was predicted, by its errors (N, 3)."""
     said = tool_uncertainty(machine_of(fit), readings)
     squares = np.einsum("ni,ni->n", errors, np.linalg.solve(said.covariance[:, :3, :3], errors[:, :, None])[..., 0])
-    return float(np.mean(squares <= squared_bound(0.95, 3, said.degrees_of_freedom)))
+    return float(np.mean(squares <= bound(0.95, 3, said.degrees_of_freedom)))
 
 
 HEAD = (

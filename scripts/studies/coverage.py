@@ -27,10 +27,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.foundations.chance import bound
 from calib.job.inputs import load
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
-from calib.machine.uncertainty import CAUSES, squared_bound
+from calib.machine.uncertainty import CAUSES
 from scripts.development.judge_cases import (
     SOCKETS_PRIOR,
     Errors,
@@ -109,7 +110,7 @@ In a session, a robot is measured at random poses by an instrument that states i
 robot has errors that the model knows of (0.5 mm, 1 mrad, joint offsets of 5 mrad: one standard deviation; all
 placements and offsets are free, base and tool are anywhere). It also has errors that the model leaves out, one kind
 in every table below. At 100 other poses the true position of the tool is compared with the stated 95 % region, an
-ellipsoid (`calib.tool_uncertainty`).
+ellipsoid (`calib.judging.tool_uncertainty`).
 
 * `coverage`: share of true positions inside the region, mean over sessions; `below 0.75`: share of sessions with a
   coverage below that.
@@ -293,7 +294,7 @@ def judged(machine: CalibratedMachine, readings: Array, true: Array, aligned: st
         errors = (e - B @ (B.T @ e)).reshape(errors.shape)
         covariance = factor @ np.swapaxes(factor, 1, 2) + scatter
     distance = np.einsum("ni,ni->n", errors, np.linalg.solve(covariance, errors[:, :, None])[..., 0])
-    inside = distance <= squared_bound(PROBABILITY, 3, said.degrees_of_freedom)
+    inside = distance <= bound(PROBABILITY, 3, said.degrees_of_freedom)
     return Told(
         float(np.mean(inside)),
         float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),

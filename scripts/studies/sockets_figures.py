@@ -111,7 +111,7 @@ def page(dataset: Path) -> str:
 
 def told(found: calib.Fit) -> list[str]:
     """The outlier report of a fit, as tables."""
-    report = calib.outliers(found)
+    report = calib.judging.outliers(found)
     rms = float(np.sqrt(np.mean(np.concatenate(found.residuals) ** 2)))
     lines = [f"Scatter {mm(rms)} mm rms per axis.", ""]
     rows = [

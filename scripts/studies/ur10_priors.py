@@ -85,7 +85,7 @@ class Judged(NamedTuple):
 
 def judged(fit: calib.Fit, test: calib.Measurements) -> Judged:
     (r,) = residuals_of(fit, [test], fit.machine)
-    tool = calib.tool_uncertainty(calib.machine_of(fit), test.readings)
+    tool = calib.judging.tool_uncertainty(calib.machine_of(fit), test.readings)
     spread = np.sqrt(tool.covariance[:, range(3), range(3)] + fit.noise[0].total ** 2)
     return Judged(fit, rms(r), float(np.mean(np.abs(r) < WITHIN * spread)))
 

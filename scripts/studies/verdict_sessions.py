@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.effects import delay, stretches
 from calib.assessment.influence import Residue
+from calib.foundations.chance import bound
 from calib.machine.tool_uncertainty import tool_uncertainty
-from calib.machine.uncertainty import squared_bound
 from calib.robot.sources import resolve
 from calib.robot.urdf import parse_urdf
 from scripts.development import judge_cases
@@ -120,7 +120,7 @@ def _right(machine: calib.CalibratedMachine, unseen: Unseen) -> dict[str, Any]:
     C = said.covariance[:, :3, :3]
     squares = np.einsum("ni,ni->n", errors, np.linalg.solve(C, errors[:, :, None])[..., 0])
     return {
-        "inside": float(np.mean(squares <= squared_bound(0.95, 3, said.degrees_of_freedom))),
+        "inside": float(np.mean(squares <= bound(0.95, 3, said.degrees_of_freedom))),
         "errors": float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
         "stated": float(np.sqrt(np.mean(np.trace(C, axis1=1, axis2=2)))),
     }

@@ -225,7 +225,7 @@ def test_a_real_positioner_and_a_camera(fresh: Page, tmp_path: Path) -> None:
     fresh.drop("#drop", [tmp_path / "positioner.urdf", REAL / "positioner_camera" / "measurements.yaml"])
     settle(fresh)
     # Metres and millimetres fit alike: the arm has no length that would tell.
-    assert "lengths in mm and in m fit equally well" in fresh.evaluate("byId('asked').textContent")
+    assert "lengths in m and in mm fit equally well" in fresh.evaluate("byId('asked').textContent")
     answers = fresh.evaluate("[...document.querySelectorAll('#choices button')].map(b => b.textContent)")
     fresh.evaluate(f"window.before = state, byId('choice-{answers.index('m')}').click(), true")
     fresh.wait_for("state !== window.before")

@@ -15,11 +15,11 @@ from scipy import stats
 
 from calib.foundations import linear
 from calib.foundations.arrays import Array
+from calib.foundations.chance import bound
 from calib.foundations.errors import PoseError
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Component, Evaluation
-from calib.machine.uncertainty import squared_bound
 
 DATA = json.loads((Path(__file__).parent / "nist" / "strd.json").read_text(encoding="utf-8"))
 # Starts are off by more than themselves: the parameter scale is taken to be ten times as large.
@@ -156,7 +156,7 @@ def test_values_sigmas_and_intervals_are_those_that_nist_certifies(name: str) ->
     assert digits(np.sqrt(found.variances[0]), certified["residual_sigma"]) > least
     assert digits(sigmas, np.array(certified["sigmas"])) > least
     # Half the width of the interval of 95 %: Student's t of the degrees of freedom that the fit itself found.
-    half = np.sqrt(squared_bound(0.95, 1, found.redundancies[0])) * sigmas
+    half = np.sqrt(bound(0.95, 1, found.redundancies[0])) * sigmas
     assert digits(half, stats.t.ppf(0.975, freedom) * np.array(certified["sigmas"])) > least
 
 

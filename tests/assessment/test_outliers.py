@@ -109,7 +109,7 @@ def test_a_row_left_out_is_the_fit_without_it(robot: calib.Robot) -> None:
     squares = float(np.sum(fit.residuals[0] ** 2)) / fit.noise[0].total ** 2
     prior = sum((value / 5e-3) ** 2 for value, p in zip(fit.values, fit.parameters, strict=True) if p.prior)
     freedom = fit.noise[0].degrees_of_freedom
-    found = {row.line: row for row in calib.outliers(fit).rows}
+    found = {row.line: row for row in calib.judging.outliers(fit).rows}
     assert len(found) == len(data)
     assert sum(row.leverage for row in found.values()) * 3 == pytest.approx(3 * len(data) - freedom, rel=1e-3)
     for n, line in enumerate(data.lines):
@@ -136,10 +136,10 @@ def test_gross_rows_are_found_with_their_lines(robot: calib.Robot, model: calib.
     bad = np.array(data.position)
     bad[7] += (0.0, 1e-3, 0.0)
     bad[30] -= (8e-4, 0.0, 8e-4)
-    found = calib.outliers(calib.identify(model, replace(data, position=bad)))
+    found = calib.judging.outliers(calib.identify(model, replace(data, position=bad)))
     assert {row.line for row in found.outlying} == {int(data.lines[7]), int(data.lines[30])}
     # A loss that takes the weight from them does not hide them.
-    robust = calib.outliers(calib.identify(model, replace(data, position=bad), losses=["cauchy"]))
+    robust = calib.judging.outliers(calib.identify(model, replace(data, position=bad), losses=["cauchy"]))
     assert {row.line for row in robust.outlying} >= {int(data.lines[7]), int(data.lines[30])}
     by_line = {row.line: row for row in robust.rows}
     assert all(by_line[row.line].leverage < 0.3 * row.leverage for row in found.outlying)
@@ -148,10 +148,10 @@ def test_gross_rows_are_found_with_their_lines(robot: calib.Robot, model: calib.
 def test_a_group_on_another_base_disagrees(robot: calib.Robot, model: calib.ErrorModel) -> None:
     data = positions(robot, np.random.default_rng(5))
     second = np.array([word == "second" for word in data.group or ()])
-    clean = calib.outliers(calib.identify(model, data))
+    clean = calib.judging.outliers(calib.identify(model, data))
     assert not clean.disagreeing
     shifted = np.array(data.position) + np.where(second[:, None], (3e-4, 0.0, 0.0), 0.0)
-    found = calib.outliers(calib.identify(model, replace(data, position=shifted)))
+    found = calib.judging.outliers(calib.identify(model, replace(data, position=shifted)))
     assert {group.name for group in found.disagreeing} == {"first", "second"}
     for group in found.disagreeing:
         assert group.differs == "base"
@@ -175,7 +175,7 @@ def test_a_groups_gain_is_that_of_machines_of_its_own(robot: calib.Robot) -> Non
     apart = sum(squares(calib.identify(model, data.subset(own), model_sigmas=[0.0])) for own in (second, ~second))
     freedom = data.sigma.size - len(fit.parameters)
     gain = squares(fit) - apart
-    group = calib.outliers(fit).groups[0]
+    group = calib.judging.outliers(fit).groups[0]
     d = len(fit.parameters)
     assert group.freedom == d
     scatter = max((squares(fit) - gain) / (freedom - d), 1.0)
@@ -186,7 +186,7 @@ def test_a_target_that_moved_is_found(robot: calib.Robot) -> None:
     _, _, rows = simulation.recordings(7)
     place, hole, after = simulation.PUSHED
     for sigma in (None, 5e-4):
-        found = calib.outliers(socket_fit(robot, measured(robot, rows, sigma)))
+        found = calib.judging.outliers(socket_fit(robot, measured(robot, rows, sigma)))
         (jump,) = found.moved
         assert (jump.target, jump.file) == (f"{place}/{hole}", place)
         assert jump.rows == (after, simulation.ROWS - after)
@@ -197,7 +197,7 @@ def test_a_jump_is_what_a_second_target_would_say(robot: calib.Robot) -> None:
     _, _, rows = simulation.recordings(7)
     place, hole, after = simulation.PUSHED
     sets = measured(robot, rows, PLAY)
-    (jump,) = calib.outliers(socket_fit(robot, sets)).moved
+    (jump,) = calib.judging.outliers(socket_fit(robot, sets)).moved
     k = list(rows).index(place)
     target = np.array(sets[k].target)
     target[simulation.ROWS + after :] = len(sets[k].targets)
@@ -213,7 +213,7 @@ def test_one_gross_row_is_no_jump(
 ) -> None:
     rows = resampled(recorded, np.random.default_rng(1))
     rows["left"]["hole_0"][-2] += (0.0, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0)
-    found = calib.outliers(socket_fit(robot, measured(robot, rows, None)))
+    found = calib.judging.outliers(socket_fit(robot, measured(robot, rows, None)))
     assert [(row.target, row.line) for row in found.outlying] == [("left/hole_0", simulation.ROWS - 2)]
     assert not found.moved
 
@@ -229,10 +229,10 @@ def test_clean_data_give_no_alarm(
     trials = 40
     for seed in range(trials):
         if seed % 8:
-            found = calib.outliers(calib.identify(model, positions(robot, np.random.default_rng(100 + seed))))
+            found = calib.judging.outliers(calib.identify(model, positions(robot, np.random.default_rng(100 + seed))))
         else:
             rows = resampled(recorded, np.random.default_rng(seed))
-            found = calib.outliers(socket_fit(robot, measured(robot, rows, (None, 5e-4)[seed % 16 // 8])))
+            found = calib.judging.outliers(socket_fit(robot, measured(robot, rows, (None, 5e-4)[seed % 16 // 8])))
         p_rows += [row.p for row in found.rows]
         alarms["rows"] += bool(found.outlying)
         alarms["jumps"] += any(jump.is_told(LEVEL) for jump in found.jumps)
@@ -246,8 +246,8 @@ def test_clean_data_give_no_alarm(
 def test_the_order_of_rows_changes_no_row(robot: calib.Robot, model: calib.ErrorModel) -> None:
     data = positions(robot, np.random.default_rng(8))
     order = np.random.default_rng(0).permutation(len(data))
-    a = calib.outliers(calib.identify(model, data))
-    b = calib.outliers(calib.identify(model, data.subset(order)))
+    a = calib.judging.outliers(calib.identify(model, data))
+    b = calib.judging.outliers(calib.identify(model, data.subset(order)))
     assert [row.line for row in a.rows] == [row.line for row in b.rows]
     assert np.allclose([row.p for row in a.rows], [row.p for row in b.rows], rtol=1e-5)
     assert np.allclose([group.gain for group in a.groups], [group.gain for group in b.groups], rtol=1e-5)
@@ -260,7 +260,7 @@ def test_a_row_that_alone_determines_something_is_not_tested(robot: calib.Robot)
     tool[5] = 1
     data = replace(data, tools=("tool", "other"), tool=tool)
     fit = calib.identify(machines.model(robot, offsets="all", prior_angle=5e-3), data)
-    row = next(row for row in calib.outliers(fit).rows if row.line == data.lines[5])
+    row = next(row for row in calib.judging.outliers(fit).rows if row.line == data.lines[5])
     assert np.isnan(row.p)
     assert np.isnan(row.studentised)
     assert row.leverage == pytest.approx(1.0, abs=1e-6)

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.performance import (
+    Performance,
     PerformanceFigure,
     articulated_location,
     before_and_after,
     performance,
-    probe_point,
     probing,
     single_point_articulation,
     volumetric_lengths,
@@ -27,8 +27,9 @@ from calib.job.inputs import load
 from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.measurement.touches import Touches, read_touches, touches
-from calib.presentation.performance_tables import performance_table
-from calib.presentation.tables import plain
+from calib.positioner.pivot import pivot
+from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
 
 Array = NDArray[np.float64]
@@ -100,11 +101,11 @@ def test_probe_point_is_found_from_cones_at_unknown_places() -> None:
     tips = np.tile(np.eye(4), (12, 1, 1))
     tips[:, :3, :3] = Rotation.random(12, random_state=4).as_matrix()
     tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
-    assert np.abs(probe_point(tips, names, np.zeros(3)) - point).max() < 1e-14
+    assert np.abs(pivot(tips, names, guess=np.zeros(3)).tool_point - point).max() < 1e-14
     # Turned about one axis only, what lies along it cannot be seen and stays as guessed.
     tips[:, :3, :3] = Rotation.from_euler("z", np.arange(12.0)[:, None]).as_matrix()
     tips[:, :3, 3] = np.repeat(cones, 4, axis=0) - tips[:, :3, :3] @ point
-    assert np.abs(probe_point(tips, names, np.full(3, 0.1)) - [4e-3, -2e-3, 0.1]).max() < 1e-14
+    assert np.abs(pivot(tips, names, guess=np.full(3, 0.1)).tool_point - [4e-3, -2e-3, 0.1]).max() < 1e-14
 
 
 # ---- from tables
@@ -199,7 +200,7 @@ def test_very_many_cones_and_spheres_are_refused(robot: calib.Robot) -> None:
 
 def test_the_table_says_whose_probe_it_is(robot: calib.Robot) -> None:
     given = performance(robot.tips, [made(robot, LENGTH)], None, np.zeros(3))
-    assert "the probe is the tool of the results" in " ".join(plain(performance_table(given, given)).split())
+    assert "the probe is the tool of the results" in " ".join(told(given, given).split())
 
 
 def test_the_probe_is_found_from_cones_only(robot: calib.Robot) -> None:
@@ -231,7 +232,7 @@ def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: cali
     for b, a in zip(before.figures, after.figures, strict=True):
         assert abs(b.value) > 4e-3
         assert abs(a.value) < 0.15e-3
-    text = plain(performance_table(before, after))
+    text = told(before, after)
     assert max(map(len, text.splitlines())) <= 80
     assert "LDia.5x5" in text
     assert "no certificate" in text
@@ -254,6 +255,10 @@ def test_the_page_shows_what_the_script_prints() -> None:
     for a, b in zip(numbers(shown), numbers(printed.stdout), strict=True):
         # The last digit may go with the machine that computes.
         assert a == pytest.approx(b, abs=1.5e-4)
+
+
+def told(before: Performance, after: Performance) -> str:
+    return plain(sheet_table(performance_sheet({"before": before, "after": after})))
 
 
 def rows(table: str) -> list[list[str]]:

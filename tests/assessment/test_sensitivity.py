@@ -18,8 +18,8 @@ from calib.assessment.sensitivity import (
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job.assumed_errors import read_errors
 from calib.presentation.plots import sensitivity_figure
-from calib.presentation.sensitivity_tables import group_table, sensitivity_table, sensitivity_verdict
-from calib.presentation.tables import plain
+from calib.presentation.sensitivity_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
+from calib.presentation.tables import plain, sheet_table
 from tests.support import machines
 
 Array = machines.Array
@@ -169,13 +169,14 @@ def test_results_are_read_only() -> None:
 def test_tables_are_narrow_and_in_order() -> None:
     model, q, _ = case()
     found = sensitivity(model, q)
-    text = plain(sensitivity_table(found))
+    text = plain(sheet_table(sensitivity_sheet(found)))
     assert max(map(len, text.splitlines())) <= 80
     rows = [line.split()[0] for line in text.splitlines() if "mm/m" in line]
     assert rows == [found.parameters[k].name for k in found.order]
-    said = "".join(map(plain, sensitivity_verdict(found)))
-    assert f"tell {found.rank} combinations of the {len(found.parameters)} parameters apart" in said.replace("\n", " ")
-    shown = plain(group_table(group_study(model, q, {"elbow_joint.tx": 1e-3, "elbow_joint.offset": 1e-3})))
+    said = f"tell {found.rank} combinations of the {len(found.parameters)} parameters apart"
+    assert said in sensitivity_sentence(found)
+    study = group_study(model, q, {"elbow_joint.tx": 1e-3, "elbow_joint.offset": 1e-3})
+    shown = plain(sheet_table(group_sheet(study)))
     assert max(map(len, shown.splitlines())) <= 80
     assert [line.split()[:2] for line in shown.splitlines() if line.endswith("mm")] == [
         ["tx", "10"],

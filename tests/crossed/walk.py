@@ -17,7 +17,7 @@ import calib
 from calib.compensation.commands import for_poses
 from calib.job.calibrate import calibrate
 from calib.presentation import display, live
-from calib.presentation.console import short_report
+from calib.presentation.console import drawn, short_report
 from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.report import report_of
@@ -128,7 +128,7 @@ def _calibrated(case: Case, out: Path) -> Walked:
     said = run("check", case.path)
     assert (said.code, said.err) == (0, ""), said.err
     outcome = calibrate(case.path, out)
-    assert all(map(plain, short_report(report_of(outcome))))
+    assert all(plain(drawn(one)) for one in short_report(report_of(outcome)))
     walked = Walked(case, outcome, out, calib.load_machine(out))
     for judged in outcome.sets:
         for quantity, m in outcome.metrics[judged.use]["after"].items():
@@ -192,10 +192,10 @@ def is_uncertain(walked: Walked, folder: Path) -> None:
     u = walked.model
     assert u.uncertainty is not None
     q = case.draw(5)
-    found = calib.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
+    found = calib.judging.tool_uncertainty(u, q, tool, conditions=case.conditions(q))
     assert np.isfinite(found.position).all() and (found.position > 0.0).all()
-    calib.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
-    calib.outside_identified(u, 5.0 * q)
+    calib.judging.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
+    calib.judging.outside_identified(u, 5.0 * q)
 
 
 def is_commanded(walked: Walked, folder: Path) -> None:

@@ -154,7 +154,7 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.verify(fit, data), "verify: machine is a Fit; needs a CalibratedMachine."),  # type: ignore[arg-type]
         (lambda: calib.read_measurements(CASE / TABLE, robot, "postion"), "observes: 'postion' is not one of position"),  # type: ignore[arg-type]
         (lambda: robot.tips([[0.0] * 6]), "tips: readings is a list of list; needs an array of numbers."),  # type: ignore[arg-type]
-        (lambda: calib.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
+        (lambda: calib.measuring.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
         (lambda: calib.Deviations(None, np.zeros(6)), "Deviations: placements is None; needs an array of numbers."),  # type: ignore[arg-type]
         (lambda: data.subset([99]), "there are no such rows among 60"),
     ):  # fmt: skip
@@ -214,13 +214,16 @@ def test_numbers_out_of_range_are_refused_where_they_come_in() -> None:
     circle, line = np.c_[np.cos(t), np.sin(t), 0.0 * t], np.c_[t, 0.0 * t, 0.0 * t]
     at = calib.positioner
     for slip, said in (
-        (lambda: calib.uncertainty_map(u, 0), "0 random poses, seed 0: allowed are 1 to 1000000"),
-        (lambda: calib.uncertainty_map(u, 10**9), "1000000000 random poses"),
-        (lambda: calib.uncertainty_map(u, 5, seed=-1), "no negative seed"),
-        (lambda: calib.uncertainty_map(u, 5, limits=np.zeros((2, 6))), "limits: needs finite numbers (6, 2)"),
-        (lambda: calib.uncertainty_map(u, 5, limits=np.full((6, 2), np.nan)), "limits: needs finite numbers (6, 2)"),
-        (lambda: calib.compare(u, u, seed=-1), "no negative seed"),
-        (lambda: calib.outside_identified(u, np.zeros(6)), "readings of shape (6,)"),
+        (lambda: calib.judging.uncertainty_map(u, 0), "0 random poses, seed 0: allowed are 1 to 1000000"),
+        (lambda: calib.judging.uncertainty_map(u, 10**9), "1000000000 random poses"),
+        (lambda: calib.judging.uncertainty_map(u, 5, seed=-1), "no negative seed"),
+        (lambda: calib.judging.uncertainty_map(u, 5, limits=np.zeros((2, 6))), "limits: needs finite numbers (6, 2)"),
+        (
+            lambda: calib.judging.uncertainty_map(u, 5, limits=np.full((6, 2), np.nan)),
+            "limits: needs finite numbers (6, 2)",
+        ),
+        (lambda: calib.judging.compare(u, u, seed=-1), "no negative seed"),
+        (lambda: calib.judging.outside_identified(u, np.zeros(6)), "readings of shape (6,)"),
         (lambda: calib.dh.dh_of(robot, parallel=5.0), "parallel: 5.0 is not an angle between 0 and 0.5 rad"),
         (lambda: calib.dh.dh_of(robot, parallel=float("nan")), "parallel: nan"),
         (lambda: at.circle_axis(circle, sigma=1e300), "sigma is 1e+300 m; allowed is 0, or 1e-06 to 1000 mm"),

@@ -165,7 +165,7 @@ def test_nonsense_is_refused_when_it_is_said(name: str) -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: calib.Payload(-1.0), "payload: mass is -1 kg; allowed is 0, or 1e-06 to 100000 kg."),
+        (lambda: calib.measuring.Payload(-1.0), "payload: mass is -1 kg; allowed is 0, or 1e-06 to 100000 kg."),
         (
             lambda: calib.JointTerm("joint_2", "cos", 10**9),
             "joint term of 'joint_2': order is 1000000000; allowed are 0 to 1000000.",

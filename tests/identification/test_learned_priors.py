@@ -202,7 +202,7 @@ def test_of_harmonics_that_are_not_there_nothing_is_told() -> None:
     def off(one: calib.Fit) -> Array:
         return (machines.predicted(one, unseen) - machines.predicted(plain, unseen))[:, :3, 3]
 
-    sigma = calib.tool_uncertainty(calib.machine_of(fit), unseen).covariance[:, range(3), range(3)] ** 0.5
+    sigma = calib.judging.tool_uncertainty(calib.machine_of(fit), unseen).covariance[:, range(3), range(3)] ** 0.5
     assert np.all(np.abs(off(fit)) < sigma)
     assert np.std(off(fit)) < 0.2 * np.std(off(free))
 
@@ -242,7 +242,7 @@ def test_predictions_are_as_sure_as_they_say() -> None:
         lab = Lab(30 + seed, 0.0, length=0.3e-3, angle=0.3e-3, zero=1e-3)
         fit = calib.identify(lab.model(prior_length="learned", prior_angle="learned"), lab.data(20))
         unseen = lab.draw(lab.rng, 200)
-        sigma = calib.tool_uncertainty(calib.machine_of(fit), unseen).covariance[:, range(3), range(3)] ** 0.5
+        sigma = calib.judging.tool_uncertainty(calib.machine_of(fit), unseen).covariance[:, range(3), range(3)] ** 0.5
         miss = machines.predicted(fit, unseen)[:, :3, 3] - lab.true.see(unseen)[:, :3, 3]
         inside.append(np.mean(np.abs(miss) < 1.96 * sigma))
     assert 0.88 < np.mean(inside) < 0.99

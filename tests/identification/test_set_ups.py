@@ -202,7 +202,7 @@ def test_a_machine_of_several_set_ups_is_the_same_after_a_file(cell: Cell, tmp_p
             np.testing.assert_allclose(
                 again.at(setup).predict(q, tool=tool), machine.at(setup).predict(q, tool=tool), atol=1e-12
             )
-            a, b = (calib.tool_uncertainty(m.at(setup), q, tool).covariance for m in (again, machine))
+            a, b = (calib.judging.tool_uncertainty(m.at(setup), q, tool).covariance for m in (again, machine))
             np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-16)
     np.testing.assert_allclose(again.residuals(sets[1]), found.fit.residuals[1], atol=1e-9)
     with pytest.raises(MeasurementError, match="the set-up 'far' was not identified; known are 'left', 'right'"):
@@ -214,10 +214,10 @@ def test_the_uncertainty_of_every_set_up_is_its_own(cell: Cell) -> None:
     sets = [cell.measure("left", 60), cell.measure("right", 6)]
     machine = calib.machine_of(calib.identify(calib.error_model(cell.robot, offsets="all"), sets))
     q = cell.arm.draw(cell.rng, 50)
-    left, right = (np.median(calib.tool_uncertainty(machine.at(s), q).position) for s in ("left", "right"))
+    left, right = (np.median(calib.judging.tool_uncertainty(machine.at(s), q).position) for s in ("left", "right"))
     # What the model leaves out is most of it, and common to both.
     assert right > 1.05 * left
-    same = [calib.tool_uncertainty(machine.at(s), q, base=False).position for s in ("left", "right")]
+    same = [calib.judging.tool_uncertainty(machine.at(s), q, base=False).position for s in ("left", "right")]
     np.testing.assert_allclose(*same, rtol=1e-9)
 
 

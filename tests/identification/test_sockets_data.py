@@ -42,11 +42,11 @@ def test_each_place_left_out(name: str) -> None:
 
 def test_what_moves_in_panda_1() -> None:
     _, robot, sets = loaded("panda_1")
-    found = calib.outliers(figures.fit(robot, sets, elastic=False)[0])
+    found = calib.judging.outliers(figures.fit(robot, sets, elastic=False)[0])
     (first, *_) = found.disagreeing
     assert (first.kind, first.name) == ("file", "back-high.csv")
     table_places = {place: sets[place] for place in ("front", "right")}
-    found = calib.outliers(figures.fit(robot, table_places, elastic=False)[0])
+    found = calib.judging.outliers(figures.fit(robot, table_places, elastic=False)[0])
     # 22 rows of hole_1, below the header and 30 rows of hole_0, or one less.
     assert found.moved[0].target == "right/hole_1"
     assert found.moved[0].line in (52, 53)
@@ -55,14 +55,14 @@ def test_what_moves_in_panda_1() -> None:
 
 def test_panda_3_stood_still() -> None:
     _, robot, sets = loaded("panda_3")
-    found = calib.outliers(figures.fit(robot, sets, elastic=False)[0])
+    found = calib.judging.outliers(figures.fit(robot, sets, elastic=False)[0])
     assert not found.moved
     assert not found.disagreeing
 
 
 def test_joints_that_give_way_explain_what_back_high_asks_for() -> None:
     _, robot, sets = loaded("panda_1")
-    assert not calib.outliers(figures.fit(robot, sets, elastic=True)[0]).disagreeing
+    assert not calib.judging.outliers(figures.fit(robot, sets, elastic=True)[0]).disagreeing
     found = figures.mean(figures.each_left_out(robot, sets, elastic=True))
     assert found.after <= 0.65e-3
     assert figures.mean(figures.each_left_out(robot, sets, elastic=True, split=True)).after < found.after

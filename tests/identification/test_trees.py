@@ -117,7 +117,7 @@ def test_two_arms_on_a_torso_are_identified_together() -> None:
     for tip, tool in zip(TOOLS, machine.tools, strict=True):
         d = machine.predict(q, tool=tool)[:, :3, 3] - (base @ made.link(tip, q) @ TOOLS[tip])[:, :3, 3]
         assert np.sqrt(np.mean(np.sum(d**2, axis=1))) < 3.0 * SIGMA
-        inside = calib.tool_uncertainty(machine, q, tool).inside(d)
+        inside = calib.judging.tool_uncertainty(machine, q, tool).inside(d)
         assert np.mean(inside) > 0.8
     # Each alone does not know the torso from the arm as well: one fit of both has it once.
     alone = [calib.identify(model, [data]) for data in sets]

@@ -110,7 +110,7 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
 
     # Whoever uses the machine names the set-up, and has its load.
     machine = calib.load_machine(out)
-    assert machine.at("wall").robot.load == calib.measuring.Load(WALL, calib.Payload(2.5, CENTRE))
+    assert machine.at("wall").robot.load == calib.measuring.Load(WALL, calib.measuring.Payload(2.5, CENTRE))
     assert machine.at("base").robot.load == calib.measuring.Load(DOWN)
     assert run("verify", out, folder / "wall_judge.csv", "--setup", "wall", "-q").code == 0
     assert run("verify", out, folder / "empty_judge.csv", "-q").code == 0

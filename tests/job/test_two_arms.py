@@ -48,7 +48,7 @@ def test_both_arms_are_found(folder: Path) -> None:
     for tool, true in (("reflector", cell.balls(arm)), ("tool", cell.cones(robot))):
         off = machine.predict(q, tool=tool)[:, :3, 3] - cell.to_tracker(true)
         assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06e-3
-        assert np.mean(calib.tool_uncertainty(machine, q, tool).inside(off)) > 0.9
+        assert np.mean(calib.judging.tool_uncertainty(machine, q, tool).inside(off)) > 0.9
 
 
 def test_touches_say_what_few_poses_did_not(folder: Path) -> None:

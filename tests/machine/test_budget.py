@@ -232,5 +232,5 @@ def test_parameters_that_were_held_are_not_known() -> None:
 
 def test_plain_json_of_the_budget() -> None:
     fit, *_ = fitted()
-    found = calib.uncertainty_map(machine_of(fit), 20)
+    found = calib.judging.uncertainty_map(machine_of(fit), 20)
     assert json.loads(json.dumps(rms_by_cause(found.budget))).keys() == set(CAUSES)

@@ -15,7 +15,7 @@ from calib.compensation import commands
 from calib.foundations import rigid
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.machine import gaussian
-from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals, load_gaussian, save_gaussian
+from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals, load_gaussian
 from calib.robot.robot import Reading
 from tests.support import machines
 
@@ -203,7 +203,7 @@ def test_wrong_arguments(call: Callable[[], Any], error: type[Exception], senten
 
 
 def test_round_trip(known: GaussianResiduals, tmp_path: Path) -> None:
-    save_gaussian(known, tmp_path / "gaussian.npz")
+    (tmp_path / "gaussian.npz").write_bytes(gaussian.gaussian_bytes(known))
     again = load_gaussian(tmp_path / "gaussian.npz", READINGS)
     points = draw(40, 11)
     assert (again.readings, again.joints, again.frame) == (known.readings, known.joints, "tip")

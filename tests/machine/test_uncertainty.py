@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
@@ -21,7 +22,7 @@ from calib.machine.tool_uncertainty import (
     tool_uncertainty,
     uncertainty_map,
 )
-from calib.machine.uncertainty import CAUSES, squared_bound
+from calib.machine.uncertainty import CAUSES
 from calib.machine.uncertainty_file import uncertainty_json
 from calib.robot.sampling import joint_limits
 from tests.support import machines
@@ -152,8 +153,8 @@ def test_errors_common_to_rows_are_those_of_single_rows() -> None:
 
 
 def test_bounds_of_regions() -> None:
-    assert squared_bound(0.95, 1, float("inf")) == pytest.approx(1.959964**2, rel=1e-6)
-    assert squared_bound(0.95, 3, 10.0) == pytest.approx(3 * 3.708265, rel=1e-6)  # F(0.95; 3, 10) of the tables
+    assert bound(0.95, 1, float("inf")) == pytest.approx(1.959964**2, rel=1e-6)
+    assert bound(0.95, 3, 10.0) == pytest.approx(3 * 3.708265, rel=1e-6)  # F(0.95; 3, 10) of the tables
 
 
 def test_map_over_the_workspace_tells_how_far_it_is() -> None:

@@ -295,7 +295,7 @@ def test_regions_are_as_large_as_stated_and_stand_where_the_errors_end(
     data = np.concatenate([judged.data.readings for judged in outcome.sets])
     for (n, _), drawn in zip(s.regions.items(), corners, strict=True):
         centre = to_base[:3, :3] @ (s.measured[n] + factor * (s.after - s.measured)[n]) + to_base[:3, 3]
-        sure = calib.tool_uncertainty(outcome.machine, data[n : n + 1])
+        sure = calib.judging.tool_uncertainty(outcome.machine, data[n : n + 1])
         R = s.calibrated.root[:3, :3]
         C = R.T @ sure.covariance[0, :3, :3] @ R
         off = (drawn - centre) / factor

@@ -11,7 +11,7 @@ import pytest
 
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.console import short_report
+from calib.presentation.console import drawn, short_report
 from calib.presentation.report.charts import Axis, Bars, Curve, Points, chart, linear, logarithmic, map_of, matrix
 from calib.presentation.report.document import Picture, Prose, Report, Row, Section, Sheet, Verdict
 from calib.presentation.report.markdown import render_markdown
@@ -223,7 +223,7 @@ def test_page_markdown_and_terminal_say_the_same(report: Report) -> None:
         assert f"\n## {section.title}\n" in plainly
     from rich.console import Group
 
-    terminal = plain(Group(*short_report(report)))
+    terminal = plain(Group(*map(drawn, short_report(report))))
     assert max(map(len, terminal.splitlines())) <= 80
     for sheet in (block for block in report.brief() if isinstance(block, Sheet)):
         for row in sheet.rows:

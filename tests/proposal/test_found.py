@@ -75,9 +75,9 @@ def test_published_file(held: Held) -> None:
     urdf = held.urdf if held.urdf.startswith("example:") else str(FOLDER / held.urdf)
     if held.refuses:
         with pytest.raises(calib.MeasurementError, match=held.refuses):
-            calib.propose(urdf, [FOLDER / held.file])
+            calib.measuring.propose(urdf, [FOLDER / held.file])
         return
-    found = calib.propose(urdf, [FOLDER / held.file])
+    found = calib.measuring.propose(urdf, [FOLDER / held.file])
     assert [question.about for question in found.questions] == ([held.asks] if held.asks else [])
     if held.asks:
         return

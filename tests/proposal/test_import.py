@@ -23,7 +23,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def understood(file: Path) -> dict[str, str]:
-    found = calib.propose(UR10, [file])
+    found = calib.measuring.propose(UR10, [file])
     assert not found.questions, found.questions
     return dict(found.tables[0].columns.names)
 
@@ -88,7 +88,7 @@ def test_points_in_another_order_are_not_taken_for_measurements(folder: Path) ->
     (folder / "joints.csv").write_text(text(J, [np.degrees(s.readings)]))
     (folder / "points.csv").write_text(text(["X", "Y", "Z"], [1e3 * s.position[::-1]]))
     assert run("import", "joints.csv", "points.csv", "-o", "measured.csv").code == 0
-    assert [q.about for q in calib.propose(UR10, [folder / "measured.csv"]).questions] == ["columns"]
+    assert [q.about for q in calib.measuring.propose(UR10, [folder / "measured.csv"]).questions] == ["columns"]
 
 
 def test_records(folder: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
 def test_published_joints_and_points(folder: Path, joints: str, points: str) -> None:
     """An IRB 120 and a FARO tracker, in degrees and millimetres."""
     (folder / "m.csv").write_text(joined(read_sheet(PUBLISHED / joints), read_sheet(PUBLISHED / points)).csv())
-    found = calib.propose(PUBLISHED / "irb120.urdf", [folder / "m.csv"])
+    found = calib.measuring.propose(PUBLISHED / "irb120.urdf", [folder / "m.csv"])
     assert not found.questions, found.questions
     assert found.tables[0].columns.names["x [mm]"] == "column 7"
     assert found.tables[0].columns.names["joint_1 [deg]"] == "column 1"

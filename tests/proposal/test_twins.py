@@ -19,13 +19,13 @@ def test_twin(twin: Twin, tmp_path: Path) -> None:
     urdf = URDF_OF[twin.robot]
     if twin.refuses:
         with pytest.raises(calib.MeasurementError, match=twin.refuses):
-            calib.propose(urdf, [file])
+            calib.measuring.propose(urdf, [file])
         return
-    found = calib.propose(urdf, [file])
+    found = calib.measuring.propose(urdf, [file])
     if twin.asks:
         assert [question.about for question in found.questions][:1] == [twin.asks], found.reasons
         if twin.answers:
-            assert not calib.propose(urdf, [file], **twin.answers).questions
+            assert not calib.measuring.propose(urdf, [file], **twin.answers).questions
         return
     assert not found.questions, found.questions
     assert twin.expected is not None

@@ -73,7 +73,7 @@ def with_found_lenses(
         else:
             continue
         lenses[camera.name] = replace(camera, **lens._asdict())
-    return tuple(_with(data, lenses) for data in sets)
+    return tuple(_with(data, lenses) for data in sets) if lenses else tuple(sets)
 
 
 def _with(data: Measurements, lenses: Mapping[str, Camera]) -> Measurements:

@@ -40,7 +40,9 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     for data in measurements:
         if not len(data):
             raise MeasurementError(f"{data.where}: has no rows to identify from.")
-    sets = _with_expected_torques(model, with_common_names(model, measurements))
+    sets = with_common_names(model, measurements)
+    if any(end.conditions.torque_sigma is not None for data in sets for end in data.ends):
+        sets = _with_expected_torques(model, sets)
     _refuse_unturned_tools(model, sets)
     _refuse_unknown_targets(model, sets)
     _refuse_unknown_setups(model, sets)
@@ -64,8 +66,6 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
 
 def _with_expected_torques(model: ErrorModel, sets: tuple[Measurements, ...]) -> tuple[Measurements, ...]:
     """Return the sets with torques that are to be expected in the place of those that scatter by a stated sigma."""
-    if all(end.conditions.torque_sigma is None for data in sets for end in data.ends):
-        return sets
     told = iter(expected_torques(model.urdf_robot, [(e.readings, e.conditions) for data in sets for e in data.ends]))
     found = []
     for data in sets:

@@ -10,11 +10,7 @@ from calib.job.chains import Chain
 from calib.job.proposal import About, Question
 from calib.measurement.kinds import Kind
 from calib.measurement.raw import RawColumn, split_title
-from calib.measurement.roles import (
-    Joints,
-    Orientation,
-    Point,
-)
+from calib.measurement.roles import Joints, Orientation, Point
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 

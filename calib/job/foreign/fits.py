@@ -96,7 +96,7 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     if len(arms) > 1:
         raise ask("tip", f"{seen.raw.where}: several arms of the URDF fit the rows equally well", tips_of(arms))
     for about, k in (("angles", 0), ("lengths", 2), ("lengths", 1)):
-        units = list(dict.fromkeys(t.units[k] for t in rivals))
+        units = sorted({t.units[k] for t in rivals})  # they fit alike: which is best is chance
         if len(units) > 1:
             name: About = "angles" if about == "angles" else "lengths"
             raise ask(name, f"{seen.raw.where}: {about} in {' and in '.join(units)} fit equally well", units)
