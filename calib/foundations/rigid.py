@@ -36,6 +36,12 @@ def translation(t: Array) -> Array:
     return placement(np.eye(3), t)
 
 
+def product(A: Array, B: Array) -> Array:
+    """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all."""
+    # Rows may come last in memory, where a product of matrices would be made one by one.
+    return np.asarray(np.einsum("...ij,...jk->...ik", A, B))
+
+
 def inverse(T: Array) -> Array:
     """Return the inverses of placements (..., 4, 4)."""
     R_t = np.swapaxes(T[..., :3, :3], -1, -2)

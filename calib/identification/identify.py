@@ -232,7 +232,7 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, pri
     by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
     for block in Rates(problem, at, units).blocks(data):
         J[block.rows], r[block.rows] = block.J, block.observed.residual
-        by_twist[block.rows] = block.observed.twist
+        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
     told = likeliest(number, by_twist, J, r, data.sigma, prior)
     if told is None:
         return None

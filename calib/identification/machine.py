@@ -76,38 +76,57 @@ class Layout:
         return cls(robot, len(frames.bases), len(frames.tools), len(frames.targets), len(frames.scalars))
 
 
+class States:
+    """How a machine follows the values of its parameters: what is the same for all values, made once.
+
+    ``layout``: of the state; ``entries``: which of it the parameters move. Deviations that are not free are as
+    ``held``, or zero.
+    """
+
+    def __init__(
+        self, robot: Robot, parameters: Sequence[Parameter], reference: Frames, held: Deviations | None = None
+    ) -> None:
+        self.layout, self.entries = Layout.of(robot, reference), Entries.of(parameters)
+        self._at_rest = _reference_state(self.layout, reference, held)
+        # Free entries are what the parameters say; the rest stay at the reference.
+        self._at_rest[self.entries.entry] = 0.0
+        self._bases, self._tools = len(reference.bases), len(reference.tools)
+        self._rotations = np.concatenate([reference.bases, reference.tools])[:, :3, :3]
+        self._target_turns = _turns(reference.targets)
+
+    def machine(self, x: Array) -> Machine:
+        """Return the machine at parameter values x (p,) in SI units.
+
+        Bases and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from the reference. Positions are thus
+        absolute where they are free, and angles are small rotations of the reference, far from any gimbal lock.
+        Targets: ``R Trans(x, y, z) Rx(rx) Ry(ry) Rz(rz)``, so that z is a plane's height and the plane turns about its
+        middle.
+        """
+        layout, state = self.layout, self._at_rest.copy()
+        entry, own, share = self.entries
+        np.add.at(state, entry, share * x[own])
+        values = state[layout.base : layout.scalars].reshape(-1, 6)
+        motion, twists = deviation.motion_and_twists(values)
+        frames, b = self._bases + self._tools, self._bases
+        rotations = self._rotations @ motion[:frames, :3, :3]
+        poses = rigid.placement(rotations, values[:frames, :3])
+        twists[:frames, :3, :3] = np.swapaxes(rotations, -1, -2)
+        targets = self._target_turns @ motion[frames:]
+        placements = state[: layout.offsets].reshape(-1, 6)
+        return Machine(
+            Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
+            Frames(poses[:b], poses[b:], targets, state[layout.scalars :]),
+            twists[:b],
+            twists[b:frames],
+            twists[frames:],
+        )
+
+
 def machine(
     robot: Robot, parameters: Sequence[Parameter], reference: Frames, x: Array, held: Deviations | None = None
 ) -> Machine:
-    """Return the machine at parameter values x (p,) in SI units; deviations that are not free are as ``held``, or zero.
-
-    Bases and tools: ``Trans(x, y, z) R Rx(rx) Ry(ry) Rz(rz)``, with R from ``reference``. Positions are thus absolute
-    where they are free, and angles are small rotations of the reference, far from any gimbal lock. Targets:
-    ``R Trans(x, y, z) Rx(rx) Ry(ry) Rz(rz)``, so that z is a plane's height and the plane turns about its middle.
-    """
-    layout = Layout.of(robot, reference)
-    state = _reference_state(layout, reference, held)
-    entry, own, share = Entries.of(parameters)
-    # Free entries are what the parameters say; the rest stay at the reference.
-    state[entry] = 0.0
-    np.add.at(state, entry, share * x[own])
-    values = state[layout.base : layout.targets].reshape(-1, 6)
-    references = np.concatenate([reference.bases, reference.tools])
-    b = len(reference.bases)
-    rotations = references[:, :3, :3] @ rigid.rx_ry_rz(values[:, 3:])
-    poses = rigid.placement(rotations, values[:, :3])
-    twists = deviation.twists(values)
-    twists[:, :3, :3] = np.swapaxes(rotations, -1, -2)
-    moved = state[layout.targets : layout.scalars].reshape(-1, 6)
-    targets = _turns(reference.targets) @ deviation.motion(moved)
-    placements = state[: layout.offsets].reshape(-1, 6)
-    return Machine(
-        Deviations(placements, state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
-        Frames(poses[:b], poses[b:], targets, state[layout.scalars :]),
-        twists[:b],
-        twists[b:],
-        deviation.twists(moved),
-    )
+    """Return the machine at parameter values x (p,): that of :class:`States`."""
+    return States(robot, parameters, reference, held).machine(x)
 
 
 def values_at(

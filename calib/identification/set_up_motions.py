@@ -15,6 +15,7 @@ from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.identification import identifiability
 from calib.identification.machine import Machine
+from calib.identification.observations.seen import Moved
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation
 from calib.identification.targets import Shape, Target, shape_of, shapes
@@ -232,25 +233,23 @@ class SetUpMotions:
     def add(
         self,
         J: Array,
-        moved: Sequence[tuple[Array, Array]],
+        moved: Sequence[Moved],
         sigma: Array,
         grounds: Sequence[tuple[str | None, IntArray | slice]],
     ) -> None:
         """Add rows (n, d, p) with their sigmas (n, d).
 
-        ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of other ends.
-        ``grounds``: which rows are told in which link, None being the floor.
+        ``moved``: tools, and other ends. ``grounds``: which rows are told in which link, None being the floor.
         """
         changed = np.zeros((*J.shape[:2], self._count + 3 * len(self._motions.shifted)))
-        for link, own in grounds:
-            turns = self._motions.of(link)[1]
-            for twist, placed in moved:
-                back = np.swapaxes(placed[own, :3, :3], -1, -2)
-                moves = twist[own, :, :3] @ back
-                changed[own, :, : self._count] += moves @ self._moved(placed[own, :3, 3], link)
+        for one in moved:
+            by_shift, by_turn = one.by_motion
+            for link, own in grounds:
+                turns = self._motions.of(link)[1]
+                changed[own, :, : self._count] += by_shift[own] @ self._moved(one.placed[own, :3, 3], link)
                 if link in self._motions.shifted:
-                    changed[own, :, self._shift_of(link)] += moves * _SHIFT
-                changed[own, :, : turns.shape[1]] += twist[own, :, 3:] @ back @ turns
+                    changed[own, :, self._shift_of(link)] += by_shift[own] * _SHIFT
+                changed[own, :, : turns.shape[1]] += by_turn[own] @ turns
         # What parameters, targets left out, do to a tool.
         rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))

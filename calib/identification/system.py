@@ -5,10 +5,10 @@ has the same cost, gradient and Gauss-Newton matrix as the full system. It is ac
 memory does not grow with rows times parameters.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, gat
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.losses import Loss
-from calib.identification.machine import Frames, Layout, Machine, machine
+from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations import observe
-from calib.identification.observations.seen import Linearised, Seen
-from calib.identification.parameters import Entries, Parameter, scales
+from calib.identification.observations.seen import Linearised, Moved, Seen
+from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, TargetsFollowed, motions, taken_out
 from calib.identification.targets import split_of
@@ -30,11 +30,13 @@ from calib.identification.together import Together
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
-from calib.robot.conditions import Conditions
+from calib.robot.kinematics import Follow, Regressor, followed
 from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 
 # Measured numbers in a block: so many that a call costs little beside them, few enough that memory does not grow.
 BLOCK = 3072
+
+_Kept = TypeVar("_Kept")
 
 
 class Component(NamedTuple):
@@ -43,6 +45,16 @@ class Component(NamedTuple):
     measurements: int
     quantity: str  # as in calib.measurement.kinds
     columns: slice
+
+
+class _Made(dict[object, Any]):
+    """What is made of a problem when it is first asked for, and kept with it. Not to be shared by threads."""
+
+    def once(self, what: object, make: Callable[[], _Kept]) -> _Kept:
+        if what not in self:
+            self[what] = make()
+        found: _Kept = self[what]
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +75,7 @@ class Problem:
     given_losses: tuple[Loss, ...] | None = None
     nominals: Nominals = field(default_factory=Nominals)
     together: tuple[Together | None, ...] = ()
+    _made: _Made = field(init=False, default_factory=_Made)
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -90,8 +103,19 @@ class Problem:
         )
 
     @property
+    def states(self) -> States:
+        """How the machine follows the parameters."""
+        return self._made.once("states", self._states)
+
+    def _states(self) -> States:
+        return States(self.model.robot, self.parameters, self.reference, self.held)
+
+    @property
     def motions(self) -> Motions | None:
         """How the whole set-up may move with no effect on what is measured."""
+        return self._made.once("motions", self._motions)
+
+    def _motions(self) -> Motions | None:
         return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
     @property
@@ -100,6 +124,9 @@ class Problem:
 
         Known relations join targets to each other. A width that is to be learned is judged by all that is unknown.
         """
+        return self._made.once("split", self._split)
+
+    def _split(self) -> Split:
         if any(parameter.group is not None for parameter in self.parameters):
             return Split.none(len(self.parameters))
         names = self.measurements[0].targets if self.measurements else ()
@@ -109,7 +136,13 @@ class Problem:
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
-        return machine(self.model.robot, self.parameters, self.reference, x, self.held)
+        return self.states.machine(x)
+
+    def selection(self, units: Array, split: Split | None = None) -> "Selection":
+        """Return what of the state common parameters move, for ``units`` (p,) of each; without a split all are."""
+        # Of a search it is always the same one.
+        key = "selection", split, units.tobytes()
+        return self._made.once(key, lambda: Selection(self.states, len(self.reference.targets), units, split))
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return the residuals (N, d) of every set at parameter values x (p,)."""
@@ -121,11 +154,11 @@ class Problem:
 
 
 class Block(NamedTuple):
-    """Rows of one set: residuals with derivatives by twists, and their Jacobian (n, d, c) by common parameters.
+    """Rows of one set: residuals with derivatives, and their Jacobian (n, d, c) by common parameters.
 
     ``own`` (n, d, a): their derivatives by the parameters of the row's target, of a ``block`` (n,); both are None where
-    all are common. ``moved``: derivatives by the local twist (n, d, 6) and placements (n, 4, 4) of the tools, and of
-    other ends. ``grounds``: which of the rows are told in which link, None being the floor.
+    all are common. ``moved``: the tools, and other ends. ``grounds``: which of the rows are told in which link, None
+    being the floor.
     """
 
     rows: slice
@@ -133,7 +166,7 @@ class Block(NamedTuple):
     J: Array
     own: Array | None
     block: IntArray | None
-    moved: tuple[tuple[Array, Array], ...]
+    moved: tuple[Moved, ...]
     grounds: tuple[tuple[str | None, IntArray | slice], ...]
 
 
@@ -276,20 +309,20 @@ def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -
     for data in measurements:
         residual = np.empty(data.sigma.shape)
         for rows in _blocks(data):
+            tools, others = at.frames.tools, None
             with _naming(data, rows):
                 readings = data.readings_at(at.frames.scalars, rows)
                 told = data.conditions_at(at.frames.scalars, rows, moving=robot.weights is not None)
-                tips = links[data.tip].tips(readings, told)
-                others = None
+                carried = links[data.tip].carried(readings, told)
                 if data.other is not None:
-                    others = links[data.tip].tips(data.other.readings[rows], data.other.conditions.subset(rows))
+                    there = links[data.tip].carried(data.other.readings[rows], data.other.conditions.subset(rows))
+                    others = _held(there, tools, data.other.tool[rows], data.other.points, rows)
                 base = _bases(at.frames, data, rows)
                 for link, own in _on_links(data, rows):
-                    base[own] = rigid.inverse(links[link].tips(readings[own], told.subset(own)))
+                    base[own] = rigid.inverse(links[link].carried(readings[own], told.subset(own)).placement)
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
-            placed = base @ (tips @ at.frames.tools[data.tool[rows]])
-            placed = _shifted(placed, data.points, rows)
-            residual[rows] = _observe(data, rows, at.frames, placed, base, others).residual
+            held = _held(carried, tools, data.tool[rows], data.points, rows)
+            residual[rows] = _observe(data, rows, at.frames, base, held, others)[0].residual
         found.append(residual)
     return tuple(found)
 
@@ -337,10 +370,15 @@ def photograph_numbers(data: Measurements) -> IntArray:
 
 
 def _bases(frames: Frames, data: Measurements, rows: slice) -> Array:
-    """Return the bases (n, 4, 4) of some rows, or the only one (4, 4)."""
-    if len(frames.bases) == 1 and not data.target_links:
-        return np.asarray(frames.bases[0])
-    return np.asarray(frames.bases[data.setup[rows]])
+    """Return the bases (n, 4, 4) of some rows, or the one that all have (4, 4)."""
+    setup = data.setup[rows]
+    if not data.target_links and _all_alike(setup):
+        return np.asarray(frames.bases[setup[0]])
+    return np.asarray(frames.bases[setup])
+
+
+def _all_alike(numbers: IntArray) -> bool:
+    return bool((numbers == numbers[0]).all())
 
 
 def _on_links(data: Measurements, rows: slice) -> Iterator[tuple[str, IntArray]]:
@@ -365,46 +403,32 @@ def _naming(data: Measurements, rows: slice) -> Iterator[None]:
 
 
 def _observe(
-    data: Measurements, rows: slice, frames: Frames, tools: Array, base: Array, others: Array | None
-) -> Linearised:
-    """Return what rows leave unexplained: tools and the base (n, 4, 4) in the observer, other ends' tips in the base.
+    data: Measurements, rows: slice, frames: Frames, base: Array, held: Array, others: Array | None
+) -> tuple[Linearised, tuple[Array, ...]]:
+    """Return what rows leave unexplained, and where tools and other ends are for who observes them (n, 4, 4).
 
-    The observer is the floor, in whose frame instruments measure, or the link that carries a row's target.
+    ``held`` and ``others``: these in the base. The observer is the floor, in whose frame instruments measure, or the
+    link that carries a row's target; the base is at ``base`` there, (n, 4, 4), or (4, 4) for all rows.
     """
     targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
-    ends = frames.targets[:0]
-    if data.other is not None and others is not None:
-        ends = base @ others @ _shifted(frames.tools[data.other.tool[rows]], data.other.points, rows)
+    ends = [rigid.product(base, T) for T in (held, others) if T is not None]
     scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
-    return observe(data.kind, Seen(data, rows, tools, ends, targets, scalars))
+    other = ends[1] if others is not None else frames.targets[:0]
+    return observe(data.kind, Seen(data, rows, ends[0], other, targets, scalars)), tuple(ends)
 
 
-def _shifted(frames: Array, points: Array | None, rows: slice) -> Array:
-    """Return frames (n, 4, 4) moved to some rows' points in them, turned as they are."""
-    return frames if points is None else np.asarray(frames @ rigid.translation(points[rows]))
-
-
-def _as_tool(twist: Array, points: Array | None, rows: slice) -> Array:
-    """Return derivatives (n, d, 6) by the tool's local twist from those by that of a frame at the row's point."""
-    return twist if points is None else np.asarray(twist @ rigid.adjoint(rigid.translation(-points[rows])))
+def _held(carried: Regressor, tools: Array, tool: IntArray, points: Array | None, rows: slice) -> Array:
+    """Return where the points of rows are in the base (n, 4, 4): tools (k, 4, 4), by number (n,), or points in them."""
+    if _all_alike(tool):
+        found = carried.behind(carried.end @ tools[tool[0]])
+    else:
+        found = rigid.product(carried.placement, tools[tool])
+    return found if points is None else rigid.product(found, rigid.translation(points[rows]))
 
 
 def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> Iterator[Block]:
     """Yield the rows of one set, block by block; derivatives are taken for ``units`` (p,) of every parameter."""
     yield from Rates(problem, at, units).blocks(data)
-
-
-class _Carried(NamedTuple):
-    """How frames on one link follow the parameters: the tools there, and the link itself.
-
-    ``joints`` (b + 1, 6 w, p): local twists of the placements of joints on the way, those of the base in every set-up
-    with them, and last without a base, for what is told in another link. ``tools`` and ``link`` (6, p): what lies
-    behind the last joint, and of tools their own poses.
-    """
-
-    joints: Array
-    tools: Array
-    link: Array
 
 
 class _Clocked(NamedTuple):
@@ -417,18 +441,19 @@ class _Clocked(NamedTuple):
         return _Clocked(self.rates[rows], self.by[rows])
 
 
-class Rates:
-    """How tools and targets follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
+class Selection:
+    """Which of the state the common parameters of a split move, for ``units`` (p,) of each.
 
-    ``split``: parameters of blocks are told apart, in columns of their own; all are common when None.
+    ``of_robot``, ``of_terms``, ``of_bases``, ``of_tools`` and ``of_scalars``: parts of the state (k, c) as they follow
+    the c common parameters, bases and tools (k, 6, c). ``targets`` (t,): numbers of those that follow common
+    parameters, by ``of_targets`` (t, 6, c). Those of blocks follow their own (m, 6, a): ``by_own``, being the targets
+    ``whose`` (m,). ``common`` and ``block`` (targets + 1,): of every target its number among the former, and its block;
+    -1 for none.
     """
 
-    def __init__(self, problem: Problem, at: Machine, units: Array, split: Split | None = None) -> None:
-        frames, robot = at.frames, problem.model.robot
-        layout = Layout.of(robot, frames)
-        split = Split.none(len(units)) if split is None else split
-        every = Entries.of(problem.parameters)
-        every = every._replace(share=every.share * units[every.parameter])
+    def __init__(self, states: States, targets: int, units: Array, split: Split | None) -> None:
+        layout, split = states.layout, Split.none(len(units)) if split is None else split
+        every = states.entries._replace(share=states.entries.share * units[states.entries.parameter])
         column = np.full(len(units), -1, dtype=np.intp)
         column[split.common] = np.arange(len(split.common))
 
@@ -439,39 +464,69 @@ class Rates:
             S[every.entry[k] - start, column[every.parameter[k]]] = every.share[k]
             return S
 
-        self._robot, self._frames, self._links = robot, frames, _Links(robot, at.deviations, problem.nominals)
-        self._of_robot, self._of_terms = by_common(0, layout.terms), by_common(layout.terms, layout.base)
-        self.of_scalars = by_common(layout.scalars, layout.size)
         c = len(split.common)
-        self._of_tools = at.tool_twists @ by_common(layout.tools, layout.targets).reshape(len(frames.tools), 6, c)
-        self._of_bases = at.base_twists @ by_common(layout.base, layout.tools).reshape(len(frames.bases), 6, c)
-        self._to_tool = rigid.adjoint(rigid.inverse(frames.tools))
-        self.of_targets, self._by_own = _targets_followed(every, column, split, layout, at)
-        # Of every target its number among those that follow common parameters, and its block; -1 for none.
-        self._common = np.full(len(frames.targets) + 1, -1, dtype=np.intp)
-        self._common[self.of_targets.numbers] = np.arange(len(self.of_targets.numbers))
-        self._block = np.full(len(frames.targets) + 1, -1, dtype=np.intp)
-        if split.blocks.size:
-            first = every.entry[np.searchsorted(every.parameter, split.blocks[:, 0])]
-            self._block[(first - layout.targets) // 6] = np.arange(len(split.blocks))
-        self._carried: dict[str, _Carried] = {}
+        self.of_robot, self.of_terms = by_common(0, layout.terms), by_common(layout.terms, layout.base)
+        self.of_bases = by_common(layout.base, layout.tools).reshape((layout.tools - layout.base) // 6, 6, c)
+        self.of_tools = by_common(layout.tools, layout.targets).reshape((layout.targets - layout.tools) // 6, 6, c)
+        self.of_scalars = by_common(layout.scalars, layout.size)
+        k = np.flatnonzero((every.entry >= layout.targets) & (every.entry < layout.scalars))
+        target, entry = np.divmod(every.entry[k] - layout.targets, 6)
+        own, share = every.parameter[k], every.share[k]
+        common = column[own] >= 0
+        self.targets = np.unique(target[common])
+        self.of_targets = np.zeros((len(self.targets), 6, c))
+        number = np.searchsorted(self.targets, target[common])
+        self.of_targets[number, entry[common], column[own[common]]] = share[common]
+        m, a = split.blocks.shape
+        block, place = np.full(len(column), -1, dtype=np.intp), np.zeros(len(column), dtype=np.intp)
+        which, where = np.nonzero(split.real)
+        block[split.blocks[split.real]], place[split.blocks[split.real]] = which, where
+        self.by_own, self.whose = np.zeros((m, 6, a)), np.zeros(m, dtype=np.intp)
+        self.by_own[block[own[~common]], entry[~common], place[own[~common]]] = share[~common]
+        self.whose[block[own[~common]]] = target[~common]
+        self.common = np.full(targets + 1, -1, dtype=np.intp)
+        self.common[self.targets] = np.arange(len(self.targets))
+        self.block = np.full(targets + 1, -1, dtype=np.intp)
+        self.block[self.whose] = np.arange(m)
+
+
+class Rates:
+    """How tools and targets follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
+
+    ``split``: parameters of blocks are told apart, in columns of their own; all are common when None.
+    """
+
+    def __init__(self, problem: Problem, at: Machine, units: Array, split: Split | None = None) -> None:
+        self._robot, self._frames, self._selection = problem.model.robot, at.frames, problem.selection(units, split)
+        own = self._selection
+        self._links = _Links(self._robot, at.deviations, problem.nominals)
+        self.of_scalars = own.of_scalars
+        self._of_tools, self._of_bases = at.tool_twists @ own.of_tools, at.base_twists @ own.of_bases
+        self.of_targets = TargetsFollowed(own.targets, at.target_twists[own.targets] @ own.of_targets)
+        self._by_own = at.target_twists[own.whose] @ own.by_own
+        self._by_robot: dict[str, tuple[Array, Array]] = {}
+        self._by: dict[tuple[str, int, int], Array] = {}
 
     def seen(self, data: Measurements) -> IntArray:
         """Return the blocks (k,) that rows of a set are about."""
-        found = np.unique(self._block[data.target]) if data.kind in WITH_TARGET else np.zeros(0, dtype=np.intp)
+        found = np.zeros(0, dtype=np.intp)
+        if data.kind in WITH_TARGET:
+            found = np.unique(self._selection.block[data.target])
         return np.asarray(found[found >= 0])
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block."""
         frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
         for rows in _blocks(data):
-            base, group, others = _bases(frames, data, rows), data.setup[rows], None
+            base, group, others, there = _bases(frames, data, rows), data.setup[rows], None, None
+            tool = data.tool[rows]
             with _naming(data, rows):
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:
-                    others = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
+                    there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
+                    others = _held(there.tip, frames.tools, data.other.tool[rows], data.other.points, rows)
                 seats = [
                     (link, own, self._links[link].motion(readings[own], told.subset(own)))
                     for link, own in _on_links(data, rows)
@@ -480,38 +535,30 @@ class Rates:
                 base[own] = rigid.inverse(seat.placement)
                 group = np.array(group)
                 group[own] = none
-            tool = self._tool(data.tool[rows])
-            at_tool = motion.placement @ frames.tools[tool]
-            placed = base @ at_tool
-            other_ends = None if others is None else others.placement
-            observed = _observe(data, rows, frames, _shifted(placed, data.points, rows), base, other_ends)
-            # A point that is fixed to the tool moves with it.
-            observed = observed._replace(twist=_as_tool(observed.twist, data.points, rows))
-            J = self._through_robot(data.tip, observed.twist, motion, at_tool, tool, group)
-            clock = self._clock(data, rows)
-            if clock is not None:
-                J += self._through_time(data.tip, observed.twist, motion, tool, readings, told, clock)
-            moved = [(observed.twist, placed)]
-            if data.other is not None and others is not None and observed.other is not None:
-                tool, by_other = self._tool(data.other.tool[rows]), _as_tool(observed.other, data.other.points, rows)
-                at_tool = others.placement @ frames.tools[tool]
-                moved.append((by_other, base @ at_tool))
-                J += self._through_robot(data.tip, by_other, others, at_tool, tool, group)
+            held = _held(motion.tip, frames.tools, tool, data.points, rows)
+            observed, ends = _observe(data, rows, frames, base, held, others)
+            moved = [Moved(observed.tool, ends[0])]
+            clock, turned = self._clock(data, rows), base[..., :3, :3]
+            then = None if clock is None else (readings, clock)
+            in_base = [follow.seen_from(turned) for follow in observed.tool]
+            J = self._through_robot(data.tip, in_base, motion, held, tool, group, then)
+            if data.other is not None and there is not None and others is not None:
+                moved.append(Moved(observed.other, ends[1]))
+                by_other = [follow.seen_from(turned) for follow in observed.other]
+                J += self._through_robot(data.tip, by_other, there, others, data.other.tool[rows], group)
             for link, own, seat in seats:
-                # The observer moved by xi: what is seen from it moves by -Ad(T^-1) xi.
-                by_seat = -observed.twist[own] @ rigid.adjoint(rigid.inverse(placed[own]))
-                J[own] += self._through_robot(link, by_seat, seat, seat.placement, None, group[own])
-                if clock is not None:
-                    then = readings[own], told.subset(own), clock.subset(own)
-                    J[own] += self._through_time(link, by_seat, seat, None, *then)
+                # What is seen from a link that moves, moves the other way.
+                back = [follow.of(own).negative() for follow in in_base]
+                then = None if clock is None else (readings[own], clock.subset(own))
+                J[own] += self._through_robot(link, back, seat, held[own], None, group[own], then)
             by_own, whose = None, None
             if observed.target is not None:
-                number = self._common[data.target[rows]]
+                number = self._selection.common[data.target[rows]]
                 some = number >= 0
                 if some.any():
                     J[some] += observed.target[some] @ self.of_targets.by_twist[number[some]]
                 if len(self._by_own):
-                    whose = self._block[data.target[rows]]
+                    whose = self._selection.block[data.target[rows]]
                     by_own = np.where(whose[:, None, None] >= 0, observed.target @ self._by_own[whose], 0.0)
             for role, by_scalar in observed.scalars.items():
                 J += by_scalar[:, :, None] * self.of_scalars[data.uses[role]]
@@ -522,27 +569,68 @@ class Rates:
     def _through_robot(
         self,
         link: str,
-        twist: Array,
+        follows: Sequence[Follow],
         motion: TipMotion,
-        frame: Array,
-        tool: IntArray | int | None,
+        at: Array,
+        tool: IntArray | None,
         group: IntArray,
+        then: "tuple[Array, _Clocked] | None" = None,
     ) -> Array:
-        """Return derivatives (n, d, p) from those by the local twist of a tool on a link, or of the link itself.
+        """Return derivatives (n, d, p) of numbers that follow a tool on a link, or the link itself, in the base.
 
-        ``frame`` (n, 4, 4): where that is in the base link.
+        ``at`` (n, 4, 4): where what they follow is in the base. ``then``: the readings (n, nr) of rows of a stream, and
+        how these depend on its clock.
         """
-        by = self._on(link)
-        # Residual per local twist of every joint placement.
-        J = _group_by_group(motion.tip.through(twist, frame), by.joints, group)
-        J += _times(twist, by.link if tool is None else by.tools[tool])
-        if self._robot.loops or self._robot.terms:
-            by_link = twist if tool is None else _times(twist, self._to_tool[tool])
+        tools = np.full(len(group), -1) if tool is None else tool
+        # By row of the numbers, so that a product leaves all that it makes in one piece.
+        d = sum(follow.size for follow in follows)
+        found, start = np.empty((d, len(group), self._of_tools.shape[2])), 0
+        for follow in follows:
+            own = found[start : (start := start + follow.size)]
+            numbers = motion.tip.through(follow, at[:, :3, 3])
+            self._by_carriers(link, numbers, tools, group, own)
+            J = own.transpose(1, 0, 2)
             if self._robot.loops:
-                J += (by_link @ motion.by_passive) @ (motion.rates @ self._of_robot)
+                J += motion.by_passive(numbers) @ (motion.rates @ self._selection.of_robot)
             if self._robot.terms:
-                J += _times(by_link @ motion.by_terms, self._of_terms)
-        return J
+                J += _times(motion.through_terms(numbers), self._selection.of_terms)
+            if then is not None:
+                readings, clock = then
+                # The tool moves with the velocity that it has then: minus that is what an offset of the clock does.
+                velocity = motion.following(numbers, readings) @ clock.rates[:, :, None]
+                J += velocity * clock.by[:, None, :]
+        return found.transpose(1, 0, 2)
+
+    def _by_carriers(self, link: str, numbers: Array, tool: IntArray, group: IntArray, found: Array) -> None:
+        """Write how numbers follow the parameters (d, n, p) through what carries a link, by set-up and tool."""
+        if _all_alike(group) and _all_alike(tool):
+            followed(numbers, self._by_parameters(link, int(group[0]), int(tool[0])), found)
+            return
+        for g, t in np.unique(np.stack([group, tool], axis=1), axis=0).tolist():
+            rows = np.flatnonzero((group == g) & (tool == t))
+            own = np.empty((len(found), len(rows), found.shape[2]))
+            followed(np.ascontiguousarray(numbers[..., rows]), self._by_parameters(link, g, t), own)
+            found[:, rows] = own
+
+    def _by_parameters(self, link: str, group: int, tool: int) -> Array:
+        """Return how local twists of what carries a link follow the parameters (6 (w + 1), p).
+
+        With the base of a set-up, or none for what is told in another link, and one of the tools, or -1 for none.
+        """
+        key = link, group, tool
+        if key not in self._by:
+            if link not in self._by_robot:
+                tip = self._links[link]
+                to_tools = rigid.adjoint(tip.end @ self._frames.tools) @ self._of_tools
+                self._by_robot[link] = tip.follow @ self._selection.of_robot, to_tools
+            by_robot, by_tools = self._by_robot[link]
+            found = by_robot.copy()
+            if group < len(self._of_bases):
+                found[:6] += self._of_bases[group]
+            if tool >= 0:
+                found[-6:] += by_tools[tool]
+            self._by[key] = found
+        return self._by[key]
 
     def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
         """Return how the moments of rows follow the parameters, None where they are no stream or no clock is free."""
@@ -553,78 +641,7 @@ class Rates:
         by = np.stack([data.stream.by_shift(role, rows) for role in roles], axis=1)
         return _Clocked(rates, by @ self.of_scalars[[data.uses[role] for role in roles]])
 
-    def _through_time(
-        self,
-        link: str,
-        twist: Array,
-        motion: TipMotion,
-        tool: IntArray | int | None,
-        readings: Array,
-        told: Conditions,
-        clock: "_Clocked",
-    ) -> Array:
-        """Return derivatives (n, d, p) as :meth:`_through_robot`, by the moment at which the robot is looked at.
-
-        The tool moves with the velocity that it has then: minus that is what an offset of the clock does.
-        """
-        by_link = twist if tool is None else _times(twist, self._to_tool[tool])
-        velocity = self._links[link].following(motion, readings, told) @ clock.rates[:, :, None]
-        return np.asarray((by_link @ velocity) * clock.by[:, None, :])
-
-    def _on(self, link: str) -> _Carried:
-        """Return how frames on a link follow the parameters."""
-        if link not in self._carried:
-            tip = self._links[link]
-            joints = np.repeat((tip.joints @ self._of_robot)[None], len(self._frames.bases) + 1, axis=0)
-            if tip.first >= 0:
-                joints[:-1, 6 * tip.first : 6 * tip.first + 6] += tip.base_column @ self._of_bases
-            joints = joints[:, [6 * j + k for j in tip.way for k in range(6)]]
-            behind = tip.tail @ self._of_robot
-            self._carried[link] = _Carried(joints, self._to_tool @ behind + self._of_tools, behind)
-        return self._carried[link]
-
-    def _tool(self, numbers: IntArray) -> IntArray | int:
-        return numbers if len(self._frames.tools) > 1 else 0
-
-
-def _targets_followed(
-    every: Entries, column: IntArray, split: Split, layout: Layout, at: Machine
-) -> tuple[TargetsFollowed, Array]:
-    """Return how targets follow common parameters, and how those of blocks (m, 6, a) follow their own.
-
-    ``every``: what the parameters move, scaled; ``column`` (p,): of common ones.
-    """
-    k = np.flatnonzero((every.entry >= layout.targets) & (every.entry < layout.scalars))
-    target, entry = np.divmod(every.entry[k] - layout.targets, 6)
-    own, share = every.parameter[k], every.share[k]
-    common = column[own] >= 0
-    numbers = np.unique(target[common])
-    S = np.zeros((len(numbers), 6, len(split.common)))
-    S[np.searchsorted(numbers, target[common]), entry[common], column[own[common]]] = share[common]
-    m, a = split.blocks.shape
-    block, place = np.full(len(column), -1, dtype=np.intp), np.zeros(len(column), dtype=np.intp)
-    which, where = np.nonzero(split.real)
-    block[split.blocks[split.real]], place[split.blocks[split.real]] = which, where
-    by_own, carrier = np.zeros((m, 6, a)), np.zeros(m, dtype=np.intp)
-    by_own[block[own[~common]], entry[~common], place[own[~common]]] = share[~common]
-    carrier[block[own[~common]]] = target[~common]
-    return TargetsFollowed(numbers, at.target_twists[numbers] @ S), at.target_twists[carrier] @ by_own
-
-
-def _group_by_group(numbers: Array, matrices: Array, group: IntArray) -> Array:
-    """Return numbers (d, a, n) times that of the matrices (k, a, b) that is of their group (n,): (n, d, b)."""
-    d, _, n = numbers.shape
-    found = np.empty((n, d, matrices.shape[2]))
-    one = (group == group[0]).all()
-    for k in group[:1] if one else np.unique(group):
-        rows = slice(None) if one else np.flatnonzero(group == k)
-        for i in range(d):
-            found[rows, i] = numbers[i][:, rows].T @ matrices[k]
-    return found
-
 
 def _times(rows: Array, matrix: Array) -> Array:
-    """Return rows (n, d, a) times one matrix (a, b) for all, in a single product, or one for each row (n, a, b)."""
-    if matrix.ndim == 2:
-        return np.asarray((rows.reshape(-1, len(matrix)) @ matrix).reshape(*rows.shape[:2], -1))
-    return np.asarray(rows @ matrix)
+    """Return rows (n, d, a) times one matrix (a, b) for all, in a single product."""
+    return np.asarray((rows.reshape(-1, len(matrix)) @ matrix).reshape(*rows.shape[:2], -1))

@@ -100,15 +100,18 @@ class Systematic:
     def _waved(self, data: Measurements, block: Block) -> Array:
         frames, rows = self._at.frames, block.rows
         found = np.zeros((len(block.J), data.sigma.shape[1], self._waves.many))
-        for end, (twist, placed) in zip(data.ends, block.moved, strict=True):
-            readings, told = end.readings[rows], end.conditions.subset(rows)
-            by_reading = driven(self._tip(data.tip), frames.tools[end.tool[rows]], readings, told)
+        for end, moved in zip(data.ends, block.moved, strict=True):
+            readings, told, tools = end.readings[rows], end.conditions.subset(rows), frames.tools[end.tool[rows]]
+            if end.points is not None:
+                tools = tools @ rigid.translation(end.points[rows])
+            by_reading = driven(self._tip(data.tip), tools, readings, told)
             for link, own in block.grounds:
                 if link is not None:
                     # The observer moves as well: what is seen from it moves the other way.
                     _, seat = self._tip(link).driven(readings[own], told.subset(own))
-                    by_reading[own] -= rigid.adjoint(rigid.inverse(placed[own])) @ seat
-            found += self._waves.at(readings, twist @ by_reading)
+                    by_reading[own] -= rigid.adjoint(rigid.inverse(moved.placed[own])) @ seat
+            by_shift, by_turn = (rows @ moved.placed[:, :3, :3] for rows in moved.by_motion)
+            found += self._waves.at(readings, by_shift @ by_reading[:, :3] + by_turn @ by_reading[:, 3:])
         return found
 
     def _tip(self, link: str) -> TipModel:

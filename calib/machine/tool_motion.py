@@ -26,7 +26,7 @@ def tool_jacobian(robot: Robot, at: Machine, readings: Array, conditions: Condit
     placed = motion.placement @ T_tool
     J = np.zeros((len(placed), 6, layout.size))
     # Local twists of the tip, then of the tool.
-    J[:, :, : layout.terms] = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
+    J[:, :, : layout.terms] = motion.by_deviations
     J[:, :, layout.terms : layout.base] = motion.by_terms
     J[:, :, : layout.base] = rigid.adjoint(rigid.inverse(T_tool)) @ J[:, :, : layout.base]
     # The first set-up is the one that is looked at.

@@ -23,7 +23,16 @@ def twists(d: Array) -> Array:
     Column k is the local twist of component k: a translation is seen through the rotation that follows it, and each of
     the three rotations through those on its right.
     """
+    return _twists(d, rigid.rx_ry_rz(d[..., 3:]))
+
+
+def motion_and_twists(d: Array) -> tuple[Array, Array]:
+    """Return E(d) (..., 4, 4) and W (..., 6, 6) of deviations (..., 6)."""
     R = rigid.rx_ry_rz(d[..., 3:])
+    return rigid.placement(R, d[..., :3]), _twists(d, R)
+
+
+def _twists(d: Array, R: Array) -> Array:
     W = np.zeros((*d.shape[:-1], 6, 6))
     W[..., :3, :3] = np.swapaxes(R, -1, -2)
     # Rows of Ry Rz and Rz: Rx, on the left, leaves the first row of R as it is.

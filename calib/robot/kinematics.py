@@ -3,15 +3,16 @@
 The only module that imports Pinocchio, which has no type stubs: what leaves it is plain arrays.
 """
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from calib.foundations.arrays import Array
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, IntArray
 
 MovingType = Literal["revolute", "prismatic"]
 
@@ -47,112 +48,211 @@ class Mass(NamedTuple):
     inertia: Array
 
 
+class Follow(NamedTuple):
+    """How d numbers of N rows follow a frame that moves a little, in the axes of who tells them.
+
+    ``shift`` (d, 3, N): by a shift of its origin; ``turn`` (d, 3, N): by a turn about its origin. None: not at all; (d,
+    3, 1): all rows alike.
+    """
+
+    shift: Array | None
+    turn: Array | None
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are: d."""
+        return max(0 if rows is None else len(rows) for rows in self)
+
+    def of(self, rows: IntArray) -> "Follow":
+        """Return those of some rows."""
+        return Follow(*(own if own is None or own.shape[2] == 1 else own[:, :, rows] for own in self))
+
+    def negative(self) -> "Follow":
+        """Return how numbers with the other sign follow."""
+        return Follow(*(None if rows is None else -rows for rows in self))
+
+    def seen_from(self, turned: Array) -> "Follow":
+        """Return the same in other axes, which are ``turned`` (3, 3), or (N, 3, 3), in these."""
+        if turned.ndim == 2:
+            return Follow(*(None if rows is None else turned.T @ rows for rows in self))
+        return Follow(*(None if rows is None else np.einsum("nik,din->dkn", turned, rows) for rows in self))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Regressor:
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
-    ``placement`` (N, 4, 4): the frame in the tree's root. ``way``: the w joints that carry it, of ``joints`` in all;
-    no other one moves it. ``axes`` (w, 3, 3, N): x, y and z of each, before its own motion, in the root's axes;
-    ``origins`` (w, 3, N). Rows come last, so that what is done to all of them is done at once.
+    ``way``: the w joints that carry the frame, of ``joints`` in all; no other one moves it. ``carriers`` (w + 1, 4, 3,
+    N): the root, then every joint of the way after its own motion: origin, x, y and z, in the root's axes. The frame is
+    at ``end`` (4, 4) in the last of them, and joint k of the way at ``placements[k]`` (w, 4, 4) in carrier k. Rows come
+    last, so that what is done to all of them is done at once.
     """
 
-    placement: Array
     way: tuple[int, ...]
     joints: int
-    axes: Array
-    origins: Array
+    carriers: Array
+    placements: Array
+    end: Array
 
-    def through(self, rows: Array, frame: Array) -> Array:
-        """Return how numbers follow local twists of the joints' placements, (d, 6 w, N), six for every one of the way.
+    @property
+    def placement(self) -> Array:
+        """The frame (N, 4, 4) in the root."""
+        return self.behind(self.end)
 
-        ``rows`` (N, d, 6): how they follow local twists of a ``frame`` (N, 4, 4) that moves with this one. A placement
-        is perturbed on the right, before the joint's own motion.
+    def behind(self, placement: Array) -> Array:
+        """Return a frame (N, 4, 4) in the root that is at a placement (4, 4) in the last carrier."""
+        n = self.carriers.shape[3]
+        # By column, and in these by row.
+        found = np.empty((4, 4, n))
+        found[:, 3] = np.eye(4)[3, :, None]
+        shares = np.roll(placement.T, 1, axis=1)
+        np.matmul(shares, self.carriers[-1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
+        return found.transpose(2, 1, 0)
+
+    def through(self, rows: Follow, at: Array) -> Array:
+        """Return how d numbers follow local twists of the carriers, (w + 1, 6, d, N), or (w + 1, 3, d, N) their turns.
+
+        ``rows``: how they follow a frame that moves with this one, in the root's axes; turns alone are found where they
+        do not follow its shifts. ``at`` (N, 3): the origin of that frame.
         """
-        turned, rows = _rows_last(frame[:, :3, :3]), _rows_last(rows)
-        shift, turn = rows[:, :3], rows[:, 3:]
-        arm = frame[:, :3, 3].T - self.origins
-        found = np.empty((len(rows), len(self.way), 6, rows.shape[2]))
+        axes = self.carriers[:, 1:]
+        if rows.shift is None:
+            assert rows.turn is not None, "what follows neither shifts nor turns follows nothing"
+            return np.asarray(np.einsum("dcn,skcn->skdn", rows.turn, axes))
+        d, n = rows.shift.shape[0], axes.shape[3]
+        found = np.empty((len(axes), 6, d, n))
         # A shift of the frame by v and a turn by w, about its origin, change a number by a . v + b . w; a turn of
         # something at distance r from that origin by (r x a + b) . w.
-        for (by_shift, by_turn), some in _runs(
-            [(bool(a.any()), bool(b.any())) for a, b in zip(shift, turn, strict=True)]
-        ):
-            about = np.zeros((some.stop - some.start, 1, 3, rows.shape[2]))
-            if by_turn:
-                about = _times(turned, turn[some])[:, None]
-            if by_shift:
-                a = _times(turned, shift[some])[:, None]
-                _along(a, self.axes, found[some, :, :3])
-                about = _cross(arm, a) + about if by_turn else _cross(arm, a)
-            else:
-                found[some, :, :3] = 0.0
-            _along(about, self.axes, found[some, :, 3:])
-        return found.reshape(len(rows), 6 * len(self.way), rows.shape[2])
+        shifts, turns = found[:, :3], found[:, 3:]
+        np.einsum("dcn,skcn->skdn", rows.shift, axes, out=shifts)
+        arm = np.einsum("scn,skcn->skn", at.T - self.carriers[:, 0], axes)[:, :, None]
+        less = np.empty((len(axes), d, n))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(arm[:, j], shifts[:, k], out=turns[:, i])
+            np.multiply(arm[:, k], shifts[:, j], out=less)
+            turns[:, i] -= less
+        if rows.turn is not None:
+            turns += np.einsum("dcn,skcn->skdn", rows.turn, axes)
+        return found
+
+    def by_position(self, numbers: Array, types: Sequence[MovingType]) -> Array:
+        """Return how numbers follow the positions of all joints (nj, d, N), from what :meth:`through` makes of them."""
+        found = np.zeros((self.joints, *numbers.shape[2:]))
+        turns_alone = numbers.shape[1] == 3
+        for k, j in enumerate(self.way):
+            # A joint moves itself along, or about, its own z.
+            if types[j] == "revolute":
+                found[j] = numbers[k + 1, -1]
+            elif not turns_alone:
+                found[j] = numbers[k + 1, 2]
+        return found
+
+    @property
+    def local(self) -> tuple[Follow, Array]:
+        """The six numbers of the frame's own local twist as they follow it, and where its origin is (N, 3)."""
+        placement = self.placement
+        axes, none = placement[:, :3, :3].transpose(2, 1, 0), np.zeros((3, 3, len(placement)))
+        return Follow(np.concatenate([axes, none]), np.concatenate([none, axes])), placement[:, :3, 3]
 
     def by_joint(self, types: Sequence[MovingType], joints: Sequence[int]) -> Array:
         """Return the local twists (N, 6, k) of the frame for the positions of some joints.
 
         A joint's own motion commutes with a change of its position, so these are columns of the regressor.
         """
-        found = np.zeros((len(self.placement), 6, len(joints)))
-        own = [k for k, j in enumerate(joints) if j in self.way]
-        if own:
-            at = [self.way.index(joints[k]) for k in own]
-            turning = np.array([types[joints[k]] == "revolute" for k in own])[:, None, None]
-            z, origins = self.axes[at, 2], self.origins[at]
-            arm = np.ascontiguousarray(self.placement[:, :3, 3].T) - origins
-            shift, turn = np.where(turning, _cross(z, arm), z), np.where(turning, z, 0.0)
-            turned = np.swapaxes(self.placement[:, :3, :3], -1, -2)
-            found[:, :3, own], found[:, 3:, own] = turned @ shift.transpose(2, 1, 0), turned @ turn.transpose(2, 1, 0)
-        return found
+        return self.by_position(self.through(*self.local), types)[list(joints)].transpose(2, 1, 0)
+
+    @property
+    def before(self) -> Array:
+        """The placements (w, N, 4, 4) of the joints of the way in the root, before their own motion."""
+        carriers = np.zeros((len(self.way), self.carriers.shape[3], 4, 4))
+        carriers[:, :, 3, 3] = 1.0
+        carriers[:, :, :3, 3] = self.carriers[:-1, 0].transpose(0, 2, 1)
+        carriers[:, :, :3, :3] = self.carriers[:-1, 1:].transpose(0, 3, 2, 1)
+        return np.asarray(carriers @ self.placements[:, None])
 
     @property
     def matrix(self) -> Array:
-        """The local twists (N, 6, 6 nj) of the frame for local twists of all joints' placements."""
-        found = np.zeros((len(self.placement), 6, self.joints, 6))
-        every = np.broadcast_to(np.eye(6), (len(found), 6, 6))
-        own = self.through(every, self.placement).reshape(6, len(self.way), 6, len(found))
-        found[:, :, list(self.way)] = own.transpose(3, 0, 1, 2)
+        """The local twists (N, 6, 6 nj) of the frame for local twists of all joints' placements: Pinocchio's regressor.
+
+        A placement is perturbed on the right, before the joint's own motion.
+        """
+        found = np.zeros((self.carriers.shape[3], 6, self.joints, 6))
+        numbers = self.through(*self.local)[:-1].transpose(0, 3, 2, 1)
+        found[:, :, list(self.way)] = (numbers @ rigid.adjoint(self.placements)[:, None]).transpose(1, 2, 0, 3)
         return found.reshape(len(found), 6, 6 * self.joints)
+
+
+def followed(numbers: Array, by: Array, found: Array) -> None:
+    """Write how numbers follow c unknowns (d, N, c), from what :meth:`Regressor.through` makes of them.
+
+    ``by`` (6 (w + 1), c): how the local twists of the carriers do.
+    """
+    s, each, d, n = numbers.shape
+    own = by if each == 6 else by.reshape(s, 6, -1)[:, 3:].reshape(3 * s, -1)
+    for i in range(d):
+        np.matmul(numbers[:, :, i].reshape(s * each, n).T, own, out=found[i])
+
+
+class Joints:
+    """The joints of a tree, wherever they are placed. Not to be shared by threads: it holds scratch memory.
+
+    ``types`` and ``parents`` (nj): as in :class:`Tree`.
+    """
+
+    def __init__(self, types: Sequence[MovingType], parents: Sequence[int]) -> None:
+        self._model = _model(Tree(tuple(types), tuple(parents), np.tile(np.eye(4), (len(types), 1, 1))))
+        # The static regressor is the placements of all joints, each over the mass of all: here 1.
+        self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        self._data = self._model.createData()
+        self._placed_by: Array | None = None
+        self._placements = [self._model.jointPlacements[j + 1] for j in range(len(types))]
+
+    def carriers(self, placements: Array, q: Array) -> Array:
+        """Return the root, and all joints after their own motion: origin, x, y and z (nj + 1, 4, 3, N).
+
+        ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
+        """
+        if self._placed_by is not placements:
+            for own, T in zip(self._placements, placements, strict=True):
+                own.rotation, own.translation = T[:3, :3], T[:3, 3]
+            self._placed_by = placements
+        # One call a row leaves them all; this loop is most of the cost of large problems.
+        model, data, walk = self._model, self._data, pin.computeStaticRegressor
+        left, walked = memoryview(data.staticRegressor.T), bytearray()
+        for q_n in np.ascontiguousarray(q):
+            walk(model, data, q_n)
+            walked += left
+        n, numbers = len(q), 12 * len(placements)
+        found = np.empty((len(placements) + 1, 4, 3, n))
+        found[0, 0], found[0, 1:] = 0.0, np.eye(3)[:, :, None]
+        found[1:].reshape(numbers, n)[...] = np.frombuffer(walked).reshape(n, numbers).T
+        return found
 
 
 class Kinematics:
     """Frames of a tree, evaluated at many configurations. Not to be shared by threads: it holds scratch memory.
 
-    ``ways``: of every frame the moving joints that carry it, from the root.
+    ``ways``: of every frame the moving joints that carry it, from the root. ``joints``: those of the tree, where they
+    are made once for many placements.
     """
 
-    def __init__(self, tree: Tree, frames: Sequence[Frame]) -> None:
-        model = _model(tree)
-        # The static regressor is the placements of all joints, each over the mass of all: here 1.
-        model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-        if frames:
-            first = pin.Frame("first", frames[0].joint + 1, pin.SE3(frames[0].placement), pin.FrameType.OP_FRAME)
-            self._first = model.addFrame(first)
-        self._model, self._data = model, model.createData()
+    def __init__(self, tree: Tree, frames: Sequence[Frame], joints: Joints | None = None) -> None:
         self._tree, self._frames = tree, tuple(frames)
-        # None where all joints turn.
-        turning = np.array([kind == "revolute" for kind in tree.types])[:, None]
-        self._turning = None if turning.all() else turning
-        self.ways = tuple(_way(tree, frame.joint) for frame in frames)
+        self._joints = Joints(tree.types, tree.parents) if joints is None else joints
+        self.ways = tuple(way(tree.parents, frame.joint) for frame in frames)
 
     def regressors(self, q: Array) -> tuple[Regressor, ...]:
         """Return the regressor of every frame at N configurations q (N, nj) in rad or m."""
-        placed = self._behind(q)
-        origins, axes = placed[:, 0], placed[:, 1:]
-        # Back to where the joint is before its own motion.
-        before, angle = np.empty_like(axes), q.T if self._turning is None else q.T * self._turning
-        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        before[:, 0], before[:, 1] = c * axes[:, 0] - s * axes[:, 1], s * axes[:, 0] + c * axes[:, 1]
-        before[:, 2] = axes[:, 2]
-        if self._turning is not None:
-            origins = origins - (q.T - angle)[:, None] * axes[:, 2]
-        joints = len(self._tree.types)
+        carriers, joints = self._joints.carriers(self._tree.placements, q), len(self._tree.types)
         return tuple(
-            Regressor(placement, way, joints, before, origins)
-            if len(way) == joints
-            else Regressor(placement, way, joints, before[list(way)], origins[list(way)])
-            for placement, way in zip(self._placed(placed), self.ways, strict=True)
+            Regressor(
+                own,
+                joints,
+                _some(carriers, [0, *(j + 1 for j in own)]),
+                _some(self._tree.placements, own),
+                frame.placement,
+            )
+            for frame, own in zip(self._frames, self.ways, strict=True)
         )
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
@@ -160,44 +260,29 @@ class Kinematics:
 
         At N configurations q (N, nj): columns of the regressor, without the others.
         """
-        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
-        placements, jacobians = np.empty((len(q), 4, 4)), np.empty((len(q), 6, model.nv))
+        model, data, first = self._alone
+        placements, jacobians, local = (
+            np.empty((len(q), 4, 4)),
+            np.empty((len(q), 6, model.nv)),
+            pin.ReferenceFrame.LOCAL,
+        )
         compute, placed = pin.computeFrameJacobian, data.iMf
         for n, q_n in enumerate(np.ascontiguousarray(q)):
-            jacobians[n] = compute(model, data, q_n, self._first, local)
+            jacobians[n] = compute(model, data, q_n, first, local)
             # On its way to the root the computation leaves the frame's placement there.
             placements[n] = placed[0].homogeneous
         return placements, jacobians
 
+    @cached_property
+    def _alone(self) -> tuple[pin.Model, pin.Data, int]:
+        """The tree with its first frame, and the number of that."""
+        model, frame = _model(self._tree), self._frames[0]
+        number = model.addFrame(pin.Frame("first", frame.joint + 1, pin.SE3(frame.placement), pin.FrameType.OP_FRAME))
+        return model, model.createData(), number
+
     def placements(self, q: Array) -> tuple[Array, ...]:
         """Return the placements (N, 4, 4) of every frame at N configurations q (N, nj)."""
-        return self._placed(self._behind(q))
-
-    def _behind(self, q: Array) -> Array:
-        """Return where all joints are, after their own motion: origins, and columns of rotations, (nj, 4, 3, N)."""
-        # One call a row leaves them all; this loop is most of the cost of large problems.
-        model, data, walk = self._model, self._data, pin.computeStaticRegressor
-        left, found = memoryview(data.staticRegressor.T), bytearray()
-        for q_n in np.ascontiguousarray(q):
-            walk(model, data, q_n)
-            found += left
-        joints = model.njoints - 1
-        by_row = np.frombuffer(found).reshape(len(q), 12 * joints)
-        return np.ascontiguousarray(by_row.T).reshape(joints, 4, 3, len(q))
-
-    def _placed(self, behind: Array) -> tuple[Array, ...]:
-        """Return placements (N, 4, 4) of the frames, where joints are as :meth:`_behind` has them."""
-        n = behind.shape[3]
-        found = tuple(np.zeros((n, 4, 4)) for _ in self._frames)
-        for to, (joint, placement) in zip(found, self._frames, strict=True):
-            to[:, 3, 3] = 1.0
-            if joint < 0:
-                to[:] = placement
-            else:
-                axes = behind[joint, 1:].reshape(3, 3 * n)
-                to[:, :3, :3] = (placement[:3, :3].T @ axes).reshape(3, 3, n).T
-                to[:, :3, 3] = (behind[joint, 0] + (placement[:3, 3] @ axes).reshape(3, n)).T
-        return found
+        return tuple(found.placement for found in self.regressors(q))
 
 
 class Weighed:
@@ -243,48 +328,16 @@ def _model(tree: Tree) -> pin.Model:
     return model
 
 
-def _way(tree: Tree, joint: int) -> tuple[int, ...]:
+def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:
     """Return the joints from the root to one, itself included."""
-    way: list[int] = []
+    found: list[int] = []
     while joint >= 0:
-        way.append(joint)
-        joint = tree.parents[joint]
-    return tuple(reversed(way))
+        found.append(joint)
+        joint = parents[joint]
+    return tuple(reversed(found))
 
 
-def _rows_last(values: Array) -> Array:
-    """Return values (N, a, b) as (a, b, N)."""
-    return np.ascontiguousarray(values.transpose(1, 2, 0))
-
-
-def _runs(kinds: Sequence[tuple[bool, bool]]) -> Iterator[tuple[tuple[bool, bool], slice]]:
-    """Yield kinds that stand in a row, with where they do."""
-    start = 0
-    for kind, own in itertools.groupby(kinds):
-        end = start + sum(1 for _ in own)
-        yield kind, slice(start, end)
-        start = end
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Return matrices (3, 3, N) times vectors (d, 3, N)."""
-    found = vectors[:, None, 0] * matrices[:, 0]
-    found += vectors[:, None, 1] * matrices[:, 1]
-    found += vectors[:, None, 2] * matrices[:, 2]
-    return np.asarray(found)
-
-
-def _along(vectors: Array, axes: Array, found: Array) -> None:
-    """Write components (d, w, 3, N) of vectors (d, w or 1, 3, N) along axes (w, 3, 3, N)."""
-    np.multiply(vectors[:, :, None, 0], axes[:, :, 0], out=found)
-    found += vectors[:, :, None, 1] * axes[:, :, 1]
-    found += vectors[:, :, None, 2] * axes[:, :, 2]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products of vectors (..., 3, N); numpy's own takes several times as long."""
-    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(a[..., j, :], b[..., k, :], out=found[..., i, :])
-        found[..., i, :] -= a[..., k, :] * b[..., j, :]
-    return found
+def _some(values: Array, numbers: Sequence[int]) -> Array:
+    """Return some of values (k, ...), by number; all of them are not copied."""
+    every = list(numbers) == list(range(len(values)))
+    return values if every else values[list(numbers)]

@@ -7,7 +7,8 @@ follow from closed loops.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -21,11 +22,11 @@ from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
-from calib.robot.kinematics import Kinematics, MovingType, Regressor
+from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
 from calib.robot.loops import Closure, Loop, passive_joints
-from calib.robot.skeleton import Segment, derivative, end_frame, first_moving, skeleton
+from calib.robot.skeleton import Outline, Segment, follow
 from calib.robot.terms import JointTerm
-from calib.robot.transmission import Bases, Flexures, Transmission, flexures
+from calib.robot.transmission import Bases, Flexures, TermShares, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 # In rad and m. Degrees taken for radians, and millimetres for metres, are still within.
@@ -115,24 +116,23 @@ class Deviations:
             refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
 
 
-class TipMotion(NamedTuple):
-    """Tip placements (N, 4, 4) over N rows, and their exact derivative with respect to every deviation.
+@dataclass(frozen=True, slots=True, eq=False)
+class TipMotion:
+    """Tip placements over N rows, and what follows how the robot deviates, with exact derivatives.
 
-    ``tip``: where it is, and how it follows the placements of the moving joints. The local twist (N, 6) of the tip for
-    a change ``e`` of the deviations (placements row by row, then offsets) is
-    ``regressor @ (joints @ e) + tail @ e + by_passive @ (rates @ e)``. ``regressor`` (N, 6, 6 nj) depends on the row;
-    ``joints`` (6 nj, n) and ``tail`` (6, n) do not; nj counts the ways in which links give way as well. ``by_passive``
-    (N, 6, k) and ``rates`` (N, k, n): what passive joints of closed loops do to the tip, and deviations to them; k is 0
-    without loops. ``by_terms`` (N, 6, nt): the local twists for the coefficients of the robot's terms, which come on
-    top.
+    ``tip``: where it is, and how it follows its carriers: the base, and the moving joints on its way. The local twists
+    of these for a change ``e`` of the deviations (placements row by row, then offsets) are ``follow @ e``, with
+    ``follow`` (6 (w + 1), n) the same for all rows; the ways in which links give way are joints as well. ``rates`` (N,
+    k, n): how passive joints of closed loops follow deviations; k is 0 without loops. ``bases``: what terms add per
+    unit of their coefficients; None without terms.
     """
 
     tip: Regressor
-    joints: Array
-    tail: Array
-    by_passive: Array
+    follow: Array
     rates: Array
-    by_terms: Array
+    bases: Bases | None
+    model: "TipModel"
+    positions: Array
 
     @property
     def placement(self) -> Array:
@@ -140,9 +140,34 @@ class TipMotion(NamedTuple):
         return self.tip.placement
 
     @property
-    def regressor(self) -> Array:
-        """The local twists (N, 6, 6 nj) of the tip for those of the joints' placements."""
-        return self.tip.matrix
+    def by_deviations(self) -> Array:
+        """The local twists (N, 6, n) of the tip for placements row by row, then offsets."""
+        numbers = self.tip.through(*self.tip.local)
+        found = np.empty((6, len(self.rates), self.follow.shape[1]))
+        followed(numbers, self.follow, found)
+        return np.asarray(found.transpose(1, 0, 2) + self.by_passive(numbers) @ self.rates)
+
+    @property
+    def by_terms(self) -> Array:
+        """The local twists (N, 6, nt) of the tip for the coefficients of the robot's terms."""
+        return self.through_terms(self.tip.through(*self.tip.local))
+
+    def by_passive(self, numbers: Array) -> Array:
+        """Return how numbers follow the passive joints (N, d, k), from what ``tip.through`` makes of them."""
+        return self._by_joint(numbers)[self.model.passive].transpose(2, 1, 0)
+
+    def through_terms(self, numbers: Array) -> Array:
+        """Return how numbers follow the coefficients of the terms (N, d, nt), as :meth:`by_passive`."""
+        if self.bases is None:
+            return np.zeros((numbers.shape[3], numbers.shape[2], 0))
+        return self.model.by_terms(self.positions, self._by_joint(numbers), self.bases)
+
+    def following(self, numbers: Array, readings: Array) -> Array:
+        """Return how numbers follow the readings (N, d, nr), at which the motion is, as :meth:`by_passive`."""
+        return self.model.by_reading(self.positions, self._by_joint(numbers), readings)
+
+    def _by_joint(self, numbers: Array) -> Array:
+        return self.tip.by_position(numbers, self.model.types)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,38 +389,36 @@ class Robot:
 class TipModel:
     """A robot with given deviations, ready to be evaluated at many readings. Not to be shared by threads.
 
-    ``joints`` (6 nj, n) and ``tail`` (6, n): as in :class:`TipMotion`. ``base_column`` (6, 6): carries a local twist of
-    the base link to the placement of moving joint ``first``, the first one on the way to the tip; nothing that loops
-    determine depends on where the base is. ``first`` is -1 where the tip is fixed to the base. ``way``: the moving
-    joints that carry the tip. ``nominal``: that of the robot, or of the same one with another tip, where it is made
-    once for many deviations.
+    ``types`` of all joints that move and ``passive``, numbers of those that loops determine; ``end`` (4, 4): the tip in
+    the last joint that carries it. ``nominal``: that of the robot, or of the same one with another tip, where it is
+    made once for many deviations.
     """
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
         d, nominal = deviations or robot.no_deviations(), nominal or Nominal(robot)
         refuse_other_deviations(robot, d)
         m = nominal.mechanism
-        s = skeleton(m.segments, m.deviations(d.placements))
-        end = int(m.carrying[robot.tip_joint])
-        self._mechanism, self._types, self._offsets = m, m.types, m.offset_coupling @ d.offsets
-        self._passive = passive_joints(m.loops)
-        self._kinematics = Kinematics(s.tree, [end_frame(s, end)])
-        self.way = self._kinematics.ways[0]
-        self._closure = Closure(s, m.loops) if m.loops else None
-        self._terms = None
-        if robot.terms:
-            names = [reading.name for reading in robot.readings]
-            self._terms = Transmission(robot.terms, names, d.terms, nominal.flexures, nominal.segments, nominal.holding)
-        joints, tail = (m.of_chain(columns) for columns in derivative(s, end))
-        by_offset = np.zeros((len(joints), len(robot.moving)))
-        for j, kind in enumerate(self._types):
-            if j not in self._passive:
+        self._skeleton = nominal.outline.skeleton(m.deviations(d.placements))
+        self._tip = int(m.carrying[robot.tip_joint]) if robot.tip_joint >= 0 else -1
+        self._mechanism, self._offsets = m, m.offset_coupling @ d.offsets
+        self.types, self.passive = nominal.outline.types, nominal.passive
+        frame = nominal.outline.end_frame(self._skeleton, self._tip)
+        self.end = frame.placement
+        self._kinematics = Kinematics(self._skeleton.tree, [frame], nominal.joints)
+        self._closure = Closure(self._skeleton, m.loops) if m.loops else None
+        self._terms = None if nominal.terms is None else Transmission(nominal.terms, d.terms, nominal.holding)
+
+    @cached_property
+    def follow(self) -> Array:
+        """How local twists of the tip's carriers follow the deviations (6 (w + 1), n): as in :class:`TipMotion`."""
+        m, way = self._mechanism, self._skeleton.outline.path(self._tip).way
+        by_offset = np.zeros((len(way) + 1, 6, m.offset_coupling.shape[1]))
+        for k, j in enumerate(way):
+            if j not in self.passive:
                 # A joint's own motion commutes with a change of its position: this column is the same for all rows.
-                by_offset[6 * j + (5 if kind == "revolute" else 2)] = m.offset_coupling[j]
-        self.joints = np.hstack([joints, by_offset])
-        self.tail = np.hstack([tail, np.zeros((6, len(robot.moving)))])
-        self.first = first_moving(s, end)
-        self.base_column = rigid.adjoint(rigid.inverse(s.tree.placements[self.first]))
+                by_offset[k + 1, 5 if self.types[j] == "revolute" else 2] = m.offset_coupling[j]
+        by_placement = m.of_chain(follow(self._skeleton, self._tip))
+        return np.concatenate([by_placement, by_offset], axis=2).reshape(6 * len(by_offset), -1)
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -406,21 +429,19 @@ class TipModel:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
         return self._kinematics.placements(self._positions(readings, conditions))[0]
 
+    def carried(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Regressor:
+        """Return what carries the tip, and so where it is, at readings (N, nr)."""
+        return self._kinematics.regressors(self._positions(readings, conditions))[0]
+
     def motion(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> TipMotion:
         """Return tip placements and derivatives at readings (N, nr)."""
         bases = None if self._terms is None else self._terms.bases(readings, conditions)
         q = self._positions(readings, conditions, bases)
-        (tip,) = self._kinematics.regressors(q)
-        by_passive = tip.by_joint(self._types, self._passive) if self._passive else np.zeros((len(q), 6, 0))
         if self._closure is None:
-            rates = np.zeros((len(q), 0, self.joints.shape[1]))
+            rates = np.zeros((len(q), 0, self.follow.shape[1]))
         else:
             rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
-        by_terms = np.zeros((len(q), 6, 0))
-        if self._terms is not None and bases is not None:
-            every = tip.by_joint(self._types, range(len(self._types)))
-            by_terms = self._terms.by_terms(self._by_coordinate(q, every), bases)
-        return TipMotion(tip, self.joints, self.tail, by_passive, rates, by_terms)
+        return TipMotion(self._kinematics.regressors(q)[0], self.follow, rates, bases, self, q)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
@@ -430,47 +451,53 @@ class TipModel:
         """
         q = self._positions(readings, conditions)
         placement, by_joint = self._kinematics.jacobian(q)
-        return placement, self._by_reading(q, by_joint, readings)
+        return placement, self.by_reading(q, by_joint.transpose(2, 1, 0), readings)
 
-    def following(self, motion: TipMotion, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
-        """Return the local twists (N, 6, nr) of :meth:`driven` from a motion at these readings (N, nr)."""
-        by_joint = motion.tip.by_joint(self._types, range(len(self._types)))
-        # Only loops ask where the joints are.
-        q = readings if self._closure is None else self._positions(readings, conditions)
-        return self._by_reading(q, by_joint, readings)
+    def by_reading(self, q: Array, by_joint: Array, readings: Array) -> Array:
+        """Return how numbers follow the readings (N, d, nr), at which the joints are at q (N, nj).
 
-    def _by_reading(self, q: Array, by_joint: Array, readings: Array) -> Array:
-        by_reading = self._by_coordinate(q, by_joint)[:, :, : readings.shape[1]]
+        ``by_joint`` (nj, d, N): how they follow the joints.
+        """
+        by_reading = self._by_coordinate(q, by_joint)[: readings.shape[1]].transpose(2, 1, 0)
         if self._terms is not None:
             by_reading = by_reading * self._terms.slopes(readings)[:, None]
         return by_reading
 
+    def by_terms(self, q: Array, by_joint: Array, bases: Bases) -> Array:
+        """Return how numbers follow the coefficients of the terms (N, d, nt); the rest as in :meth:`by_reading`."""
+        assert self._terms is not None, "a model that has bases has terms"
+        return self._terms.by_terms(self._by_coordinate(q, by_joint), bases)
+
     def _positions(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
         moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
-        q = moved @ self._mechanism.coupling.T + self._mechanism.coupling_offset + self._offsets
+        q = moved @ self._mechanism.coupling.T
+        q += self._mechanism.coupling_offset + self._offsets
         return q if self._closure is None else self._closure.close(q)
 
     def _by_coordinate(self, q: Array, by_joint: Array) -> Array:
-        """Return the local twists (N, 6, c) of the tip per change of what is coupled to the joints, at q (N, nj).
-
-        ``by_joint`` (N, 6, nj): per change of the joints.
-        """
-        coupling, passive = self._mechanism.coupling, self._passive
-        if self._closure is None:
-            return np.asarray(by_joint @ coupling)
+        """Return how numbers follow what is coupled to the joints (c, d, N), at q (N, nj); ``by_joint`` as above."""
+        coupling, passive = self._mechanism.coupling, self.passive
+        _, d, n = by_joint.shape
         active = coupling.copy()
         active[passive] = 0.0
-        rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
-        return np.asarray(by_joint @ active + by_joint[:, :, passive] @ rates)
+        found = (active.T @ by_joint.reshape(len(active), d * n)).reshape(-1, d, n)
+        if self._closure is not None:
+            rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
+            found += np.einsum("kdn,nkc->cdn", by_joint[passive], rates)
+        return found
 
 
 class Nominal:
     """What models of a robot share, whatever its tip and deviations. Not to be shared by threads."""
 
     def __init__(self, robot: Robot) -> None:
-        self.mechanism, self.flexures, self.segments = robot.mechanism, robot.flexures, segments(robot)
+        self.mechanism, flexures, of_chain = robot.mechanism, robot.flexures, segments(robot)
+        self.outline, self.passive = Outline(self.mechanism.segments), passive_joints(self.mechanism.loops)
+        self.joints = Joints(self.outline.types, self.outline.parents)
         self.holding = None if robot.weights is None or not robot.terms else Holding(robot.weights)
+        names = [reading.name for reading in robot.readings]
+        self.terms = TermShares(robot.terms, names, flexures, of_chain) if robot.terms else None
 
 
 class Nominals(dict[Robot, Nominal]):

@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.robot import deviation
-from calib.robot.kinematics import Frame, MovingType, Tree
+from calib.robot.kinematics import Frame, MovingType, Tree, way
 
 
 class Segment(NamedTuple):
@@ -32,47 +32,116 @@ class Segment(NamedTuple):
 class Skeleton(NamedTuple):
     """A tree with deviations in it. ``placed`` (n, 4, 4): every joint's placement with its deviation.
 
-    ``twists`` (n, 6, 6): local twists of the joints' placements for changes of their deviations.
+    ``carried`` (n, 4, 4): the same in the frame of the last moving joint before it. ``twists`` (n, 6, 6): local twists
+    of the joints' placements for changes of their deviations.
     """
 
-    segments: tuple[Segment, ...]
+    outline: "Outline"
     placed: Array
+    carried: Array
     twists: Array
     tree: Tree
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """The joints, parents before children."""
+        return self.outline.segments
+
+
+class Path(NamedTuple):
+    """The way from the base to a frame: moving joints ``way`` (w), by number, and all ``segments`` (m), by index.
+
+    ``carriers`` (m): which of the carriers of the frame carries each: 0 for the base, k + 1 for joint k of the way.
+    """
+
+    way: tuple[int, ...]
+    segments: IntArray
+    carriers: IntArray
+
+
+class Outline:
+    """A tree without deviations: what all its skeletons share.
+
+    ``carriers`` (n): the number of the moving joint before every joint, -1 for the base.
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        self.segments = tuple(segments)
+        self._placements = np.stack([segment.placement for segment in segments])
+        self._back = [rigid.inverse(segment.frame) for segment in segments]
+        behind = [i for i, segment in enumerate(segments) if segment.parent >= 0]
+        self._fixed = [(i, segments[i].parent) for i in behind if segments[segments[i].parent].number is None]
+        self.carriers = [self.moving_at(segment.parent) for segment in segments]
+        self._moving = [i for i, segment in enumerate(segments) if segment.type != "fixed"]
+        self._types = tuple(segment.type for segment in segments if segment.type != "fixed")
+        self._parents = tuple(self.carriers[i] for i in self._moving)
+        self._paths: dict[int, Path] = {}
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """The moving joint that carries each, by number; -1 for the base."""
+        return self._parents
+
+    @property
+    def types(self) -> tuple[MovingType, ...]:
+        """Types of the joints that move."""
+        return self._types
+
+    def path(self, joint: int) -> "Path":
+        """Return the way from the base to the end of a joint."""
+        if joint not in self._paths:
+            self._paths[joint] = self._found(joint)
+        return self._paths[joint]
+
+    def _found(self, joint: int) -> "Path":
+        own = way(self._parents, self.moving_at(joint))
+        carrier = {number: k + 1 for k, number in enumerate(own)} | {-1: 0}
+        segments = way([segment.parent for segment in self.segments], joint)
+        carriers = [carrier[self.carriers[i]] for i in segments]
+        return Path(own, np.array(segments, dtype=np.intp), np.array(carriers, dtype=np.intp))
+
+    def moving_at(self, joint: int) -> int:
+        """Return the number of the moving joint at or before a joint; -1 for the base."""
+        while joint >= 0 and (number := self.segments[joint].number) is None:
+            joint = self.segments[joint].parent
+        return number if joint >= 0 and number is not None else -1
+
+    def skeleton(self, deviations: Array) -> Skeleton:
+        """Return the skeleton with deviations (n, 6)."""
+        motion, twists = deviation.motion_and_twists(deviations)
+        placed = self._placements @ motion
+        carried = placed.copy() if self._fixed else placed
+        for i, parent in self._fixed:
+            carried[i] = carried[parent] @ placed[i]
+        return Skeleton(self, placed, carried, twists, Tree(self._types, self._parents, carried[self._moving]))
+
+    def end_frame(self, s: Skeleton, joint: int) -> Frame:
+        """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""
+        if joint < 0:
+            return Frame(-1, np.eye(4))
+        number, back = self.segments[joint].number, self._back[joint]
+        return Frame(self.carriers[joint], s.carried[joint] @ back) if number is None else Frame(number, back)
 
 
 def skeleton(segments: Sequence[Segment], deviations: Array) -> Skeleton:
     """Return the skeleton of joints, parents before children, with deviations (n, 6)."""
-    placed = np.stack([segment.placement for segment in segments]) @ deviation.motion(deviations)
-    types: list[MovingType] = []
-    parents: list[int] = []
-    placements: list[Array] = []
-    for i, segment in enumerate(segments):
-        if segment.type != "fixed":
-            carrier, T = _carried(segments, placed, segment.parent)
-            types.append(segment.type)
-            parents.append(carrier)
-            placements.append(T @ placed[i])
-    return Skeleton(
-        tuple(segments), placed, deviation.twists(deviations), Tree(tuple(types), tuple(parents), np.stack(placements))
-    )
+    return Outline(segments).skeleton(deviations)
 
 
 def end_frame(s: Skeleton, joint: int) -> Frame:
     """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""
-    if joint < 0:
-        return Frame(-1, np.eye(4))
-    carrier, T = _carried(s.segments, s.placed, joint)
-    return Frame(carrier, T @ rigid.inverse(s.segments[joint].frame))
+    return s.outline.end_frame(s, joint)
 
 
-def first_moving(s: Skeleton, joint: int) -> int:
-    """Return the number of the first moving joint on the way from the base to the end of a joint; -1 for none."""
-    first = -1
-    while joint >= 0:
-        number = s.segments[joint].number
-        first, joint = first if number is None else number, s.segments[joint].parent
-    return first
+def follow(s: Skeleton, joint: int) -> Array:
+    """Return how local twists of what carries the end of a joint follow the deviations (w + 1, 6, 6 n).
+
+    A carrier is the base, or a moving joint on the way after its own motion, with all that is fixed to it.
+    """
+    path = s.outline.path(joint)
+    found = np.zeros((len(path.way) + 1, 6, len(s.placed), 6))
+    found[path.carriers, :, path.segments] = rigid.adjoint(s.carried[path.segments]) @ s.twists[path.segments]
+    return found.reshape(*found.shape[:2], -1)
 
 
 def derivative(s: Skeleton, joint: int) -> tuple[Array, Array]:
@@ -95,15 +164,3 @@ def derivative(s: Skeleton, joint: int) -> tuple[Array, Array]:
                 ahead, target = s.placed[joint], number
             joint = s.segments[joint].parent
     return rows[:-1].reshape(6 * n_moving, -1), rows[-1]
-
-
-def _carried(segments: Sequence[Segment], placed: Array, joint: int) -> tuple[int, Array]:
-    """Return the moving joint at or before a joint, -1 for the base, and the joint's frame in it (4, 4)."""
-    T = np.eye(4)
-    while joint >= 0:
-        number = segments[joint].number
-        if number is not None:
-            return number, T
-        T = placed[joint] @ T
-        joint = segments[joint].parent
-    return -1, T

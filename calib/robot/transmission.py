@@ -17,8 +17,8 @@ from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, link_length
 from calib.robot.gravity import Holding
 from calib.robot.skeleton import Segment
-from calib.robot.terms import KINDS, JointTerm, kind_of
-from calib.robot.terms.kind import Basis, Rows, Shares, Slope
+from calib.robot.terms import KINDS, JointTerm, Kind, kind_of
+from calib.robot.terms.kind import Rows, Shares
 
 
 class Flexures(NamedTuple):
@@ -66,64 +66,64 @@ class Bases(NamedTuple):
     changes: Array
 
 
-class Transmission:
-    """The terms of a robot with given coefficients (nt,).
+class TermShares:
+    """What the terms of a robot add to which coordinates, whatever their coefficients.
 
     Coordinates are readings (nr), then flexures. What a term adds to one coordinate is its share; only terms of links
-    have several. ``holding``: asked where drives or links give way.
+    have several. ``number`` (shares): whose each is; ``first`` (nt): where those of a term begin; ``coordinate``
+    (shares): which one moves. ``of_kinds``: columns of shares, and the shares, of every kind that there is.
     """
 
     def __init__(
-        self,
-        terms: Sequence[JointTerm],
-        readings: Sequence[str],
-        coefficients: Array,
-        moved: Flexures,
-        segments: Sequence[Segment],
-        holding: Holding | None = None,
+        self, terms: Sequence[JointTerm], readings: Sequence[str], moved: Flexures, segments: Sequence[Segment]
     ) -> None:
+        kinds = [kind_of(term) for term in terms]
         own = [
-            [len(readings) + k for k in moved.of_term[t]] if kind_of(term).of_link else [readings.index(term.reading)]
+            [len(readings) + k for k in moved.of_term[t]] if kinds[t].of_link else [readings.index(term.reading)]
             for t, term in enumerate(terms)
         ]
-        number = np.repeat(np.arange(len(terms)), [len(coordinates) for coordinates in own])
-        self._coordinate = np.array([k for coordinates in own for k in coordinates], dtype=np.intp)
-        self._first = np.searchsorted(number, np.arange(len(terms)))
-        self._coefficients = np.zeros((len(number), len(readings) + len(moved.every)))
-        self._coefficients[np.arange(len(number)), self._coordinate] = np.asarray(coefficients)[number]
-        self._terms, self._readings, self._holding = tuple(terms), tuple(readings), holding
+        self.terms, self.readings = tuple(terms), tuple(readings)
+        self.number = np.repeat(np.arange(len(terms)), [len(coordinates) for coordinates in own])
+        self.first = np.searchsorted(self.number, np.arange(len(terms)))
+        self.coordinate = np.array([k for coordinates in own for k in coordinates], dtype=np.intp)
+        self.coordinates = len(readings) + len(moved.every)
         # Of flexures, any reading: what they add does not follow it.
-        reading = np.where(self._coordinate < len(readings), self._coordinate, 0)
+        reading = np.where(self.coordinate < len(readings), self.coordinate, 0)
         lengths = np.array([0.0] * len(readings) + [link_length(segments[flexure.joint]) for flexure in moved.every])
-        self._bases_of: list[tuple[slice | IntArray, tuple[Basis, Basis]]] = []
-        self._slopes_of: list[tuple[slice | IntArray, Slope]] = []
-        kinds = [KINDS.index(kind_of(term)) for term in terms]
-        kind_of_share = np.array(kinds, dtype=np.intp)[number]
+        self.of_kinds: list[tuple[slice | IntArray, Kind, Shares, IntArray]] = []
+        of_share = np.array([KINDS.index(kind) for kind in kinds], dtype=np.intp)[self.number]
         for k, kind in enumerate(KINDS):
-            those = np.flatnonzero(kind_of_share == k)
+            those = np.flatnonzero(of_share == k)
             if those.size:
-                coordinate = self._coordinate[those]
-                of_kind = tuple(terms[t] for t in number[those].tolist())
+                coordinate, number = self.coordinate[those], self.number[those]
+                of_kind = tuple(terms[t] for t in number.tolist())
                 shares = Shares(of_kind, coordinate, reading[those], lengths[coordinate])
-                columns = _columns(those)
-                own_coefficients = np.asarray(coefficients)[number[those]]
-                self._bases_of.append((columns, kind.bases(shares, own_coefficients)))
-                if slope := kind.slope(shares):
-                    self._slopes_of.append((columns, slope))
+                self.of_kinds.append((_columns(those), kind, shares, number))
+
+
+class Transmission:
+    """The terms of a robot with given coefficients (nt,). ``holding``: asked where drives or links give way."""
+
+    def __init__(self, shares: TermShares, coefficients: Array, holding: Holding | None = None) -> None:
+        self._shares, self._holding, of_term = shares, holding, np.asarray(coefficients)
+        self._coefficients = np.zeros((len(shares.number), shares.coordinates))
+        self._coefficients[np.arange(len(shares.number)), shares.coordinate] = of_term[shares.number]
+        self._bases_of = [(columns, kind.bases(own, of_term[number])) for columns, kind, own, number in shares.of_kinds]
 
     def bases(self, readings: Array, conditions: Conditions) -> Bases:
         """Return the bases at readings (N, nr), in rad or m per unit of each coefficient.
 
         Raises RobotError for a term that needs a condition which the rows do not have.
         """
-        if missing := lacking(self._terms, self._readings, conditions):
+        if missing := lacking(self._shares.terms, self._shares.readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
-        rows, adds = Rows(readings, conditions, self._holding), np.empty((len(readings), len(self._coordinate)))
+        # Shares are made one by one, and used so.
+        rows, adds = Rows(readings, conditions, self._holding), np.empty((len(self._shares.number), len(readings))).T
         for columns, (basis, _) in self._bases_of:
             adds[:, columns] = basis(rows)
         if all(basis is change for _, (basis, change) in self._bases_of):
             return Bases(adds, adds)
-        changes = adds.copy()
+        changes = adds.copy(order="K")
         for columns, (basis, change) in self._bases_of:
             if change is not basis:
                 changes[:, columns] = change(rows)
@@ -143,12 +143,12 @@ class Transmission:
         return np.asarray(straight + there.adds @ self._coefficients)
 
     def by_terms(self, by_coordinate: Array, bases: Bases) -> Array:
-        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (N, d, c)."""
-        by_share = by_coordinate[:, :, self._coordinate] * bases.changes[:, None]
-        if len(self._coordinate) == len(self._terms):
-            return by_share
-        # Shares of one term stand side by side.
-        return np.asarray(np.add.reduceat(by_share, self._first, axis=2))
+        """Return changes (N, d, nt) for the coefficients of the terms, for those by the coordinates (c, d, N)."""
+        by_share = by_coordinate[self._shares.coordinate] * bases.changes.T[:, None]
+        if len(self._shares.number) > len(self._shares.terms):
+            # Shares of one term stand side by side.
+            by_share = np.add.reduceat(by_share, self._shares.first, axis=0)
+        return np.asarray(by_share.transpose(2, 1, 0))
 
     def slopes(self, readings: Array) -> Array:
         """Return how fast every moved reading follows itself (N, nr): 1 and the slopes of its terms that have some.
@@ -156,9 +156,10 @@ class Transmission:
         Without that of wind-up and of links, which change slowly with the pose: by some 1e-3 of the motion where drives
         are soft. A search that these slopes steer takes a step more for it.
         """
-        found = np.zeros((len(readings), len(self._coordinate)))
-        for columns, slope in self._slopes_of:
-            found[:, columns] = slope(readings)
+        found = np.zeros((len(readings), len(self._shares.number)))
+        for columns, kind, own, _ in self._shares.of_kinds:
+            if slope := kind.slope(own):
+                found[:, columns] = slope(readings)
         return np.asarray(1.0 + found @ self._coefficients[:, : readings.shape[1]])
 
 

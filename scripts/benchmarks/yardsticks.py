@@ -21,8 +21,8 @@ from calib.identification.machine import Layout, Machine
 from calib.identification.parameters import directions
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
-from calib.robot.robot import TipModel, segments
-from calib.robot.skeleton import end_frame, skeleton
+from calib.robot.robot import segments
+from calib.robot.skeleton import derivative, end_frame, skeleton
 
 Array = NDArray[np.float64]
 Answer = tuple[Array, Array]  # residuals (N, d) and Jacobians (N, d, p)
@@ -62,12 +62,15 @@ def plain(problem: Problem, data: Measurements, at: Machine, units: Array) -> Pl
     if set(robot.moving_types) != {"revolute"} or robot.loops or robot.terms or len(frames.tools) > 1:
         raise ValueError("the yardsticks know chains of turning joints, one base and one tool")
     layout, own = Layout.of(robot, frames), skeleton(segments(robot), at.deviations.placements)
-    S, model = directions(problem.parameters, layout.size) * units, TipModel(robot, at.deviations)
-    end, tool = end_frame(own, robot.tip_joint), frames.tools[0]
-    follow = np.zeros((6 * len(robot.moving) + 6, len(units)))
-    follow[:-6] = model.joints @ S[: layout.terms]
-    follow[:6] += model.base_column @ at.base_twists[0] @ S[layout.base : layout.tools]
-    follow[-6:] = rigid.adjoint(rigid.inverse(tool)) @ model.tail @ S[: layout.terms]
+    S, (joints, tail) = directions(problem.parameters, layout.size) * units, derivative(own, robot.tip_joint)
+    end, tool, moving = end_frame(own, robot.tip_joint), frames.tools[0], len(robot.moving)
+    follow, placed = np.zeros((6 * moving + 6, len(units))), layout.offsets
+    follow[:-6] = joints @ S[:placed]
+    follow[5:-6:6] += robot.offset_coupling @ S[placed : layout.terms]
+    follow[:6] += (
+        rigid.adjoint(rigid.inverse(own.tree.placements[0])) @ at.base_twists[0] @ S[layout.base : layout.tools]
+    )
+    follow[-6:] = rigid.adjoint(rigid.inverse(tool)) @ tail @ S[:placed]
     follow[-6:] += at.tool_twists[0] @ S[layout.tools : layout.targets]
     readings = data.readings @ robot.coupling.T + robot.coupling_offset + robot.offset_coupling @ at.deviations.offsets
     rotations = np.zeros((0, 3, 3)) if data.orientation is None else data.orientation

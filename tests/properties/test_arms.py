@@ -70,7 +70,7 @@ def test_deviations_move_the_tip_as_its_derivative_says(text: str, rng: Rng, siz
     v = (R_t @ (ahead - behind)[:, :3, 3, None])[:, :, 0]
     w = Rotation.from_matrix(np.swapaxes(behind[:, :3, :3], 1, 2) @ ahead[:, :3, :3]).as_rotvec()
     expected = np.hstack([v, w]) / (2 * h)
-    found = motion.regressor @ (motion.joints @ e) + motion.tail @ e
+    found = motion.by_deviations @ e
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7 * np.abs(expected).max())
 
 

@@ -99,7 +99,7 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
     motion = robot.motion(u, d, told)
     assert motion.by_terms.shape == (len(u), 6, len(robot.terms))
     assert robot.joint_positions(u, d, told).shape == (len(u), len(robot.moving))
-    J = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
+    J = motion.by_deviations
 
     def twist(forward: Deviations, back: Deviations, h: float) -> Array:
         ends = robot.tips(u, forward, told) - robot.tips(u, back, told)

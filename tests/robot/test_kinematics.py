@@ -6,7 +6,7 @@ import pytest
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.robot.kinematics import Frame, Kinematics, Tree
+from calib.robot.kinematics import Follow, Frame, Kinematics, Tree, followed
 
 # Joints that turn and slide, on a trunk and two branches.
 TYPES, PARENTS = ("revolute", "prismatic", "revolute", "revolute", "prismatic", "revolute"), (-1, 0, 1, 1, 3, 4)
@@ -54,15 +54,32 @@ def test_regressors_are_those_of_pinocchio(tree: Tree, frames: list[Frame], rows
             np.testing.assert_allclose(found.by_joint(TYPES, range(len(TYPES)))[n], jacobian, atol=1e-12)
 
 
-def test_numbers_are_followed_through_another_frame_of_the_link(tree: Tree, frames: list[Frame]) -> None:
+@pytest.mark.parametrize("what", ["shifts and turns", "shifts", "turns"])
+def test_numbers_are_followed_through_another_frame_of_the_link(tree: Tree, frames: list[Frame], what: str) -> None:
     rng = np.random.default_rng(6)
     regressor = Kinematics(tree, frames).regressors(rng.normal(size=(7, len(TYPES))))[0]
     tool = placed(rng)
+    there = regressor.placement @ tool
+    np.testing.assert_allclose(regressor.behind(regressor.end @ tool), there, atol=1e-13)
     rows = rng.normal(size=(7, 5, 6))
-    rows[:, 1, :3], rows[:, 3, 3:], rows[:, 4] = 0.0, 0.0, 0.0  # a turn alone, a shift alone, nothing
-    expected = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.matrix
+    if what != "shifts and turns":
+        rows[:, :, slice(0, 3) if what == "turns" else slice(3, 6)] = 0.0
+    R = there[:, :3, :3]
+    shift, turn = ((part @ R.transpose(0, 2, 1)).transpose(1, 2, 0) for part in (rows[:, :, :3], rows[:, :, 3:]))
+    follow = Follow(None if what == "turns" else shift, None if what == "shifts" else turn)
+    numbers = regressor.through(follow, there[:, :3, 3])
+
     own = [6 * j + k for j in regressor.way for k in range(6)]
-    found = regressor.through(rows, regressor.placement @ tool).transpose(2, 0, 1)
-    np.testing.assert_allclose(found, expected[:, :, own], atol=1e-12)
-    others = [k for k in range(6 * len(TYPES)) if k not in own]
-    assert others and not regressor.matrix[:, :, others].any()
+    expected = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.matrix
+    assert not np.delete(regressor.matrix, own, axis=2).any() and len(own) < regressor.matrix.shape[2]
+    # Every joint is placed in the carrier before it, and what is behind the last one in that.
+    w = len(regressor.way)
+    by = np.zeros((6 * (w + 1), 6 * (w + 1)))
+    for k, T in enumerate([*regressor.placements, regressor.end @ tool]):
+        by[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = rigid.adjoint(T)
+    found = np.empty((5, 7, len(by)))
+    followed(numbers, by, found)
+    expected = np.concatenate([expected[:, :, own], rows], axis=2)
+    np.testing.assert_allclose(found.transpose(1, 0, 2), expected, atol=1e-12)
+    jacobian = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.by_joint(TYPES, range(len(TYPES)))
+    np.testing.assert_allclose(regressor.by_position(numbers, TYPES).transpose(2, 1, 0), jacobian, atol=1e-12)

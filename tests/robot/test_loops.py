@@ -224,7 +224,7 @@ def test_every_column_of_the_motion_is_that_of_central_differences(name: str, si
     d = deviations(robot, size, size)
     motion = robot.motion(readings, d)
     np.testing.assert_allclose(motion.placement, robot.tips(readings, d), atol=1e-14)
-    columns = motion.regressor @ motion.joints + motion.tail + motion.by_passive @ motion.rates
+    columns = motion.by_deviations
     state = np.concatenate([d.placements.ravel(), d.offsets])
     inverse, h = np.linalg.inv(motion.placement), 1e-5
     passive = [6 * len(robot.chain) + j for j in robot.passive]

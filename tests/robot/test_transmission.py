@@ -12,7 +12,7 @@ from calib.foundations.errors import RobotError
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.robot import Deviations, Robot, TipModel
 from calib.robot.terms import JointTerm, kind_of
-from calib.robot.transmission import Flexures, Transmission
+from calib.robot.transmission import Flexures, TermShares, Transmission
 from tests.support import machines
 
 Array = np.ndarray
@@ -61,7 +61,7 @@ def test_names_and_units() -> None:
 
 
 def alone(kind: str) -> Transmission:
-    return Transmission((JointTerm("a", kind),), ["a"], np.ones(1), Flexures((), (range(0),)), ())
+    return Transmission(TermShares((JointTerm("a", kind),), ["a"], Flexures((), (range(0),)), ()), np.ones(1))
 
 
 def test_a_drive_that_gives_way_asks_what_it_holds() -> None:

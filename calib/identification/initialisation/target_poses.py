@@ -78,13 +78,9 @@ def _arm_beside(model: ErrorModel, touched: Sequence[tuple[Measurements, Array, 
     beside = []
     for data, tip, x in touched:
         robot = model.robot.with_tip(data.tip)
-        motion = robot.motion(data.readings, conditions=ordinary(data.readings))
-        # A joint's column holds the adjoint of its placement in the tip link, and that its origin.
-        blocks = motion.regressor.reshape(len(x), 6, -1, 6).transpose(0, 2, 1, 3)[:, ::-1]
-        # Joints of other branches, and those behind the tip, do not move it.
-        blocks = blocks[:, np.any(blocks != 0.0, axis=(0, 2, 3))]
-        crossed = blocks[:, :, :3, 3:] @ np.swapaxes(blocks[:, :, :3, :3], -1, -2)
-        origins = np.stack([crossed[..., 2, 1], crossed[..., 0, 2], crossed[..., 1, 0]], axis=-1)
+        motion = robot.motion(data.readings, conditions=ordinary(data.readings)).tip
+        # In the tip link; joints of other branches, and those behind the tip, do not move it.
+        origins = (rigid.inverse(motion.placement) @ motion.before[::-1])[:, :, :3, 3].swapaxes(0, 1)
         origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
         beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
     alike = [parts for parts in beside if parts.shape[1] == beside[0].shape[1]]

@@ -7,7 +7,7 @@ its centre by the sum of both radii; a gauge touched at both ends is a distance 
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.identification.observations.seen import Linearised, Seen, point_columns
+from calib.identification.observations.seen import Linearised, Seen, by_point, point_columns
 
 # Where both points are one, the distance has no direction; any answer this small leaves the derivative zero.
 _TINY = 1e-12
@@ -19,14 +19,13 @@ def residual(seen: Seen) -> Linearised:
     """Return r = l - o + b - |x - c| (n, 1) in m: length l, its unknown part o or the ball's radius b."""
     r, by_tool = _between(seen, seen.targets)
     target = point_columns(-by_tool, seen.targets)
-    return Linearised(r, point_columns(by_tool, seen.tools), target=target, scalars=_by_scalars(seen, r))
+    return Linearised(r, (by_point(by_tool),), target=target, scalars=_by_scalars(seen, r))
 
 
 def residual_of_pairs(seen: Seen) -> Linearised:
     """Return r = l - o - |x - x'| (n, 1) in m, with x' the tool point at the other end."""
     r, by_tool = _between(seen, seen.others)
-    other = point_columns(-by_tool, seen.others)
-    return Linearised(r, point_columns(by_tool, seen.tools), other=other, scalars=_by_scalars(seen, r))
+    return Linearised(r, (by_point(by_tool),), (by_point(-by_tool),), scalars=_by_scalars(seen, r))
 
 
 def _between(seen: Seen, ends: Array) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.identification.observations.seen import Linearised, Seen
+from calib.identification.observations.seen import Linearised, Seen, by_twist
 from calib.measurement.boards import places_of
 from calib.measurement.lens import NAMES
 from calib.measurement.optics import SCALE, lens_at, shape_at
@@ -35,7 +35,8 @@ def residual(seen: Seen) -> Linearised:
     if camera.free:
         by_number = by_lens(lens, projected.flat)
         scalars |= {name: -by_number[:, :, NAMES.index(name)] for name in camera.free if name in seen.scalars}
-    return Linearised(value[:, :2] - projected.pixels, twist, target=target, scalars=scalars)
+    tool = (by_twist(twist, seen.tools),)
+    return Linearised(value[:, :2] - projected.pixels, tool, target=target, scalars=scalars)
 
 
 def _places(seen: Seen) -> tuple[Array, dict[str, Array]]:

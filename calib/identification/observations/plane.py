@@ -7,7 +7,7 @@ which is the height above a plane across it, whose own height is the indicator's
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.identification.observations.seen import Linearised, Seen, point_columns
+from calib.identification.observations.seen import Linearised, Seen, by_point
 
 
 def residual(seen: Seen) -> Linearised:
@@ -17,6 +17,4 @@ def residual(seen: Seen) -> Linearised:
     # The frame moved by (v, w): a point that stays has its z changed by -v_z - w_x y + w_y x.
     target = np.zeros((len(local), 1, 6))
     target[:, 0, 2], target[:, 0, 3], target[:, 0, 4] = 1.0, local[:, 1], -local[:, 0]
-    return Linearised(
-        seen.data.value[seen.rows] - local[:, 2:], point_columns(-R[:, None, :, 2], seen.tools), target=target
-    )
+    return Linearised(seen.data.value[seen.rows] - local[:, 2:], (by_point(-R[:, None, :, 2]),), target=target)

@@ -5,6 +5,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.identification.observations import position
 from calib.identification.observations.seen import Linearised, Seen
+from calib.robot.kinematics import Follow
 
 
 def residual(seen: Seen) -> Linearised:
@@ -14,10 +15,8 @@ def residual(seen: Seen) -> Linearised:
     """
     orientation = seen.data.orientation
     assert orientation is not None, "poses have measured orientations"
-    turn = rigid.log3(np.swapaxes(seen.tools[:, :3, :3], -1, -2) @ orientation[seen.rows])
-    linear = position.residual(seen)
-    twist = np.zeros((len(seen.tools), 6, 6))
-    twist[:, :3] = linear.twist
-    # log(exp(-w) exp(r)) = r - Jl(r)^-1 w
-    twist[:, 3:, 3:] = -rigid.left_jacobian_inverse(turn)
-    return Linearised(np.concatenate([linear.residual, turn], axis=1), twist)
+    R, linear = seen.tools[:, :3, :3], position.residual(seen)
+    turn = rigid.log3(np.einsum("nji,njk->nik", R, orientation[seen.rows]))
+    # log(exp(-w) exp(r)) = r - Jl(r)^-1 w, with w in the axes of the tool.
+    by_turn = np.einsum("nij,nkj->ikn", -rigid.left_jacobian_inverse(turn), R)
+    return Linearised(np.concatenate([linear.residual, turn], axis=1), (*linear.tool, Follow(None, by_turn)))

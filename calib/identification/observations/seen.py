@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.measurement.measurements import Measurements
+from calib.robot.kinematics import Follow
 
 
 class Seen(NamedTuple):
@@ -27,24 +28,58 @@ class Seen(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """Residuals (n, d), measured minus predicted, and their change (n, d, 6) with the local twist of each tool.
+    """Residuals (n, d), measured minus predicted, and how they follow each ``tool``, in the observer's axes.
 
-    ``other`` and ``target`` (n, d, 6): their change with the local twists of the other end and of the target; None
-    where the kind has none. ``scalars`` (n, d) each: their change with one unit of every scalar of ``Seen``.
+    ``tool``: of consecutive numbers, of all d together; ``other``: by the other end, empty where the kind has none.
+    ``target`` (n, d, 6): their change with the local twist of the target; None where there is none. ``scalars`` (n, d)
+    each: their change with one unit of every scalar of ``Seen``.
     """
 
     residual: Array
-    twist: Array
-    other: Array | None = None
+    tool: tuple[Follow, ...]
+    other: tuple[Follow, ...] = ()
     target: Array | None = None
     scalars: Mapping[str, Array] = MappingProxyType({})
 
 
-def point_columns(by_point: Array, frames: Array) -> Array:
+class Moved(NamedTuple):
+    """How consecutive numbers of rows ``follow`` something that is ``placed`` (n, 4, 4), both for who observes it."""
+
+    follow: tuple[Follow, ...]
+    placed: Array
+
+    @property
+    def by_motion(self) -> tuple[Array, Array]:
+        """Derivatives of all numbers by a shift, and by a turn (n, d, 3)."""
+        parts = [(own.shift, own.turn, (own.size, 3, len(self.placed))) for own in self.follow]
+        shift, turn = (
+            np.concatenate([np.zeros(shape) if rows is None else np.broadcast_to(rows, shape) for rows, shape in every])
+            for every in ([(a, shape) for a, _, shape in parts], [(b, shape) for _, b, shape in parts])
+        )
+        return shift.transpose(2, 0, 1), turn.transpose(2, 0, 1)
+
+
+def minus_position() -> Follow:
+    """Return how numbers (n, 3) follow a frame that are something else minus its position."""
+    return Follow(-np.eye(3)[:, :, None], None)
+
+
+def by_point(rows: Array) -> Follow:
+    """Return how numbers follow a frame of which the origin alone matters; ``rows`` (n, d, 3): derivatives by that."""
+    return Follow(rows.transpose(1, 2, 0), None)
+
+
+def by_twist(rows: Array, frames: Array) -> Follow:
+    """Return how numbers follow frames (n, 4, 4); ``rows`` (n, d, 6): their derivatives by the local twist of these."""
+    shift, turn = (part @ np.swapaxes(frames[:, :3, :3], -1, -2) for part in (rows[:, :, :3], rows[:, :, 3:]))
+    return Follow(shift.transpose(1, 2, 0), turn.transpose(1, 2, 0))
+
+
+def point_columns(rows: Array, frames: Array) -> Array:
     """Return derivatives (n, d, 6) by the local twist of frames (n, 4, 4), of what depends on their origins alone.
 
-    ``by_point`` (n, d, 3): derivatives by the origin's position.
+    ``rows`` (n, d, 3): derivatives by the origin's position.
     """
-    found = np.zeros((*by_point.shape[:2], 6))
-    found[:, :, :3] = by_point @ frames[:, :3, :3]
+    found = np.zeros((*rows.shape[:2], 6))
+    found[:, :, :3] = rows @ frames[:, :3, :3]
     return found

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.identification.observations.seen import Linearised, Seen, point_columns
+from calib.identification.observations.seen import Linearised, Seen, minus_position, point_columns
 
 
 def residual(seen: Seen) -> Linearised:
@@ -10,6 +10,6 @@ def residual(seen: Seen) -> Linearised:
     one = np.broadcast_to(np.eye(3), (len(seen.tools), 3, 3))
     return Linearised(
         seen.targets[:, :3, 3] - seen.tools[:, :3, 3],
-        point_columns(-one, seen.tools),
+        (minus_position(),),
         target=point_columns(one, seen.targets),
     )
