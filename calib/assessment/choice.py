@@ -39,6 +39,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
+from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
