@@ -101,8 +101,8 @@ def likeliest(
 ) -> tuple[float, float, float] | None:
     """Return a in m, b in rad and the variance of rows beyond the instrument's, None where nothing errs together.
 
-    ``J`` (N, d, p), scaled, ``r`` (N, d) and ``instrument`` (N, d) of the rows; ``known`` (l, p + 1): ``[J r]`` of all
-    that is known beside them, whitened.
+    ``J`` (N, d, p), scaled, ``r`` (N, d), at a solution, and ``instrument`` (N, d) of the rows; ``known`` (l, p + 1):
+    ``[J r]`` of all that is known beside them, whitened.
     """
     variance = 0.0
     for _ in range(3):
