@@ -305,7 +305,7 @@ def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
             assert server.ask("POST", "calibrate")[0] == 200
             children: list[psutil.Process] = []
             # A child begins in the folder of its parent, for a moment.
-            while not children or children[0].cwd() == os.getcwd():
+            while not children or children[0].cwd() == str(Path.cwd()):
                 children = psutil.Process(server.process.pid).children(recursive=True)
             if ending == "cancel":
                 assert server.ask("POST", "cancel")[1]["busy"] is None
