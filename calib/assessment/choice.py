@@ -39,7 +39,6 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
-from calib.foundations.errors import RobotError
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
@@ -48,16 +47,14 @@ from calib.identification.identify import identify
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
-from calib.identification.parameters import directions, scales
+from calib.identification.parameters import scales
 from calib.identification.system import Rates, without_rows
 from calib.identification.weights import sigmas_of
-from calib.machine.tool_motion import tool_jacobian
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import joined, ordinary
+from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Deviations, Robot
-from calib.robot.sampling import random_readings
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
@@ -71,8 +68,6 @@ _GROUPS_EACH = 2
 _BY_CHANCE = 2.0
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
-# Poses between measured places, at which the change by terms is compared with its scatter.
-_POSES_BETWEEN = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,16 +249,10 @@ def choose_terms(
         if most:
             progress("choosing joint terms: judging away from what was measured")
             blocks = folds(place, count)
-            products = system.products(blocks)
-            values = system.ways(products, among, most)
-            away = [held_out(row, place) for row in system.squares(blocks, values)[0]]
-            # Geometry alone foretold far worse away means too few rows to say anything of terms. In places
-            # with nothing between them it is what terms are feared for.
-            if near.apart or away[0].rms <= _FORETOLD * figures[0].rms:
+            away, _ = system.judged(blocks, place, system.products(blocks), among, most)
+            # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
+            if away[0].rms <= _FORETOLD * figures[0].rms:
                 most = largest_unharmed(away, apart=near.apart)
-                if near.apart and most:
-                    whole = system.way(products, among, steps=most).values
-                    most = most if system.surely_nearer(whole, values) else 0
     steps = tuple(
         Step(
             None if k == 0 else chosen_from[entered[k - 1]],
@@ -425,44 +414,13 @@ class _System:
 
         ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``products``: of every fold.
         """
-        values = self.ways(products, among, steps, progress)
-        progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(fold, values)
-        return [held_out(row, group) for row in squares], rms
-
-    def ways(
-        self, products: Products, among: Sequence[int], steps: int, progress: Callable[[str], None] = lambda _: None
-    ) -> Array:
-        """Return what is found (folds, steps + 1, p) without the rows of every fold, given the products of all."""
-        found = list[Array]()
+        ways = list[Array]()
         for k in range(len(products)):
             progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
-            found.append(self.way(products, among, without=k, steps=steps).values)
-        return np.stack(found)
-
-    def surely_nearer(self, whole: Array, without: Array) -> bool:
-        """Return whether the last step of a way predicts the tool between measured places better than the first.
-
-        ``whole`` (steps, p): what all rows have found; ``without`` (n, more steps, p): the same without each of n
-        places. At poses all over the range of readings that were measured, terms change predictions by D, and these
-        scatter by J, the jackknife over places, in which places choose other terms as well. Had terms no bias, D^2
-        would be the square of geometry's error and J^2 on average, and geometry's error is the larger one where
-        D^2 > 2 J^2, the rule of Mallows (*Some comments on C_p*, Technometrics 15, 1973) at poses that nothing was
-        measured at.
-        """
-        problem, last, n = self._problem, len(whole) - 1, len(without)
-        robot, parameters = problem.model.robot, problem.parameters
-        measured = np.concatenate([end.readings for data in problem.measurements for end in data.ends])
-        limits = np.column_stack([measured.min(axis=0), measured.max(axis=0)])
-        try:
-            at = random_readings(robot, _POSES_BETWEEN, limits)
-        except RobotError:  # hardly anywhere between places do the loops close
-            return False
-        by_state = tool_jacobian(robot, problem.machine(self._x), at, ordinary(at))[:, :3]
-        J = by_state @ (directions(parameters, by_state.shape[2]) * scales(parameters))
-        change = float(np.sum((J @ (whole[last] - whole[0])) ** 2))
-        scatter = (n - 1) / n * float(np.sum((J @ (without[:, last] - whole[last]).T) ** 2))
-        return change > 2.0 * scatter
+            ways.append(self.way(products, among, without=k, steps=steps).values)
+        progress("choosing joint terms: judging by what was held out")
+        squares, rms = self.squares(fold, np.stack(ways))
+        return [held_out(row, group) for row in squares], rms
 
     def way(
         self,
