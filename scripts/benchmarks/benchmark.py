@@ -52,7 +52,7 @@ POSES = 1000
 SIGMA, SIGMA_ANGLE = 0.05e-3, 0.1e-3
 
 # Multiples of the loop in C++, and of the bare loop over as many poses: the limits that this project sets itself.
-LIMIT_KERNEL = 4.0
+LIMIT_KERNEL = 2.5
 LIMIT_SYSTEM = 4.0
 LIMIT_IDENTIFY = 80.0
 LIMIT_EVALUATIONS = 6
