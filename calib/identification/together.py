@@ -29,8 +29,8 @@ from calib.foundations.linear import triangle
 _RARELY = 1e-6
 # Where the search for a and b begins, in m and rad, and within which factors of that it looks.
 _LENGTH, _ANGLE, _RANGE = 1e-4, 3e-4, 1e3
-# Sets of fewer photographs, or photographs of fewer marks, tell nothing of it.
-FEWEST, LEAST_MARKS = 6, 4
+# Sets of fewer photographs tell nothing of it.
+FEWEST = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +63,9 @@ class Together:
         directions, share = np.zeros_like(moved), np.zeros((int(number.max()) + 1, 6))
         for k, rows in _photographs(number):
             U, s, _ = np.linalg.svd((moved[rows] / sigma[rows][:, :, None]).reshape(-1, 6), full_matrices=False)
-            directions[rows] = U.reshape(len(rows), -1, len(s)) if len(s) == 6 else 0.0
-            share[k] = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+            # A photograph of one or two marks has fewer numbers than a twist.
+            directions[rows, :, : len(s)] = U.reshape(len(rows), -1, len(s))
+            share[k, : len(s)] = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
         common = float(np.mean(np.sum(moved**2, axis=2)))
         return cls(length, angle, variance, common, number, read_only(directions), read_only(share))
 
@@ -110,6 +111,8 @@ def likeliest(
         if not np.all(sigma > 0.0):
             sigma = np.full_like(sigma, float(np.sqrt(np.mean(r**2))) or 1.0)
         heads, count = _heads(number, by_twist, J, r, sigma)
+        if not count:  # no photograph has more numbers than a twist
+            return None
         found = _widths(heads, known)
         if found is None:
             return None

@@ -73,3 +73,16 @@ def test_rows_that_err_alone_are_left_alone(seed: int) -> None:
     number, by_twist, J = seen(rng)
     r = at_solution(J, SIGMA * rng.normal(size=(len(number), 2)))
     assert likeliest(number, by_twist, J, r, np.zeros_like(r), np.zeros((3, 4))) is None
+
+
+def test_photographs_of_few_marks_are_whitened_too_and_tell_nothing() -> None:
+    rng = np.random.default_rng(0)
+    number = np.array([0, 1, 1, 2, 2, 2])
+    by_twist, sigma = rng.normal(size=(6, 2, 6)) * 900.0, np.full((6, 2), 0.05)
+    together = Together.of(LENGTH, ANGLE, 0.0, number, by_twist, sigma)
+    less = together.less(np.eye(12).reshape(6, 2, 12)).reshape(12, 12)
+    U = (by_twist * np.repeat([LENGTH, ANGLE], 3) / sigma[:, :, None]).reshape(12, 6)
+    same = np.repeat(number, 2)[:, None] == np.repeat(number, 2)
+    np.testing.assert_allclose(less @ (np.eye(12) + np.where(same, U @ U.T, 0.0)) @ less.T, np.eye(12), atol=1e-9)
+    J, r = rng.normal(size=(6, 2, 3)), rng.normal(size=(6, 2))
+    assert likeliest(number, by_twist, J, r, sigma, np.zeros((3, 4))) is None
