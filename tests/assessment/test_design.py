@@ -59,6 +59,20 @@ def test_exchanges_find_the_best_of_all_subsets(criterion: Criterion, seed: int)
     assert found.value == pytest.approx(value_of(s, found.chosen), rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 3, 15])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_no_exchange_improves_what_converged(criterion: Criterion, count: int) -> None:
+    """Two poses barely determine everything, so that each one that leaves takes nearly all that was known."""
+    candidates, working = small(5, n=40)
+    s = space(candidates, criterion, working)
+    found = choose(s, count, starts=3)
+    assert found.converged
+    sign = 1.0 if criterion == "D" else -1.0
+    for place, new in itertools.product(range(count), set(range(40)) - set(found.chosen)):
+        other = sign * value_of(s, (*found.chosen[:place], new, *found.chosen[place + 1 :]))
+        assert other <= sign * found.value + 1e-8 * abs(found.value)
+
+
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_a_sequence_takes_what_brings_most(criterion: Criterion) -> None:
     candidates, working = small(1)
