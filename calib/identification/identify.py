@@ -64,13 +64,22 @@ def identify(
         return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
 
 
-def identify_alike(fit: Fit, measurements: Sequence[Measurements], free: Sequence[str]) -> Fit:
+def identify_alike(
+    fit: Fit,
+    measurements: Sequence[Measurements],
+    free: Sequence[str],
+    *,
+    start: Fit | None = None,
+    together: tuple[Together | None, ...] | None = None,
+) -> Fit:
     """Identify again what is free, from as many sets, with the weights of a fit: how its rows err together is kept.
 
     Fits that are to be compared weigh rows alike; a model that explains less would call its own errors common ones.
+    ``together``: of these rows, where they are others than those of the fit.
     """
+    kept = fit.together if together is None else together
     with one_thread():
-        return _identify(fit.model, measurements, free, None, "nearest", None, fit.losses, fit.together)
+        return _identify(fit.model.within(measurements), measurements, free, start, "nearest", None, fit.losses, kept)
 
 
 def _identify(
