@@ -25,7 +25,7 @@ from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Solution, solution_at, solve
-from calib.identification.system import Problem, Rates, photograph_numbers, residuals
+from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
@@ -237,11 +237,7 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, pri
     number = photograph_numbers(data)
     if int(number.max(initial=-1)) + 1 < FEWEST:
         return None
-    J = np.empty((*data.sigma.shape, len(units)))
-    by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
-    for block in Rates(problem, at, units).blocks(data):
-        J[block.rows], r[block.rows] = block.J, block.observed.residual
-        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
+    J, by_twist, r = with_twists(problem, at, data, units)
     told = likeliest(number, by_twist, J, r, data.sigma, prior)
     if told is None:
         return None
