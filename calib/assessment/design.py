@@ -144,6 +144,17 @@ def parts_of(s: Space, chosen: Sequence[int]) -> tuple[float, float]:
     return _State.of(s, chosen).parts(s)
 
 
+def unseen(s: Space) -> float:
+    """Return the part of an A- or I-design's mean variance that no candidate makes less: before, priors bound it.
+
+    It is what remains when all candidates are measured without noise.
+    """
+    A = linear.triangle(_flat(s.A))
+    _, sizes, Vt = np.linalg.svd(A)
+    Z = Vt[int(np.count_nonzero(sizes > identifiability.RANK_TOLERANCE * sizes[0])) :].T
+    return float(np.trace(np.linalg.solve(Z.T @ s.given @ Z, Z.T @ s.C @ Z)))
+
+
 def choose(
     s: Space,
     count: int,
