@@ -305,6 +305,16 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     return tuple(found)
 
 
+def with_twists(problem: Problem, at: Machine, data: Measurements, units: Array) -> tuple[Array, Array, Array]:
+    """Return J (N, d, p) of one set for ``units`` (p,), derivatives (N, d, 6) by the tool's twist, and residuals."""
+    J = np.empty((*data.sigma.shape, len(units)))
+    by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
+    for block in Rates(problem, at, units).blocks(data):
+        J[block.rows], r[block.rows] = block.J, block.observed.residual
+        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
+    return J, by_twist, r
+
+
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
     """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine."""
     links, found = _Links(robot, at.deviations), []

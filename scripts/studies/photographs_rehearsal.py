@@ -77,6 +77,8 @@ class Case:
     job: tuple[tuple[str, str], ...] = ()
 
 
+# What the verdict tells whoever has an arm that is as its URDF.
+KEPT = (('offsets = "all"\n', ""), ('placements = "all"\n', ""))
 LARGE = replace(Case().sheet, scale=0.01)
 CASES: Mapping[str, Case] = {
     "ordinary": Case(),
@@ -84,6 +86,7 @@ CASES: Mapping[str, Case] = {
     "arm repeats to 0.2 mm, 0.5 mrad": Case(repeats=(0.2e-3, 0.5e-3)),
     "URDF is right": Case(arm=0.0),
     "URDF is right, repeats to 0.2 mm, 0.5 mrad": Case(arm=0.0, repeats=(0.2e-3, 0.5e-3)),
+    "URDF is right and is kept": Case(arm=0.0, job=KEPT),
     "print 1 % too large": Case(sheet=LARGE),
     "URDF is right, print 1 % too large": Case(arm=0.0, sheet=LARGE),
     "print in waves of 0.5 mm": Case(sheet=replace(Case().sheet, wave=0.5e-3)),

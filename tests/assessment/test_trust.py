@@ -123,6 +123,7 @@ def test_random_numbers_are_not_explained(cell: Cell) -> None:
     data = cell.measured(cell.draw(60))
     wild = replace(data, position=cell.rng.uniform(-0.8, 0.8, (60, 3)))
     found = calib.assess(calib.identify(cell.model, wild.subset(range(40))), wild.subset(range(40, 60)))
+    assert not any("its URDF" in doubt for doubt in found.doubts)
     assert {"explained", "improvement"} <= failed(found)
     (check,) = (check for check in found.checks if check.name == "explained")
     assert 0.7 < check.statistic < 1.6
@@ -132,7 +133,11 @@ def test_nothing_better_than_before_is_not_shown() -> None:
     cell = Cell()
     exact = machines.Machine(machines.arm(*UR5), cell.machine.base, cell.machine.tools)
     own, held_out = (exact.measure(cell.robot, cell.draw(n), rng=cell.rng, sigma=2e-4) for n in (40, 30))
-    assert failed(calib.assess(calib.identify(cell.model, own), held_out)) == {"improvement"}
+    found = calib.assess(calib.identify(cell.model, own), held_out)
+    assert failed(found) == {"improvement"}
+    assert "Nothing shows that the arm deviates from its URDF" in found.doubts[0]
+    # A job that keeps the URDF, as it says, is trusted.
+    assert calib.assess(calib.identify(calib.error_model(cell.robot), own), held_out).trusted
 
 
 def test_frames_alone_need_not_be_better(cell: Cell) -> None:
