@@ -43,7 +43,7 @@ _NOWHERE = 1e12
 _SINGULAR = 1e-14
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
 _SAME_COST, _CLEARLY_LESS, _HARDLY_MORE, _SHORTER = 1e-9, 0.5, 1.1, 0.7
-_LEAST_DAMPING, _MOST_FAILURES = 1.0, 1
+_LEAST_DAMPING, _MOST_FAILURES, _MOST_PATIENT_FAILURES = 1.0, 1, 8
 # Points that tell how full steps shrink, what counts as quickly, and by how little their weights may differ.
 _REMEMBERED, _QUICK, _ALIKE = 5, 0.1, 0.01
 # By how much stronger priors hold in a correction, and where their widths are more than can be searched.
@@ -51,6 +51,8 @@ _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
 # By this share of the cost the data must ask for a place from which narrower priors keep a parameter.
 _CLEARLY_HELD = 0.05
+# By this share they ask for it so strongly that a search which was given up is made again, with more patience.
+_STRONGLY_HELD = 0.1
 
 
 class Solution(NamedTuple):
@@ -106,8 +108,10 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
             break
         z, begin = end.z, end.weighted_by
     freed, last = False, end
-    for held, wider, released in _wider(problem, prior, narrowed) if converged else ():
-        ended = search._replace(prior=wider).released(last)
+    for held, wider, released, again in _wider(problem, prior, narrowed) if converged else ():
+        if again and (narrowed, not freed) <= (held, not released):
+            continue
+        ended = search._replace(prior=wider).released(last, again=again)
         if ended is None:
             continue
         last, done = ended
@@ -122,15 +126,21 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
     return found._replace(step=end.length, converged=converged, narrowed=narrowed, freed=freed)
 
 
-def _wider(problem: LeastSquares, prior: "_Prior", narrowed: float) -> Iterator[tuple[float, "_Prior", bool]]:
-    """Yield wider priors than those of a search, with the factor of the robot's and whether parameters are freed."""
+def _wider(problem: LeastSquares, prior: "_Prior", narrowed: float) -> Iterator[tuple[float, "_Prior", bool, bool]]:
+    """Yield wider priors than those of a search, with the factor of the robot's and whether parameters are freed.
+
+    Last: whether that is a second attempt, for where the first one was given up; it goes in smaller steps.
+    """
     freed, some = prior.freed(problem), any(parameter.freed is not None for parameter in problem.parameters)
     if narrowed > 1.0:
-        yield narrowed, prior.weighed_for_robot(narrowed), False
+        yield narrowed, prior.weighed_for_robot(narrowed), False, False
     if some:
-        yield narrowed, freed.weighed_for_robot(narrowed), True
+        yield narrowed, freed.weighed_for_robot(narrowed), True, False
+        yield narrowed, freed.weighed_for_robot(narrowed), True, True
     if narrowed > 1.0:
-        yield 1.0, freed, some
+        yield 1.0, freed, some, False
+        for share in (0.75, 0.5, 0.25, 0.0):
+            yield narrowed**share, freed.weighed_for_robot(narrowed**share), some, True
 
 
 class _Prior(NamedTuple):
@@ -262,6 +272,13 @@ class _Point(NamedTuple):
         """By how much the full step should lower the cost."""
         return self.rows.after(self.full, 0.0)
 
+    @property
+    def most_gained(self) -> float:
+        """The sum of squares of the component of which the full step should take most."""
+        none, parts = np.zeros(len(self.z)), self.evaluation.reweighted(self.noise.factors).alone
+        before, after = (np.array([own.after(step) for own in parts]) for step in (none, self.full))
+        return float(before[np.argmax(before - after)])
+
     def step(self, damping: float) -> Array:
         """Return the step (p,) of Levenberg and Marquardt, in units of what priors hold."""
         if damping == 0.0:
@@ -352,22 +369,25 @@ class _Search(NamedTuple):
         )
         return noise._replace(prior=prior, redundancies=redundancies)
 
-    def released(self, held: _Point) -> tuple[_Point, bool] | None:
+    def released(self, held: _Point, *, again: bool) -> tuple[_Point, bool] | None:
         """Return where the search ends from a point that narrower priors held, as :meth:`gauss_newton` does.
 
         None where they do not cost a clearly worse fit. A tool that is far from the flange is pulled towards it by a
-        narrow prior, and the residuals grow by that.
+        narrow prior, and the residuals grow by that: those of the rows that it is in, which may be few of all. A second
+        attempt, ``again``, is for what the data ask for strongly.
         """
         noise = self.noise(held.z, held.evaluation, held.weighted_by)
         begin = _Point.of(held.z, held.evaluation, held.weighted_by, noise)
-        clearly = begin.gain >= _CLEARLY_HELD * begin.cost(noise)
-        return self.gauss_newton(held.z, noise) if clearly else None
+        least = _STRONGLY_HELD if again else _CLEARLY_HELD
+        clearly = begin.gain >= least * (begin.most_gained + noise.prior.cost(held.z))
+        return self.gauss_newton(held.z, noise, patient=again) if clearly else None
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
+    def gauss_newton(self, z: Array, weighted_by: _Noise, *, patient: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
         the data: it is judged after corrections that lead back to the valley's floor, and damped where it fails then.
+        Patient: until several steps have failed one after the other.
         """
 
         def accepted(z: Array, evaluation: Evaluation, weighted_by: _Noise) -> _Point:
@@ -378,8 +398,9 @@ class _Search(NamedTuple):
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0
+        most = _MOST_PATIENT_FAILURES if patient else _MOST_FAILURES
         for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
-            if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
+            if failures > most or good.at_rest(slowly=slowly(path, failures, steps)):
                 break
             noise = good.noise
             if tried is not good:
@@ -402,13 +423,14 @@ class _Search(NamedTuple):
                 alike = np.max(np.abs(np.log(good.noise.factors))) < _ALIKE
                 path = [*path[-_REMEMBERED:], good] if alike and not self.problem.robust else [good]
                 damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
+                failures = 0 if patient else failures
             elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):
                 tried = trial
             else:
                 tried, failures, damping = good, failures + 1, max(10.0 * damping, _LEAST_DAMPING)
                 path = [good]
         # Where nothing lowers the cost, and little is foretold to, the search has come as far as rounding lets it.
-        stuck = failures > _MOST_FAILURES and good.noise.settled and good.gain < _HARDLY_A_GAIN
+        stuck = failures > most and good.noise.settled and good.gain < _HARDLY_A_GAIN
         return good, stuck or good.at_rest(slowly=slowly(path, failures, steps))
 
 
