@@ -17,6 +17,7 @@ import io
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,7 +132,9 @@ def real(repository: Path, splits: int = 2) -> None:
         order = np.random.default_rng(seed).permutation(len(data))
         test, seen = data.subset(order[: len(order) // 3]), data.subset(order[len(order) // 3 :])
         choice = choose_terms(calib.error_model(robot, offsets="all", placements="all"), seen)
-        for name, fit in (("geometry", choice.geometric), (f"{len(choice.terms)} terms", choice.fit)):
+        learning = replace(choice.model, priors=calib.Priors("learned", "learned", "learned", "learned"))
+        fits = {"geometry": choice.geometric, f"{len(choice.terms)} terms": choice.fit}
+        for name, fit in (fits | {"the same terms, widths learned": calib.identify(learning, seen)}).items():
             print(f"split {seed}, {len(seen)} rows, {name}: converged: {fit.converged}")
             print(f"  held out: {figures(fit, test)}")
             moved = calib.identify(fit.model, elsewhere, free=["base.*", "tool.*"], start=fit)
