@@ -130,8 +130,8 @@ def test_neither_the_order_of_rows_nor_the_world_moves_the_comparison() -> None:
     T = machines.anywhere(np.random.default_rng(1))
     assert data.position is not None
     moved = replace(data, position=data.position @ T[:3, :3].T + T[:3, 3])
-    first, *others = (compared(one, 3) for one in (data, data, data.subset(order), moved))
-    assert others[0].records() == first.records()
+    first, again, *others = (compared(one, 3) for one in (data, data, moved.subset(order)))
+    assert again.records() == first.records()
     for other in others:
         assert names(other) == names(first)
         assert other.recommended.name == first.recommended.name
@@ -353,7 +353,7 @@ def test_progress_tells_every_fit_and_how_many_are_left() -> None:
 def test_on_a_real_ur10_the_recommended_model_has_the_lowest_error_within_one_standard_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = script.compared(Path(str(DATASETS)) / "ur10_leica", 5)
+    found = script.compared(Path(str(DATASETS)) / "ur10_leica", 3)
     lowest = min(found.models, key=lambda judged: judged.held_out.rms)
     assert found.recommended.held_out.rms <= lowest.held_out.rms + lowest.held_out.standard_error
     assert found.recommended.name == TERMS
