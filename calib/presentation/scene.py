@@ -465,7 +465,9 @@ def _labels(scene: Scene) -> list[tuple[str, str]]:
     instrument = [] if same else [("frames/instrument", "instrument")]
     tools = [(f"frames/tip/tools/{_node(name)}", name) for name in scene.tools]
     tools += [(f"robot/{_node(link)}/tools/{_node(name)}", name) for name, (link, _) in scene.tools_on.items()]
-    marks = [("/".join(_path(mark)), mark.name) for mark in scene.marks]
+    # A camera on the tip is a tool: its name stands there already.
+    named = scene.tools.keys() | scene.tools_on.keys()
+    marks = [("/".join(_path(mark)), mark.name) for mark in scene.marks if mark.link is None or mark.name not in named]
     return [*base, *instrument, ("frames/tip", scene.tip), *tools, *marks]
 
 

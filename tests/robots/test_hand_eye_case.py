@@ -59,6 +59,8 @@ def test_the_figures_are_those_of_the_residuals(calibrated: tuple[Path, str]) ->
     # Two coordinates with 0.2 px each; what is left of the model is small beside them.
     assert told["rms"] < 1.1 * 0.2 * np.sqrt(2.0)
     assert result["noise"][0]["instrument"] == pytest.approx(0.2)
+    # The simulated arm comes back to where it was.
+    assert result["together"] == []
 
 
 def test_camera_and_board_are_found(calibrated: tuple[Path, str]) -> None:
