@@ -21,7 +21,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
-from calib.identification.identify import identify
+from calib.identification.identify import identify_alike
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import ordinary
@@ -68,7 +68,8 @@ def bootstrap(
     """Return repeated fits, and where they put a tool in the instrument's frame at readings (N, nr) in rad and m.
 
     ``kind`` "residuals" or "poses"; of poses, rows with one ``group`` stay together, or, without groups, rows with the
-    same readings. ``progress`` is told how many of how many are done.
+    same readings, and rows of photographs that err together are weighed as in the fit. ``progress`` is told how many of
+    how many are done.
 
     Raises JobError when there are fewer than two repetitions, MeasurementError for an unknown tool.
     """
@@ -87,18 +88,18 @@ def bootstrap(
     values, positions, failed = [], [], 0
     for done in range(repetitions):
         if kind == "poses":
-            sets = [data.subset(_drawn(rows, rng)) for data, rows in zip(fit.measurements, poses, strict=True)]
+            drawn = [_drawn(rows, rng) for rows in poses]
+            sets = [data.subset(rows) for data, (rows, _) in zip(fit.measurements, drawn, strict=True)]
+            together = tuple(own and own.drawn(*of) for own, of in zip(fit.together, drawn, strict=False))
         else:
-            sets = _with_other_residuals(fit, rng)
+            sets, together = _with_other_residuals(fit, rng), ()
         if {name for data in sets for name in data.seen_targets} != seen:  # nothing says where the others are
             failed += 1
             progress(done + 1, repetitions)
             continue
         # A minimal set was chosen once and for all: what it does not hold is not free here.
         try:
-            again = identify(
-                fit.model.within(sets), sets, free=free, start=fit, null_space="nearest", losses=fit.losses
-            )
+            again = identify_alike(fit, sets, free, start=fit, together=together)
         except IdentificationError:
             failed += 1
         else:
@@ -118,8 +119,11 @@ def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
     return tuple(np.flatnonzero(group == k) for k in range(int(group.max(initial=-1)) + 1))
 
 
-def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> IntArray:
-    return np.concatenate([groups[k] for k in rng.integers(len(groups), size=len(groups))])
+def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """Return rows of poses that were drawn, and the draw of each. What is drawn twice stays side by side."""
+    drawn = np.sort(rng.integers(len(groups), size=len(groups)))
+    rows = [groups[k] for k in drawn]
+    return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(own) for own in rows])
 
 
 def _with_other_residuals(fit: Fit, rng: np.random.Generator) -> list[Measurements]:

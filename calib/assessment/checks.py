@@ -32,6 +32,11 @@ ENOUGH = 10.0
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
 
+# What a user wants to know whose arm is as its maker says.
+_ALIKE = (
+    " Nothing shows that the arm deviates from its URDF: a job with neither offsets nor placements keeps that, and "
+    "finds the rest."
+)
 # Rows whose errors by every cause are in memory at a time.
 _BLOCK = 5000
 # A scatter of a nanometre is rounding, of data without noise.
@@ -44,6 +49,8 @@ LEFT = 0.05
 ONE_PLACE = 0.05
 SURELY = 0.975
 WORSE = -4.0
+# Errors before calibration that are within this of the noise show no deviation of the arm.
+AS_NOISE = 2.0
 PREDICTED = 3.0
 RARELY = 1e-4
 SIGMA, OF_REACH = 30.0, 5e-4
@@ -152,18 +159,24 @@ def _small(fit: Fit, unit: str) -> float:
 
 def explained(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether the machine explains what was measured at all."""
-    worst, what = 0.0, ""
-    for one in judged:
-        for quantity in QUANTITIES[one.data.kind]:
-            rest = float(np.sqrt(np.mean(np.sum(one.after[:, quantity.columns] ** 2, axis=1))))
-            spread = _spread(fit, [*fit.measurements, *(each.data for each in judged)], one.data, quantity.unit)
-            share = rest / spread if spread > 0.0 else 0.0
-            if share > worst:
-                worst, what = share, quantity.name
+    worst, what = _left(fit, judged, [one.after for one in judged])
     said = f"After calibration the errors are {worst:.2g} times the spread of what was measured"
     passed = worst <= LEFT
     cause = ": the readings do not belong to the measurements, or not to this robot."
     return _check("explained", worst, LEFT, passed, f"{said}." if passed else f"{said} ({what}){cause}")
+
+
+def _left(fit: Fit, judged: Sequence[JudgedSet], residuals: Sequence[Array]) -> tuple[float, str]:
+    """Return the largest rms of residuals as a share of the spread of what was measured, and of which quantity."""
+    worst, what = 0.0, ""
+    for one, r in zip(judged, residuals, strict=True):
+        for quantity in QUANTITIES[one.data.kind]:
+            rest = float(np.sqrt(np.mean(np.sum(r[:, quantity.columns] ** 2, axis=1))))
+            spread = _spread(fit, [*fit.measurements, *(each.data for each in judged)], one.data, quantity.unit)
+            share = rest / spread if spread > 0.0 else 0.0
+            if share > worst:
+                worst, what = share, quantity.name
+    return worst, what
 
 
 def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: str) -> float:
@@ -195,13 +208,15 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether errors are smaller than before, by more than chance makes them over different poses."""
     if not any(parameter.of_robot for parameter in fit.parameters):
         return _check("improvement", NOTHING, NOTHING, True, "No parameter of the robot was free.", least=True)
-    best, limit, worse = -np.inf, NOTHING, ""
+    best, limit, worse, deviates = -np.inf, NOTHING, "", False
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
         found = gain(judged, name)
         if not found.freedom:
             continue
         if found.t > best:
             best, limit = found.t, found.needed(SURELY)
+        clearly = found.t < WORSE or found.t > found.needed(SURELY)
+        deviates |= clearly or not found.before <= AS_NOISE * _noise(fit, name)
         if found.t < WORSE or (name in ("position", "pixels") and found.after >= found.before):
             worse = name
     if not np.isfinite(best):
@@ -210,19 +225,26 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         )
     held_out = any(one.use == "validation" for one in judged)
     data = "held-out data" if held_out else "the fitted data"
+    # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
+    deviates |= _left(fit, judged, [one.before for one in judged])[0] > LEFT
+    alike = "" if deviates else _ALIKE
     if worse:
-        return _check(
-            "improvement",
-            best,
-            limit,
-            False,
-            f"On {data} the {worse} error is no smaller than before calibration.",
-            least=True,
-        )
+        said = f"On {data} the {worse} error is no smaller than before calibration.{alike}"
+        return _check("improvement", best, limit, False, said, least=True)
     passed = best > limit
     said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
-    more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance."
+    more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance.{alike}"
     return _check("improvement", best, limit, passed, said + more, least=True)
+
+
+def _noise(fit: Fit, name: str) -> float:
+    """Return the rms of the errors of a quantity by the noise of the fit alone, zero where it has none."""
+    same = [noise for noise in fit.noise if noise.quantity == name and noise.degrees_of_freedom >= 1.0]
+    if not same:
+        return 0.0
+    columns = next(q.columns for q in QUANTITIES[fit.measurements[same[0].measurements].kind] if q.name == name)
+    mean = np.average([n.total**2 for n in same], weights=[n.degrees_of_freedom for n in same])
+    return float(np.sqrt((columns.stop - columns.start) * mean))
 
 
 def _readings(data: Measurements) -> Array:
@@ -613,7 +635,12 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     if worst > 1.0:
         said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
         return _check("lengths", worst * LINK, LINK, False, said)
-    said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF." if moved.any() else "No lengths were free."
+    if not moved.any():
+        said = "No lengths were free."
+    elif np.isnan(scale):
+        said = "Nothing tells whether all links are longer than in the URDF."
+    else:
+        said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF."
     return _check("lengths", abs(scale), SCALE, True, said)
 
 

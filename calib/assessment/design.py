@@ -34,6 +34,8 @@ _MOST_PASSES = 30
 _IMPROVES = 1e-9
 # What stands in for information where nothing is known yet, as a share of what a typical candidate brings.
 _NOTHING_KNOWN = 1e-9
+# A pose that changes what is known in some direction by more than this factor is reckoned with from scratch.
+_KEEPS_DIGITS = 1e3
 
 
 class DesignRows(NamedTuple):
@@ -134,12 +136,23 @@ def space(
 
 def value_of(s: Space, chosen: Sequence[int]) -> float:
     """Return the criterion's value of a design: of D log det M, else the mean square error at the working poses."""
-    return _state(s, chosen).value(s)
+    return _State.of(s, chosen).value(s)
 
 
 def parts_of(s: Space, chosen: Sequence[int]) -> tuple[float, float]:
     """Return the two parts of an A- or I-design's value: the mean variance, and the mean square of the misfit."""
-    return _state(s, chosen).parts(s)
+    return _State.of(s, chosen).parts(s)
+
+
+def unseen(s: Space) -> float:
+    """Return the part of an A- or I-design's mean variance that no candidate makes less: before, priors bound it.
+
+    It is what remains when all candidates are measured without noise.
+    """
+    A = linear.triangle(_flat(s.A))
+    _, sizes, Vt = np.linalg.svd(A)
+    Z = Vt[int(np.count_nonzero(sizes > identifiability.RANK_TOLERANCE * sizes[0])) :].T
+    return float(np.trace(np.linalg.solve(Z.T @ s.given @ Z, Z.T @ s.C @ Z)))
 
 
 def choose(
@@ -181,12 +194,12 @@ def sequence(s: Space, count: int) -> tuple[int, ...]:
     """
     if not 0 <= count <= len(s.A):
         raise JobError(f"{count} poses cannot be chosen from {len(s.A)} candidates.")
-    chosen: list[int] = []
-    for _ in range(count):
-        gains = _state(s, chosen).gains(s)
-        gains[chosen] = -np.inf
-        chosen.append(int(np.argmax(gains)))
-    return tuple(chosen)
+    gains = _Gains.of(s, ())
+    while len(gains.chosen) < count:
+        of_each = gains.of_each()
+        of_each[list(gains.chosen)] = -np.inf
+        gains = gains.plus(int(np.argmax(of_each)), len(gains.chosen))
+    return gains.chosen
 
 
 def random_values(s: Space, count: int, designs: int, seed: int = 0) -> Array:
@@ -196,23 +209,24 @@ def random_values(s: Space, count: int, designs: int, seed: int = 0) -> Array:
 
 
 def _exchanged(s: Space, begin: Sequence[int]) -> Design:
-    chosen = list(begin)
+    gains = _Gains.of(s, tuple(begin))
     exchanges, unchanged = 0, 0
-    for step in range(_MOST_PASSES * len(chosen)):
+    for step in range(_MOST_PASSES * len(begin)):
+        chosen = gains.chosen
         if unchanged == len(chosen):
             return Design(tuple(sorted(chosen)), value_of(s, chosen), exchanges, True)
-        i = step % len(chosen)
-        c = chosen[i]
-        gains = _state(s, chosen[:i] + chosen[i + 1 :]).gains(s)
-        taken = gains[c]
-        gains[chosen] = -np.inf
-        new = int(np.argmax(gains))
-        if gains[new] > taken + _IMPROVES * abs(taken):
-            chosen[i] = new
+        place = step % len(chosen)
+        without = gains.less(place)
+        of_each = without.of_each()
+        taken = of_each[chosen[place]]
+        of_each[list(chosen)] = -np.inf
+        new = int(np.argmax(of_each))
+        if of_each[new] > taken + _IMPROVES * abs(taken):
+            gains = without.plus(new, place)
             exchanges, unchanged = exchanges + 1, 0
         else:
             unchanged += 1
-    return Design(tuple(sorted(chosen)), value_of(s, chosen), exchanges, False)
+    return Design(tuple(sorted(gains.chosen)), value_of(s, gains.chosen), exchanges, False)
 
 
 class _State(NamedTuple):
@@ -222,9 +236,12 @@ class _State(NamedTuple):
     X: Array
 
     @classmethod
-    def of(cls, M: Array, G: Array) -> "_State":
-        P = np.linalg.inv(M)
-        return cls(0.5 * (P + P.T), P @ G)
+    def of(cls, s: Space, chosen: Sequence[int]) -> "_State":
+        index = np.asarray(chosen, dtype=np.intp)
+        A, H = _flat(s.A[index]), _flat(s.H[index])
+        P = np.linalg.inv(s.given + A.T @ A)
+        P = 0.5 * (P + P.T)
+        return cls(P, P @ (s.given_misfit + A.T @ H))
 
     def value(self, s: Space) -> float:
         if s.criterion == "D":
@@ -235,45 +252,104 @@ class _State(NamedTuple):
         bias = np.sum(self.X * (s.C @ self.X)) - 2.0 * np.sum(self.X * s.C_misfit) + s.misfit
         return float(np.sum(self.P * s.C)), float(bias)
 
-    def gains(self, s: Space) -> Array:
-        """Return by how much each candidate (N,) would improve the criterion if it came on top."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gains:
+    """By how much each candidate would improve a design, for designs of which each differs little from the last.
+
+    ``S`` (m, m, N): A P A^T + 1 of every candidate, and ``W`` (m, m, N): A P C P A^T, zeros for D. A pose that comes
+    or goes changes both by matrices of rank m, which costs a candidate r m^2 in place of r^2 m.
+    """
+
+    s: Space
+    rows: Array
+    misfit: Array
+    chosen: tuple[int, ...]
+    state: _State
+    S: Array
+    W: Array
+
+    @classmethod
+    def of(cls, s: Space, chosen: tuple[int, ...]) -> "_Gains":
+        """Return them of a design from scratch."""
         N, m, r = s.A.shape
-        AP = (_flat(s.A) @ self.P).reshape(N, m, r)
-        S = AP @ np.swapaxes(s.A, 1, 2) + np.eye(m)
+        rows = np.ascontiguousarray(s.A.transpose(2, 1, 0)).reshape(r, m * N)
+        return cls._at(s, rows, np.ascontiguousarray(s.H.transpose(2, 1, 0)), chosen)
+
+    @classmethod
+    def _at(cls, s: Space, rows: Array, misfit: Array, chosen: tuple[int, ...]) -> "_Gains":
+        N, m, r = s.A.shape
+        state = _State.of(s, chosen)
+        AP = (state.P @ rows).reshape(r, m, N)
+        S = np.einsum("rin,rjn->ijn", AP, rows.reshape(r, m, N)) + np.eye(m)[:, :, None]
+        W = np.zeros_like(S)
+        if s.criterion != "D":
+            W = np.einsum("rin,rjn->ijn", (s.C @ AP.reshape(r, m * N)).reshape(r, m, N), AP)
+        return cls(s, rows, misfit, chosen, state, S, W)
+
+    def less(self, place: int) -> "_Gains":
+        """Return the gains beside the design without the candidate at a place."""
+        return self._changed(self.chosen[place], -1.0, self.chosen[:place] + self.chosen[place + 1 :])
+
+    def plus(self, c: int, place: int) -> "_Gains":
+        """Return the gains beside the design with one more candidate, at a place."""
+        return self._changed(c, 1.0, (*self.chosen[:place], c, *self.chosen[place:]))
+
+    def _changed(self, c: int, sign: float, chosen: tuple[int, ...]) -> "_Gains":
+        s, (P, X) = self.s, self.state
+        # P' = P - U T U^T, with U = P A_c^T; where little of the information remains, its digits would not.
+        m, N = len(s.A[c]), len(s.A)
+        U = P @ s.A[c].T
+        left = np.eye(m) + sign * (s.A[c] @ U)
+        if not 1.0 / _KEEPS_DIGITS < np.linalg.eigvalsh(left)[0] < np.linalg.eigvalsh(left)[-1] < _KEEPS_DIGITS:
+            return self._at(s, self.rows, self.misfit, chosen)
+        T = sign * np.linalg.inv(left)
+        T = 0.5 * (T + T.T)
+        state = _State(P - U @ T @ U.T, X + U @ T @ (s.H[c] - s.A[c] @ X))
+        PCU = P @ (s.C @ U)
+        K = (0.5 * U @ T @ (U.T @ s.C @ U) - PCU) @ T
+        moved = np.concatenate([U, U @ T, K], axis=1).T @ self.rows
+        Y, YT, YK = moved.reshape(3, m, m, N)
+        S = self.S - np.einsum("kin,kjn->ijn", YT, Y)
+        W = self.W
+        if s.criterion != "D":
+            of_rows = np.einsum("kin,kjn->ijn", Y, YK)
+            W = W + of_rows + np.swapaxes(of_rows, 0, 1)
+        return _Gains(s, self.rows, self.misfit, chosen, state, S, W)
+
+    def of_each(self) -> Array:
+        """Return by how much each candidate (N,) would improve the criterion if it came on top."""
+        s = self.s
+        inverse, log_determinant = _inverses(self.S)
         if s.criterion == "D":
-            return np.asarray(np.linalg.slogdet(S)[1])
+            return log_determinant
         # P' = P - K A P and X' = X + K (H - A X), with K = P A^T S^-1; all of it in matrices of m rows.
-        S_inverse = _inverses(S)
-        W = (_flat(AP) @ s.C).reshape(N, m, r) @ np.swapaxes(AP, 1, 2)
-        gain = np.einsum("nij,nij->n", S_inverse, W)
-        if s.H.shape[2]:
-            h = s.H.shape[2]
-            E = S_inverse @ (s.H - (_flat(s.A) @ self.X).reshape(N, m, h))
-            toward = (_flat(AP) @ (s.C @ self.X - s.C_misfit)).reshape(N, m, h)
-            gain -= 2.0 * np.einsum("nij,nij->n", E, toward)
-            gain -= np.einsum("nij,nij->n", W, E @ np.swapaxes(E, 1, 2))
+        gain = np.einsum("ijn,ijn->n", inverse, self.W)
+        if h := s.H.shape[2]:
+            P, X = self.state
+            toward = np.concatenate([X, P @ (s.C @ X - s.C_misfit)], axis=1).T @ self.rows
+            AX, AY = toward.reshape(2, h, *self.S.shape[1:])
+            E = np.einsum("ijn,hjn->hin", inverse, self.misfit - AX)
+            gain -= 2.0 * np.einsum("hin,hin->n", E, AY)
+            gain -= np.einsum("ijn,ijn->n", self.W, np.einsum("hin,hjn->ijn", E, E))
         return np.asarray(gain)
 
 
-def _state(s: Space, chosen: Sequence[int]) -> _State:
-    index = np.asarray(chosen, dtype=np.intp)
-    A, H = _flat(s.A[index]), _flat(s.H[index])
-    return _State.of(s.given + A.T @ A, s.given_misfit + A.T @ H)
-
-
-def _inverses(S: Array) -> Array:
-    """Return the inverses (N, m, m) of many small positive definite matrices.
+def _inverses(S: Array) -> tuple[Array, Array]:
+    """Return the inverses (m, m, N) of many small positive definite matrices, and their log determinants (N,).
 
     Gauss and Jordan's elimination of all of them at once: definite ones need no pivots, and a call of LAPACK for each
     takes ten times as long.
     """
-    T = np.ascontiguousarray(np.moveaxis(S, 0, 2))
+    T, log_determinant = S.copy(), np.zeros(S.shape[2])
     for k in range(len(T)):
-        row, column = T[k] / T[k, k], T[:, k].copy()
+        pivot = T[k, k].copy()
+        row, column = T[k] / pivot, T[:, k].copy()
         T -= column[:, None] * row
-        T[k], T[:, k] = row, -column / column[k]
-        T[k, k] = 1.0 / column[k]
-    return np.ascontiguousarray(np.moveaxis(T, 2, 0))
+        T[k], T[:, k] = row, -column / pivot
+        T[k, k] = 1.0 / pivot
+        log_determinant += np.log(pivot)
+    return T, log_determinant
 
 
 def _flat(rows: Array) -> Array:

@@ -34,7 +34,7 @@ _LEAST_ROWS = 2
 # Of a target with more rows than these not every place is tried.
 _MOST_SPLITS = 10_000
 _MOST_WORDS = 1000
-# Of more targets that groups have in common it is not asked where each group has them.
+# Of more blocks that groups have in common it is not asked where each group has them.
 _MOST_SHARED = 100
 
 GroupKind = Literal["target", "group", "file"]
@@ -95,34 +95,47 @@ class OutlyingGroup:
 class _Split(NamedTuple):
     """What the doubled unknowns Z of a target, for its first ``before`` rows or for those after, see and gain.
 
-    ``S`` (k, p): Z^T J; ``g`` (k,): Z^T r. ``later``: Z is for the rows after. ``gain``: chi-squared.
+    ``own`` (k, k): Z^T Z; ``T`` (k, c): Z^T J by common parameters, blocks following; ``g`` (k,): Z^T r. ``left`` (k,
+    k): what is left of ``own`` when all other unknowns follow. ``later``: Z is for the rows after. ``gain``:
+    chi-squared.
     """
 
     before: int
-    S: Array
+    own: Array
+    T: Array
     g: Array
+    left: Array
     later: bool
     gain: float
 
 
 class _Run:
-    """Walks along the ``number`` rows of one target, with ``unknowns`` that are ``columns`` (k,) of its rows.
+    """Walks along the ``number`` rows of one target, with ``unknowns`` that are ``columns`` (k,) of its rows."""
 
-    ``block``: that of the target, -1 where its unknowns are among the common ones.
-    """
-
-    def __init__(self, unknowns: Sequence[Parameter], columns: Sequence[int], block: int, number: int) -> None:
-        self.unknowns, self.block = unknowns, block
+    def __init__(self, unknowns: Sequence[Parameter], columns: Sequence[int], number: int) -> None:
+        self.unknowns = unknowns
         self.columns = list(columns)
         self.rows: list[tuple[int, int]] = []
         self._step = -(-number // _MOST_SPLITS)
         self._sum: Array | float = 0.0
         self._sums: list[Array] = []
+        self._of_blocks: list[Array] = []
+        self._block: list[IntArray] = []
 
-    def add(self, i: int, rows: Array, weighted: Array) -> None:
-        """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, p + 1)."""
+    def add(self, i: int, rows: Array, weighted: Array, block: IntArray, follow: Array) -> None:
+        """Walk over ``rows`` (n,) of set i with their ``[J r]`` (n, d, c + a + 1), of a ``block`` (n,) each.
+
+        ``follow`` (m, a, c): how blocks follow common parameters.
+        """
         Z = np.swapaxes(weighted[:, :, self.columns], -1, -2)
-        sums = self._sum + np.cumsum(Z @ weighted, axis=0)
+        c = follow.shape[2]
+        common, by_own = weighted[:, :, :c], weighted[:, :, c:-1]
+        if by_own.shape[2]:
+            common = common + np.where(block[:, None, None] >= 0, by_own @ follow[block], 0.0)
+            self._of_blocks.append(Z @ by_own)
+            self._block.append(block)
+        seen = np.concatenate([Z @ common, Z @ weighted[:, :, -1:], Z @ weighted[:, :, self.columns]], axis=2)
+        sums = self._sum + np.cumsum(seen, axis=0)
         self._sum = sums[-1]
         self._sums.append(sums[(len(self.rows) + np.arange(1, len(rows) + 1)) % self._step == 0])
         self.rows += [(i, int(n)) for n in rows]
@@ -136,31 +149,52 @@ class _Run:
         enough = (before >= _LEAST_ROWS) & (before <= len(self.rows) - _LEAST_ROWS)
         if not enough.any():
             return
-        tried = np.concatenate(self._sums)[enough]
+        tried, c, before = np.concatenate(self._sums)[enough], len(residue.split.common), before[enough]
         for later, of_half in ((True, self._sum - tried), (False, tried)) if related else ((False, tried),):
-            S, g = of_half[:, :, :-1], of_half[:, :, -1]
-            values, V = np.linalg.eigh(self.left(residue, S))
-            can_tell = values[:, 0] > ALONE * np.trace(S[:, :, self.columns], axis1=1, axis2=2)
+            T, g, own = of_half[:, :, :c], of_half[:, :, c], of_half[:, :, c + 1 :]
+            left = own - T @ residue.covariance.common @ np.swapaxes(T, -1, -2)
+            if self._block:
+                left = left - self._taken_by_blocks(residue.covariance.root, later=later)[before - 1]
+            values, V = np.linalg.eigh(left)
+            can_tell = values[:, 0] > ALONE * np.trace(own, axis1=1, axis2=2)
             u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
             gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
             for k, gain in enumerate(gains.tolist()):
-                yield _Split(int(before[enough][k]), S[k], g[k], later, gain)
+                yield _Split(int(before[k]), own[k], T[k], g[k], left[k], later, gain)
 
-    def through(self, residue: Residue, S: Array) -> Array:
-        """Return what S (..., k, c + a) sees of common parameters (c), the target following them."""
-        c = len(residue.split.common)
-        if self.block < 0:
-            return S[..., :c]
-        return np.asarray(S[..., :c] + S[..., c:] @ residue.covariance.follow[self.block])
+    def _taken_by_blocks(self, root: Array, *, later: bool) -> Array:
+        """Return what blocks take (n, k, k) of the doubled unknowns of the rows up to every row, or of those after it.
 
-    def left(self, residue: Residue, S: Array) -> Array:
-        """Return what is left (n, k, k) of the doubled unknowns' own normal equations, S being (n, k, c + a)."""
-        T = self.through(residue, S)
-        found = S[:, :, self.columns] - T @ residue.covariance.common @ np.swapaxes(T, -1, -2)
-        if self.block >= 0:
-            own = S[:, :, len(residue.split.common) :] @ residue.covariance.root[self.block]
-            found = found - own @ np.swapaxes(own, -1, -2)
-        return np.asarray(found)
+        A row changes what its own block takes, and nothing of what the others do.
+        """
+        seen, block = np.concatenate(self._of_blocks), np.concatenate(self._block)
+        if later:
+            seen, block = seen[::-1], block[::-1]
+        order = np.argsort(block, kind="stable")
+        sums, first = np.cumsum(seen[order], axis=0), np.flatnonzero(np.diff(block[order], prepend=-2))
+        counts = np.diff(first, append=len(order))
+        sums -= np.repeat(sums[first] - seen[order][first], counts, axis=0)
+        sums = np.where(block[order][:, None, None] >= 0, sums @ root[block[order]], 0.0)
+        taken = sums @ np.swapaxes(sums, -1, -2)
+        change = np.diff(taken, axis=0, prepend=0.0)
+        change[first] = taken[first]
+        found = np.empty_like(change)
+        found[order] = change
+        found = np.cumsum(found, axis=0)
+        return np.concatenate([found[-2::-1], np.zeros_like(found[:1])]) if later else np.asarray(found)
+
+    def by_block(self, split: _Split) -> Mapping[int, Array]:
+        """Return what the doubled unknowns of a split see of blocks (k, a), by number."""
+        if not self._block:
+            return {}
+        some = slice(split.before, None) if split.later else slice(split.before)
+        seen, block = np.concatenate(self._of_blocks)[some], np.concatenate(self._block)[some]
+        return {number: seen[rows].sum(axis=0) for number, rows in numbered(block) if number >= 0}
+
+
+def _shared(one: Mapping[int, Array], other: Mapping[int, Array], root: Array) -> Array | float:
+    """Return what the doubled unknowns of two targets have with each other through blocks (k, l), these solved for."""
+    return sum(((one[b] @ root[b]) @ (other[b] @ root[b]).T for b in one.keys() & other.keys()), start=0.0)
 
 
 def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
@@ -170,7 +204,7 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
     that has moved bends the machine, and makes others seem to have moved.
     """
     sets = residue.fit.measurements
-    runs = _runs(residue)
+    runs, follow = _runs(residue), residue.covariance.follow
     of_number = [[runs.get(name) for name in data.targets] for data in sets]
     for block in residue.blocks() if runs else ():
         data, weighted = sets[block.measurements], block.weighted
@@ -179,7 +213,7 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
         for t, own in numbered(data.target[block.rows]):
             run = of_number[block.measurements][t]
             if run is not None:
-                run.add(block.measurements, block.rows.start + own, weighted[own])
+                run.add(block.measurements, block.rows.start + own, weighted[own], block.block[own], follow)
     related = {name for relation in residue.fit.model.relations for name in relation.targets}
     tried = {name: list(run.splits(residue, related=name in related)) for name, run in runs.items()}
     number = sum(map(len, tried.values()))
@@ -188,14 +222,14 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
     if not best:
         return ()
     # The normal equations of all best splits together, the model's own parameters eliminated: what a split sees of
-    # common parameters, targets following, is what it has with others.
-    g = {name: split.g for name, split in best.items()}
-    T = {name: runs[name].through(residue, split.S) for name, split in best.items()}
-    M = {name: runs[name].left(residue, split.S[None])[0] for name, split in best.items()}
+    # common parameters, blocks following, and of blocks is what it has with others.
+    g, M = ({name: getattr(split, part) for name, split in best.items()} for part in ("g", "left"))
+    T = {name: split.T for name, split in best.items()}
+    of_blocks = {name: runs[name].by_block(split) for name, split in best.items()}
     found: list[Jump] = []
     gained, freedom = 0.0, 0
-    # What the jumps that were told have taken from what splits have with each other.
-    common = residue.covariance.common
+    # What splits have with the jumps that were told, and what these had left.
+    told: list[tuple[Mapping[str, Array], Array]] = []
     while best:
         shifts = {name: np.linalg.solve(M[name], g[name]) for name in best}
         order = sorted(best, key=lambda name: (float(g[name] @ shifts[name]) / len(g[name]), name), reverse=True)
@@ -207,13 +241,16 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
             found.append(_jump(residue, runs[name], name, split, shift, gain, p, min(1.0, number * p)))
             if found[-1].is_told(level):
                 gained, freedom = gained + raw, freedom + d
-                # With others it has -T C T'; taking it out changes what is left of them, and C.
-                inverse = np.linalg.inv(M[name])
-                across = {other: -T[other] @ common @ T[name].T for other in best}
-                for other, coupling in across.items():
+                inverse, through = np.linalg.inv(M[name]), residue.covariance.common @ T[name].T
+                across: dict[str, Array] = {}
+                for other in best:
+                    coupling = -T[other] @ through - _shared(of_blocks[other], of_blocks[name], residue.covariance.root)
+                    for before, inverse_before in told:
+                        coupling = coupling - before[other] @ inverse_before @ before[name].T
+                    across[other] = coupling
                     g[other] = g[other] - coupling @ inverse @ g[name]
                     M[other] = M[other] - coupling @ inverse @ coupling.T
-                common = common + common @ T[name].T @ inverse @ T[name] @ common
+                told.append((across, inverse))
                 break
     return tuple(sorted(found, key=lambda jump: (jump.p, jump.target)))
 
@@ -237,7 +274,7 @@ def _jump(
         gain,
         p,
         chance,
-        float(np.sqrt(shift @ split.S[:, run.columns] @ shift / moved)),
+        float(np.sqrt(shift @ split.own @ shift / moved)),
     )
 
 
@@ -252,14 +289,11 @@ def _runs(residue: Residue) -> Mapping[str, _Run]:
     for data in residue.fit.measurements:
         if data.kind in WITH_TARGET:
             counts.update({data.targets[t]: len(rows) for t, rows in numbered(data.target)})
-    split = residue.split
-    block_of, c = split.block_of, len(split.common)
-    found = {}
-    for name, own in numbers.items():
-        block = int(block_of[own[0]])
-        columns = np.searchsorted(split.common, own) if block < 0 else c + np.arange(len(own))
-        found[name] = _Run([residue.fit.parameters[k] for k in own], columns.tolist(), block, counts[name])
-    return found
+    columns = residue.split.columns
+    return {
+        name: _Run([residue.fit.parameters[k] for k in own], columns[own].tolist(), counts[name])
+        for name, own in numbers.items()
+    }
 
 
 # ---- groups
@@ -287,30 +321,21 @@ def groups_of(residue: Residue) -> tuple[OutlyingGroup, ...]:
             for number, rows in numbered(of_kind):
                 if number >= 0:
                     triangles[number].add(common[rows], weighted[rows][:, :, c:-1], block.block[rows])
-    things = _things(residue)
-    # How many groups of a kind are about a target: of one that only this group saw, nobody can disagree.
+    # How many groups of a kind are about a block: of one that only this group saw, nobody can disagree.
     of_kind_counts: dict[GroupKind, IntArray] = {}
     for (kind, _), own in zip(keys, seen, strict=True):
         of_kind_counts.setdefault(kind, np.zeros(m, dtype=np.intp))[own] += 1
     counts = [of_kind_counts[kind] for kind, _ in keys]
     found = [
-        _group(residue, *key, members[key], triangle, own[many[own] > 1], things, len(members))
+        _group(residue, *key, members[key], triangle, own[many[own] > 1], len(members))
         for key, triangle, own, many in zip(keys, triangles, seen, counts, strict=True)
     ]
     return tuple(sorted(found, key=lambda group: (np.nan_to_num(group.p, nan=1.0), group.kind, group.name)))
 
 
 def _blocks_of(residue: Residue, members: Mapping[tuple[GroupKind, str], Mapping[int, IntArray]]) -> list[IntArray]:
-    """Return the targets that were eliminated which the rows of every group are about, by block."""
-    block_of = {
-        residue.fit.parameters[own[0]].name.removeprefix("target.").rpartition(".")[0]: k
-        for k, own in enumerate(residue.split.blocks)
-    }
-    of_set = [
-        np.array([*(block_of.get(name, -1) for name in data.targets), -1], dtype=np.intp)[data.target]
-        for data in residue.fit.measurements
-    ]
-    found = []
+    """Return the blocks that the rows of every group are about."""
+    of_set, found = residue.whose, []
     for rows_of in members.values():
         own = np.unique(np.concatenate([of_set[i][rows] for i, rows in rows_of.items()]))
         found.append(own[own >= 0])
@@ -351,10 +376,10 @@ def _rows_of(labels: npt.NDArray[Any]) -> Iterator[tuple[Any, IntArray]]:
         yield names[k], rows[k]
 
 
-def _things(residue: Residue) -> Mapping[str, list[int]]:
-    """Return what could be another one in a group, by columns: every parameter of the robot, the base and tools."""
+def _things(parameters: Sequence[Parameter]) -> Mapping[str, list[int]]:
+    """Return what could be another one in a group, by number: every parameter of the robot, bases and tools."""
     found: dict[str, list[int]] = {}
-    for k, parameter in enumerate(residue.fit.parameters[k] for k in residue.split.common):
+    for k, parameter in enumerate(parameters):
         if not parameter.nuisance:
             name = parameter.name if parameter.of_robot else parameter.name.rpartition(".")[0]
             found.setdefault(name, []).append(k)
@@ -368,10 +393,9 @@ def _group(
     members: Mapping[int, IntArray],
     collected: Collected,
     shared: IntArray,
-    things: Mapping[str, list[int]],
     number: int,
 ) -> OutlyingGroup:
-    C, J, r, blocks, taken = _seen_by(residue, collected, shared)
+    C, J, r, parameters, blocks, taken = _seen_by(residue, collected, shared)
     U, s, Vt = np.linalg.svd(J, full_matrices=False)
     # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
     seen = s > max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * s.max(initial=0.0))
@@ -390,7 +414,7 @@ def _group(
     alone = taken + len(h) - freedom
     all_squares = q + float(r @ r - c @ c)
     after = float(residue.scatter(all_squares, float(numbers) - alone))
-    best, gain = max(_gains(C, J, r, things), key=lambda found: found[1], default=("", 0.0))
+    best, gain = max(_gains(C, J, r, _things(parameters)), key=lambda found: found[1], default=("", 0.0))
     return OutlyingGroup(
         kind,
         name,
@@ -409,19 +433,20 @@ def _group(
 class _Seen(NamedTuple):
     """What a group sees: the covariance (k, k) of columns, ``J`` (q, k) and ``r`` (q,) of its rows.
 
-    The columns are those of common parameters, then of ``blocks``. ``alone``: how many directions of targets were left
-    out, which only this group saw.
+    The columns are ``parameters``: common ones, then those of ``blocks``. ``alone``: how many directions of blocks were
+    left out, which only this group saw.
     """
 
     C: Array
     J: Array
     r: Array
+    parameters: Sequence[Parameter]
     blocks: IntArray
     alone: int
 
 
 def _seen_by(residue: Residue, collected: Collected, shared: IntArray) -> _Seen:
-    """Return what a group sees, by common parameters, then of targets ``shared`` with other groups, or its only one."""
+    """Return what a group sees, by common parameters, then of blocks ``shared`` with other groups, or its only one."""
     which, heads = collected.heads
     split, c = residue.split, len(residue.split.common)
     kept = which if len(which) == 1 else shared if len(shared) <= _MOST_SHARED else shared[:0]
@@ -437,8 +462,9 @@ def _seen_by(residue: Residue, collected: Collected, shared: IntArray) -> _Seen:
     triangle = np.concatenate([rows.reshape(-1, width), np.insert(rest, [c] * (width - c - 1), 0.0, axis=1)])
     own = split.blocks[kept]
     triangle = np.delete(triangle, c + np.flatnonzero(own.ravel() < 0), axis=1)
-    C = residue.covariance.of(np.concatenate([split.common, own[own >= 0]]))
-    return _Seen(C, triangle[:, :-1], triangle[:, -1], kept, alone)
+    columns = np.concatenate([split.common, own[own >= 0]])
+    parameters = [residue.fit.parameters[k] for k in columns]
+    return _Seen(residue.covariance.of(columns), triangle[:, :-1], triangle[:, -1], parameters, kept, alone)
 
 
 def _gains(C: Array, J: Array, r: Array, things: Mapping[str, list[int]]) -> Iterator[tuple[str, float]]:

@@ -14,6 +14,7 @@ from calib.measurement.instruments import Camera
 from calib.measurement.lens import Lens
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import lens_at, lens_scalars
+from calib.measurement.projection import project
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,10 +102,28 @@ def lens_of(fit: Fit, camera: Camera) -> tuple[Lens, Array]:
 
 def _depths(fit: Fit, data: Measurements) -> Array:
     """Return how far marks (N,) are before the camera, in m."""
+    cameras, boards = _cameras_and_boards(fit, data)
+    return np.abs(marks_seen(cameras, boards, data.value[:, 2:])[1][:, 2])
+
+
+def _cameras_and_boards(fit: Fit, data: Measurements) -> tuple[Array, Array]:
+    """Return the poses (N, 4, 4) of cameras and of boards of rows, in the frame in which their targets are told."""
     camera = data.camera
     assert camera is not None, "asked of what cameras saw"
     tools = fit.tips_before_targets(data) @ fit.tools_of(data)
     known = {name: fit.machine.frames.targets[k] for k, name in enumerate(fit.measurements[0].targets)}
     targets = np.stack([known.get(name, np.eye(4)) for name in data.targets])[data.target]
-    cameras, boards = (tools, targets) if camera.camera_on == "tip" else (targets, tools)
-    return np.abs(marks_seen(cameras, boards, data.value[:, 2:])[1][:, 2])
+    return (tools, targets) if camera.camera_on == "tip" else (targets, tools)
+
+
+def marks_and_pixels(fit: Fit, data: Measurements) -> tuple[Array, Array]:
+    """Return where marks (N, 3) of rows are, and what a pixel is there (N, 3, 2): m across the line of sight for 1 px.
+
+    Both are in the frame in which the rows' targets are told; boards are as they were to be printed.
+    """
+    assert data.camera is not None, "asked of what cameras saw"
+    cameras, boards = _cameras_and_boards(fit, data)
+    seen = marks_seen(cameras, boards, data.value[:, 2:])[1]
+    R = cameras[:, :3, :3]
+    of_pixel = np.linalg.pinv(project(lens_of(fit, data.camera)[0], seen).by_point)
+    return (R @ seen[:, :, None])[:, :, 0] + cameras[:, :3, 3], np.asarray(R @ of_pixel)

@@ -47,8 +47,8 @@ class Influence:
 class WhitenedRows(NamedTuple):
     """Rows of one set: whitened residuals (n, d), Jacobian (n, d, c + a) and weights (n,) given by the set's loss.
 
-    The columns are those of the common parameters, then those of the row's own ``block`` (n,), -1 for none: a target
-    that was eliminated (:mod:`calib.identification.arrow`). Where there are none, a is 0.
+    The columns are those of the common parameters, then those of the row's own ``block`` (n,), -1 for none: a target,
+    or what else was eliminated (:mod:`calib.identification.elimination`). Where there are none, a is 0.
     """
 
     measurements: int
@@ -166,6 +166,15 @@ class Residue:
                 whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]
                 whole = self.problem.whitened(i, block.rows, whole)
                 yield WhitenedRows(i, block.rows, whole[:, :, -1], whole[:, :, :-1], number, self.w[i][block.rows])
+
+    @cached_property
+    def whose(self) -> tuple[IntArray, ...]:
+        """The block (N,) of every row of every set, -1 for none."""
+        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters), self.split)
+        return tuple(
+            np.full(len(data), -1, dtype=np.intp) if (own := rates.whose(data)) is None else own
+            for data in self.fit.measurements
+        )
 
     def covariances(self, rows: WhitenedRows) -> Array:
         """Return the covariance (c, c) of the columns of rows, or (n, c + a, c + a) of those of every row."""

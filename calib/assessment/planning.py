@@ -45,8 +45,8 @@ class Plan:
     ``readings`` (n, nr) in rad and m, one near the next; ``chosen``: which of the candidates these are. ``rank`` of
     ``parameters``: what all candidates together would determine. ``forecasts``: by number of poses. ``indices`` and
     ``random_indices``: O1 to O5 of the chosen and, as medians, of random poses. ``enough``: the fewest poses whose
-    forecast keeps within a target; None where no target is given or nothing suffices. ``floor``: rms in m of what the
-    model leaves out, which no number of poses removes.
+    forecast keeps within a target; None where no target is given or nothing suffices. ``floor``: rms in m of what no
+    number of poses removes: what the model leaves out, and what only priors tell, as the size of all that cameras see.
     """
 
     __repr__ = brief
@@ -147,7 +147,7 @@ def planned(
     # The best sequence of many begins with that of few.
     order = design.sequence(judged, max(counts))
     found = design.choose(judged, count, order=order, progress=progress)
-    floor = design.parts_of(by_error, range(len(candidates)))[1]
+    floor = design.parts_of(by_error, range(len(candidates)))[1] + design.unseen(by_error)
     forecasts = tuple(
         _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
         for n in counts

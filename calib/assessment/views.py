@@ -16,7 +16,7 @@ from calib.assessment.hand_eye import lens_of
 from calib.assessment.planning import Plan, planned
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray, read_only
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Criterion
 from calib.foundations.errors import JobError
@@ -26,7 +26,8 @@ from calib.identification.fit import Fit
 from calib.identification.machine import values_at
 from calib.identification.observations.pixels import marks_seen
 from calib.identification.parameters import directions, scales
-from calib.identification.system import Problem, jacobian
+from calib.identification.system import Problem, photograph_numbers, with_twists
+from calib.identification.together import Together
 from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.measurements import Measurements
 from calib.measurement.projection import project
@@ -81,18 +82,14 @@ class Views:
     def rows(self, readings: Array) -> DesignRows:
         """Return what a photograph at each of N readings (N, nr) would bring."""
         data, count = self._at(readings)
-        J = jacobian(self._problem(data), self._values)[0]
-        weight = np.sqrt(self._marks_on_board / count) / self._sigma(self.photographed)
-        J = (J * scales(self.fit.parameters) * weight).reshape(len(readings), 2 * count, -1)
-        return DesignRows.without_misfit(J)
+        number = np.repeat(np.arange(len(readings)), count)
+        J = self._whitened(data, self.photographed, number, np.sqrt(count / self._marks_on_board))
+        return DesignRows.without_misfit(J.reshape(len(readings), 2 * count, -1))
 
     def measured_rows(self) -> DesignRows:
         """Return what the photographs of the fit have brought, mark by mark."""
-        found = []
-        for data in self.fit.measurements:
-            if data.camera is not None:
-                J = jacobian(self._problem(data), self._values)[0] * scales(self.fit.parameters)
-                found.append(J / self._sigma(data))
+        own = [data for data in self.fit.measurements if data.camera is not None]
+        found = [self._whitened(data, data, photograph_numbers(data), 1.0) for data in own]
         return DesignRows.without_misfit(np.concatenate(found))
 
     def working_rows(self, readings: Array) -> DesignRows:
@@ -161,9 +158,23 @@ class Views:
         fit = self.fit
         return values_at(fit.model.robot, fit.parameters, fit.machine.frames, fit.deviations)
 
-    def _sigma(self, data: Measurements) -> float:
-        k = next(i for i, own in enumerate(self.fit.measurements) if own is data)
-        return next(noise.total for noise in self.fit.noise if noise.measurements == k)
+    def _whitened(self, data: Measurements, like: Measurements, number: IntArray, share: float) -> Array:
+        """Return J (N, 2, p) of rows over their sigmas, which are a ``share`` of those of a set of the fit.
+
+        Where marks of one photograph err together there, they do here: more marks do not make an arm repeat better.
+        """
+        fit, problem = self.fit, self._problem(data)
+        J, by_twist, _ = with_twists(problem, problem.machine(self._values), data, scales(fit.parameters))
+        k = next(i for i, own in enumerate(fit.measurements) if own is like)
+        together = fit.together[k] if fit.together else None
+        noise = next(noise for noise in fit.noise if noise.measurements == k)
+        alone = noise.total if together is None else np.hypot(noise.instrument, np.sqrt(together.variance))
+        sigma = np.full(data.sigma.shape, share * alone)
+        J /= sigma[:, :, None]
+        if together is None:
+            return J
+        here = Together.of(together.length, together.angle, together.variance, number, by_twist, sigma)
+        return here.less(J)
 
     def _seen(self, data: Measurements) -> tuple[Array, Array]:
         """Return marks (n, 3) in the camera, and how their boards are turned (n, 3, 3)."""

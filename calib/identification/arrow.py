@@ -56,6 +56,14 @@ class Split:
         found[self.blocks[self.real]] = np.nonzero(self.real)[0]
         return found
 
+    @cached_property
+    def columns(self) -> IntArray:
+        """The column (p,) of every parameter: the common ones first, then, from c on, its place in its block."""
+        found = np.empty(self.size, dtype=np.intp)
+        found[self.common] = np.arange(len(self.common))
+        found[self.blocks[self.real]] = len(self.common) + np.nonzero(self.real)[1]
+        return found
+
     def of_blocks(self, which: IntArray) -> "Split":
         """Return the split with some of the blocks."""
         return Split(self.common, self.blocks[which])

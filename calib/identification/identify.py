@@ -25,7 +25,7 @@ from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Solution, solution_at, solve
-from calib.identification.system import Problem, Rates, photograph_numbers, residuals
+from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
@@ -64,13 +64,22 @@ def identify(
         return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
 
 
-def identify_alike(fit: Fit, measurements: Sequence[Measurements], free: Sequence[str]) -> Fit:
+def identify_alike(
+    fit: Fit,
+    measurements: Sequence[Measurements],
+    free: Sequence[str],
+    *,
+    start: Fit | None = None,
+    together: tuple[Together | None, ...] | None = None,
+) -> Fit:
     """Identify again what is free, from as many sets, with the weights of a fit: how its rows err together is kept.
 
     Fits that are to be compared weigh rows alike; a model that explains less would call its own errors common ones.
+    ``together``: of these rows, where they are others than those of the fit.
     """
+    kept = fit.together if together is None else together
     with one_thread():
-        return _identify(fit.model, measurements, free, None, "nearest", None, fit.losses, fit.together)
+        return _identify(fit.model.within(measurements), measurements, free, start, "nearest", None, fit.losses, kept)
 
 
 def _identify(
@@ -228,11 +237,7 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, pri
     number = photograph_numbers(data)
     if int(number.max(initial=-1)) + 1 < FEWEST:
         return None
-    J = np.empty((*data.sigma.shape, len(units)))
-    by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
-    for block in Rates(problem, at, units).blocks(data):
-        J[block.rows], r[block.rows] = block.J, block.observed.residual
-        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
+    J, by_twist, r = with_twists(problem, at, data, units)
     told = likeliest(number, by_twist, J, r, data.sigma, prior)
     if told is None:
         return None

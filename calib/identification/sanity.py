@@ -21,6 +21,7 @@ import numpy.typing as npt
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.units import DEG, INCH, MM
+from calib.identification.arrow import Split
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
 from calib.identification.initialisation.problem import with_common_names
@@ -180,7 +181,7 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
     limit = np.where(of_robot, _MOST_ORDINARY, np.inf)
     least = np.inf
     for _ in range(evaluations):
-        data = np.concatenate(evaluate(problem, sigmas, z * s).triangles)
+        data = np.concatenate(evaluate(problem, sigmas, z * s, Split.none(len(z))).triangles)
         miss = float(np.linalg.norm(data[:, -1])) / float(np.sqrt(sum(map(len, sets))))
         least = min(least, miss)
         priors = np.column_stack([np.eye(len(z)), z])[of_robot]

@@ -16,6 +16,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import PoseError
 from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, gathered
+from calib.identification.elimination import Things, split_of
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.losses import Loss
@@ -25,7 +26,6 @@ from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, TargetsFollowed, motions, taken_out
-from calib.identification.targets import split_of
 from calib.identification.together import Together
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
@@ -120,9 +120,10 @@ class Problem:
 
     @property
     def split(self) -> Split:
-        """Which parameters are common, and which those of a target: of many rows or of a few.
+        """Which parameters are common, and which those of blocks: of many rows or of a few.
 
-        Known relations join targets to each other. A width that is to be learned is judged by all that is unknown.
+        Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
+        targets aside; and a width that is to be learned is judged by all that is unknown.
         """
         return self._made.once("split", self._split)
 
@@ -132,17 +133,18 @@ class Problem:
         names = self.measurements[0].targets if self.measurements else ()
         related = {name for relation in self.relations for name in relation.targets}
         joined = {t for t, name in enumerate(names) if name in related}
-        return split_of(self.parameters, Layout.of(self.model.robot, self.reference), joined)
+        layout = Layout.of(self.model.robot, self.reference)
+        return split_of(self.parameters, layout, self.measurements, joined, targets_alone=self.motions is not None)
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
         return self.states.machine(x)
 
     def selection(self, units: Array, split: Split | None = None) -> "Selection":
-        """Return what of the state common parameters move, for ``units`` (p,) of each; without a split all are."""
+        """Return what of the state the parameters move, for ``units`` (p,) of each; without a split all are common."""
         # Of a search it is always the same one.
         key = "selection", split, units.tobytes()
-        return self._made.once(key, lambda: Selection(self.states, len(self.reference.targets), units, split))
+        return self._made.once(key, lambda: Selection(self.states, units, split))
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return the residuals (N, d) of every set at parameter values x (p,)."""
@@ -156,7 +158,7 @@ class Problem:
 class Block(NamedTuple):
     """Rows of one set: residuals with derivatives, and their Jacobian (n, d, c) by common parameters.
 
-    ``own`` (n, d, a): their derivatives by the parameters of the row's target, of a ``block`` (n,); both are None where
+    ``own`` (n, d, a): their derivatives by the parameters of the row's ``block`` (n,), -1 for none; both are None where
     all are common. ``moved``: the tools, and other ends. ``grounds``: which of the rows are told in which link, None
     being the floor.
     """
@@ -199,7 +201,7 @@ class Evaluation(NamedTuple):
 
     @property
     def split(self) -> Split:
-        """Which parameters are common, and which are of one target each."""
+        """Which parameters are common, and which are of one block each."""
         return Split.none(len(self.set_up_motions)) if self.given_split is None else self.given_split
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
@@ -301,6 +303,16 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
             J[block.rows] = block.J
         found.append(J)
     return tuple(found)
+
+
+def with_twists(problem: Problem, at: Machine, data: Measurements, units: Array) -> tuple[Array, Array, Array]:
+    """Return J (N, d, p) of one set for ``units`` (p,), derivatives (N, d, 6) by the tool's twist, and residuals."""
+    J = np.empty((*data.sigma.shape, len(units)))
+    by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
+    for block in Rates(problem, at, units).blocks(data):
+        J[block.rows], r[block.rows] = block.J, block.observed.residual
+        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
+    return J, by_twist, r
 
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
@@ -441,82 +453,126 @@ class _Clocked(NamedTuple):
         return _Clocked(self.rates[rows], self.by[rows])
 
 
-class Selection:
-    """Which of the state the common parameters of a split move, for ``units`` (p,) of each.
+class FramesFollow(NamedTuple):
+    """How frames follow parameters: of each, the derivatives ``by`` (k + 1, 6, w) those of w ``columns`` (k + 1, w).
 
-    ``of_robot``, ``of_terms``, ``of_bases``, ``of_tools`` and ``of_scalars``: parts of the state (k, c) as they follow
-    the c common parameters, bases and tools (k, 6, c). ``targets`` (t,): numbers of those that follow common
-    parameters, by ``of_targets`` (t, 6, c). Those of blocks follow their own (m, 6, a): ``by_own``, being the targets
-    ``whose`` (m,). ``common`` and ``block`` (targets + 1,): of every target its number among the former, and its block;
-    -1 for none.
+    No frame follows more than a few, so that its other columns are not written out. Last: no frame, which follows none.
     """
 
-    def __init__(self, states: States, targets: int, units: Array, split: Split | None) -> None:
-        layout, split = states.layout, Split.none(len(units)) if split is None else split
-        every = states.entries._replace(share=states.entries.share * units[states.entries.parameter])
-        column = np.full(len(units), -1, dtype=np.intp)
-        column[split.common] = np.arange(len(split.common))
+    columns: IntArray
+    by: Array
 
-        def by_common(start: int, end: int) -> Array:
-            """Return how a part of the state (end - start, c) follows the common parameters."""
-            S = np.zeros((end - start, len(split.common)))
-            k = np.flatnonzero((every.entry >= start) & (every.entry < end) & (column[every.parameter] >= 0))
-            S[every.entry[k] - start, column[every.parameter[k]]] = every.share[k]
+    @classmethod
+    def of(cls, entry: IntArray, column: IntArray, share: Array, frames: int, width: int) -> "FramesFollow":
+        """Return it from which of six values of frames, ``entry`` (n,), a column (n,) of ``width`` moves by a share."""
+        frame = entry // 6
+        moved = np.zeros((frames + 1, width), dtype=np.bool_)
+        moved[frame, column] = True
+        w = int(moved.sum(axis=1).max(initial=0))
+        # Its own columns first; where a frame has fewer than others, some that it does not move.
+        columns = np.argsort(~moved, axis=1, kind="stable")[:, :w]
+        place = np.argmax(columns[frame] == column[:, None], axis=1) if w else column
+        by = np.zeros((frames + 1, 6, w))
+        np.add.at(by, (frame, entry % 6, place), share)
+        return cls(columns, by)
+
+    def turned(self, twists: Array) -> "FramesFollow":
+        """Return how something follows the parameters that follows the frames by matrices (k, 6, 6)."""
+        return self._replace(by=np.concatenate([twists @ self.by[:-1], self.by[-1:]]))
+
+    def add(self, numbers: Array, frame: IntArray, found: Array) -> None:
+        """Add to ``found`` (d, n, p) how numbers follow the parameters through the frames (n,) of rows.
+
+        ``numbers`` (6, d, n): how they follow these; or (3, d, n), their turns alone.
+        """
+        by = self.by[frame, 6 - len(numbers) :]
+        found[:, np.arange(len(frame))[:, None], self.columns[frame]] += np.einsum("edn,new->dnw", numbers, by)
+
+    def written_out(self, frames: IntArray, width: int) -> Array:
+        """Return how some frames follow the first parameters (k, 6, width)."""
+        found = np.zeros((len(frames), 6, max(width, int(self.columns.max(initial=-1)) + 1)))
+        found[np.arange(len(frames))[:, None], :, self.columns[frames]] = np.swapaxes(self.by[frames], 1, 2)
+        return found[:, :, :width]
+
+    def following(self, width: int) -> IntArray:
+        """Return which frames follow some of the first parameters."""
+        return np.flatnonzero((self.by.any(axis=1) & (self.columns < width)).any(axis=1))
+
+
+class Selection:
+    """Which of the state the parameters of a split move, for ``units`` (p,) of each.
+
+    Columns are those of the c common parameters, then a that all blocks share: a row is about one block at most.
+    ``of_robot``, ``of_terms`` and ``of_scalars``: parts of the state (k, c + a) as they follow them; ``of_bases``,
+    ``of_tools`` and ``of_targets``: frames. ``block`` (t + 1,): of all ``things``, as
+    :meth:`calib.identification.elimination.Things.in_blocks` has it.
+    """
+
+    def __init__(self, states: States, units: Array, split: Split | None) -> None:
+        layout, split = states.layout, Split.none(len(units)) if split is None else split
+        entry, parameter, share = states.entries
+        share, column = share * units[parameter], split.columns[parameter]
+        self.split, self.common, self.things = split, len(split.common), Things.of(layout)
+        self.block = self.things.in_blocks(entry, split.block_of[parameter])
+        self.width = self.common + split.blocks.shape[1]
+
+        def followed(start: int, end: int) -> Array:
+            S = np.zeros((end - start, self.width))
+            k = np.flatnonzero((entry >= start) & (entry < end))
+            np.add.at(S, (entry[k] - start, column[k]), share[k])
             return S
 
-        c = len(split.common)
-        self.of_robot, self.of_terms = by_common(0, layout.terms), by_common(layout.terms, layout.base)
-        self.of_bases = by_common(layout.base, layout.tools).reshape((layout.tools - layout.base) // 6, 6, c)
-        self.of_tools = by_common(layout.tools, layout.targets).reshape((layout.targets - layout.tools) // 6, 6, c)
-        self.of_scalars = by_common(layout.scalars, layout.size)
-        k = np.flatnonzero((every.entry >= layout.targets) & (every.entry < layout.scalars))
-        target, entry = np.divmod(every.entry[k] - layout.targets, 6)
-        own, share = every.parameter[k], every.share[k]
-        common = column[own] >= 0
-        self.targets = np.unique(target[common])
-        self.of_targets = np.zeros((len(self.targets), 6, c))
-        number = np.searchsorted(self.targets, target[common])
-        self.of_targets[number, entry[common], column[own[common]]] = share[common]
-        m, a = split.blocks.shape
-        block, place = np.full(len(column), -1, dtype=np.intp), np.zeros(len(column), dtype=np.intp)
-        which, where = np.nonzero(split.real)
-        block[split.blocks[split.real]], place[split.blocks[split.real]] = which, where
-        self.by_own, self.whose = np.zeros((m, 6, a)), np.zeros(m, dtype=np.intp)
-        self.by_own[block[own[~common]], entry[~common], place[own[~common]]] = share[~common]
-        self.whose[block[own[~common]]] = target[~common]
-        self.common = np.full(targets + 1, -1, dtype=np.intp)
-        self.common[self.targets] = np.arange(len(self.targets))
-        self.block = np.full(targets + 1, -1, dtype=np.intp)
-        self.block[self.whose] = np.arange(m)
+        def frames(start: int, end: int) -> FramesFollow:
+            k = np.flatnonzero((entry >= start) & (entry < end))
+            return FramesFollow.of(entry[k] - start, column[k], share[k], (end - start) // 6, self.width)
+
+        self.of_robot, self.of_terms = followed(0, layout.terms), followed(layout.terms, layout.base)
+        self.of_bases, self.of_tools = frames(layout.base, layout.tools), frames(layout.tools, layout.targets)
+        self.of_targets = frames(layout.targets, layout.scalars)
+        self.of_scalars = followed(layout.scalars, layout.size)
 
 
 class Rates:
-    """How tools and targets follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
+    """How frames follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
 
     ``split``: parameters of blocks are told apart, in columns of their own; all are common when None.
     """
 
     def __init__(self, problem: Problem, at: Machine, units: Array, split: Split | None = None) -> None:
-        self._robot, self._frames, self._selection = problem.model.robot, at.frames, problem.selection(units, split)
-        own = self._selection
+        self._robot, self._frames = problem.model.robot, at.frames
+        self._selection = own = problem.selection(units, split)
         self._links = _Links(self._robot, at.deviations, problem.nominals)
-        self.of_scalars = own.of_scalars
-        self._of_tools, self._of_bases = at.tool_twists @ own.of_tools, at.base_twists @ own.of_bases
-        self.of_targets = TargetsFollowed(own.targets, at.target_twists[own.targets] @ own.of_targets)
-        self._by_own = at.target_twists[own.whose] @ own.by_own
-        self._by_robot: dict[str, tuple[Array, Array]] = {}
+        self._of_bases, self._of_tools = own.of_bases.turned(at.base_twists), own.of_tools.turned(at.tool_twists)
+        self._of_targets = own.of_targets.turned(at.target_twists)
+        self._by_robot: dict[str, tuple[Array, FramesFollow]] = {}
         self._by: dict[tuple[str, int, int], Array] = {}
+
+    @property
+    def of_targets(self) -> TargetsFollowed:
+        """How targets follow common parameters."""
+        c = self._selection.common
+        numbers = self._of_targets.following(c)
+        return TargetsFollowed(numbers, self._of_targets.written_out(numbers, c))
+
+    @property
+    def of_scalars(self) -> Array:
+        """How scalars (s, c) follow common parameters."""
+        return self._selection.of_scalars[:, : self._selection.common]
+
+    def whose(self, data: Measurements) -> IntArray | None:
+        """Return the blocks (N,) that rows of a set are about, -1 for none; None where there are no blocks at all."""
+        selection = self._selection
+        return selection.things.blocks_of(selection.block, data) if len(selection.split.blocks) else None
 
     def seen(self, data: Measurements) -> IntArray:
         """Return the blocks (k,) that rows of a set are about."""
-        found = np.zeros(0, dtype=np.intp)
-        if data.kind in WITH_TARGET:
-            found = np.unique(self._selection.block[data.target])
+        found = np.unique([] if (whose := self.whose(data)) is None else whose).astype(np.intp)
         return np.asarray(found[found >= 0])
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block."""
         frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
+        c, whose = self._selection.common, self.whose(data)
         for rows in _blocks(data):
             base, group, others, there = _bases(frames, data, rows), data.setup[rows], None, None
             tool = data.tool[rows]
@@ -551,20 +607,14 @@ class Rates:
                 back = [follow.of(own).negative() for follow in in_base]
                 then = None if clock is None else (readings[own], clock.subset(own))
                 J[own] += self._through_robot(link, back, seat, held[own], None, group[own], then)
-            by_own, whose = None, None
             if observed.target is not None:
-                number = self._selection.common[data.target[rows]]
-                some = number >= 0
-                if some.any():
-                    J[some] += observed.target[some] @ self.of_targets.by_twist[number[some]]
-                if len(self._by_own):
-                    whose = self._selection.block[data.target[rows]]
-                    by_own = np.where(whose[:, None, None] >= 0, observed.target @ self._by_own[whose], 0.0)
+                self._of_targets.add(observed.target.transpose(2, 1, 0), data.target[rows], J.transpose(1, 0, 2))
             for role, by_scalar in observed.scalars.items():
-                J += by_scalar[:, :, None] * self.of_scalars[data.uses[role]]
+                J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
             on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
             grounds = ((None, on_floor), *((link, these) for link, these, _ in seats))
-            yield Block(rows, observed, J, by_own, whose, tuple(moved), grounds)
+            by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[rows])
+            yield Block(rows, observed, J[:, :, :c], by_own, block, tuple(moved), grounds)
 
     def _through_robot(
         self,
@@ -576,7 +626,7 @@ class Rates:
         group: IntArray,
         then: "tuple[Array, _Clocked] | None" = None,
     ) -> Array:
-        """Return derivatives (n, d, p) of numbers that follow a tool on a link, or the link itself, in the base.
+        """Return derivatives (n, d, c + a) of numbers that follow a tool on a link, or the link itself, in the base.
 
         ``at`` (n, 4, 4): where what they follow is in the base. ``then``: the readings (n, nr) of rows of a stream, and
         how these depend on its clock.
@@ -584,7 +634,7 @@ class Rates:
         tools = np.full(len(group), -1) if tool is None else tool
         # By row of the numbers, so that a product leaves all that it makes in one piece.
         d = sum(follow.size for follow in follows)
-        found, start = np.empty((d, len(group), self._of_tools.shape[2])), 0
+        found, start = np.empty((d, len(group), self._selection.width)), 0
         for follow in follows:
             own = found[start : (start := start + follow.size)]
             numbers = motion.tip.through(follow, at[:, :3, 3])
@@ -602,33 +652,34 @@ class Rates:
         return found.transpose(1, 0, 2)
 
     def _by_carriers(self, link: str, numbers: Array, tool: IntArray, group: IntArray, found: Array) -> None:
-        """Write how numbers follow the parameters (d, n, p) through what carries a link, by set-up and tool."""
+        """Write how numbers follow the parameters (d, n, c + a) through what carries a link, by set-up and tool."""
         if _all_alike(group) and _all_alike(tool):
             followed(numbers, self._by_parameters(link, int(group[0]), int(tool[0])), found)
             return
-        for g, t in np.unique(np.stack([group, tool], axis=1), axis=0).tolist():
-            rows = np.flatnonzero((group == g) & (tool == t))
-            own = np.empty((len(found), len(rows), found.shape[2]))
-            followed(np.ascontiguousarray(numbers[..., rows]), self._by_parameters(link, g, t), own)
-            found[:, rows] = own
+        by_robot, by_tools = self._on(link)
+        followed(numbers, by_robot, found)
+        self._of_bases.add(numbers[0], group, found)
+        by_tools.add(numbers[-1], tool, found)
+
+    def _on(self, link: str) -> tuple[Array, FramesFollow]:
+        """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""
+        if link not in self._by_robot:
+            tip = self._links[link]
+            to_carrier = rigid.adjoint(tip.end @ self._frames.tools)
+            self._by_robot[link] = tip.follow @ self._selection.of_robot, self._of_tools.turned(to_carrier)
+        return self._by_robot[link]
 
     def _by_parameters(self, link: str, group: int, tool: int) -> Array:
-        """Return how local twists of what carries a link follow the parameters (6 (w + 1), p).
+        """Return how local twists of what carries a link follow the parameters (6 (w + 1), c + a).
 
         With the base of a set-up, or none for what is told in another link, and one of the tools, or -1 for none.
         """
         key = link, group, tool
         if key not in self._by:
-            if link not in self._by_robot:
-                tip = self._links[link]
-                to_tools = rigid.adjoint(tip.end @ self._frames.tools) @ self._of_tools
-                self._by_robot[link] = tip.follow @ self._selection.of_robot, to_tools
-            by_robot, by_tools = self._by_robot[link]
+            by_robot, by_tools = self._on(link)
             found = by_robot.copy()
-            if group < len(self._of_bases):
-                found[:6] += self._of_bases[group]
-            if tool >= 0:
-                found[-6:] += by_tools[tool]
+            found[:6, self._of_bases.columns[group]] += self._of_bases.by[group]
+            found[-6:, by_tools.columns[tool]] += by_tools.by[tool]
             self._by[key] = found
         return self._by[key]
 
@@ -639,7 +690,7 @@ class Rates:
             return None
         rates = data.stream.rates(data.shifts(self._frames.scalars), rows)
         by = np.stack([data.stream.by_shift(role, rows) for role in roles], axis=1)
-        return _Clocked(rates, by @ self.of_scalars[[data.uses[role] for role in roles]])
+        return _Clocked(rates, by @ self._selection.of_scalars[[data.uses[role] for role in roles]])
 
 
 def _times(rows: Array, matrix: Array) -> Array:

@@ -5,18 +5,15 @@ Sockets, anchors, balls and marks are points, surfaces are planes, boards and ca
 Targets are nuisances: their unknowns are found with the robot's and are of no use elsewhere.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import refuse_no_placement
-from calib.identification.arrow import Split
 from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter, width
 from calib.measurement.kinds import Kind
@@ -126,21 +123,6 @@ def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: 
             )
         )
     return tuple(parameters)
-
-
-def split_of(parameters: Sequence[Parameter], layout: Layout, joined: Collection[int]) -> Split:
-    """Return which parameters are common, and those of every target of its own, but of targets ``joined`` to others.
-
-    The order of blocks is that of the targets.
-    """
-    columns: dict[int, list[int]] = {}
-    for k, parameter in enumerate(parameters):
-        if parameter.kind == "target" and layout.targets <= (entry := parameter.entries[0][0]) < layout.scalars:
-            columns.setdefault((entry - layout.targets) // 6, []).append(k)
-    own = [columns[t] for t in sorted(columns) if t not in joined]
-    most = max(map(len, own), default=0)
-    blocks = np.array([[*some, *[-1] * (most - len(some))] for some in own], dtype=np.intp).reshape(len(own), most)
-    return Split(np.setdiff1d(np.arange(len(parameters)), blocks), blocks)
 
 
 def _refuse_no_direction(data: Measurements, known: Mapping[str, Target]) -> None:

@@ -14,7 +14,7 @@ a share is taken off, and every row stays its own.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +77,25 @@ class Together:
             of = whitened[own].reshape(len(V), -1)
             found[own] -= (V @ (self.share[k][:, None] * (V.T @ of))).reshape(len(own), *whitened.shape[1:])
         return found
+
+    def by_photograph(self, whitened: Array) -> Array:
+        """Return of whitened rows (n, d, k), or of what :meth:`less` makes of them, what rows have in common (m, 6, k).
+
+        These are six numbers of each photograph, each of its own noise.
+        """
+        found = np.zeros((len(self.share), 6, whitened.shape[2]))
+        np.add.at(found, self.number, np.einsum("ndj,ndk->njk", self.directions, whitened))
+        return found
+
+    def drawn(self, rows: IntArray, draw: IntArray) -> "Together":
+        """Return it for rows (n,) of whole photographs, by the ``draw`` (n,) of each: drawn twice, they are two."""
+        kinds, number = np.unique(np.column_stack([draw, self.number[rows]]), axis=0, return_inverse=True)
+        return replace(
+            self,
+            number=np.asarray(number.ravel(), dtype=np.intp),
+            directions=read_only(self.directions[rows]),
+            share=read_only(self.share[kinds[:, 1]]),
+        )
 
 
 def _photographs(number: IntArray) -> Iterator[tuple[int, IntArray]]:

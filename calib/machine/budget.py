@@ -22,13 +22,13 @@ from calib.foundations.chance import correlation_time
 from calib.foundations.linear import one_thread, triangle
 from calib.identification import weights
 from calib.identification.arrow import Arrow, Collected, Reduced, Split
+from calib.identification.elimination import split_of
 from calib.identification.fit import Fit
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.system import Evaluation, Problem, evaluate
-from calib.identification.targets import split_of
 from calib.identification.widths import NARROWEST, WIDEST, NormalEquations, likelihood
 from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
@@ -140,7 +140,8 @@ def _split(fit: Fit, problem: Problem) -> Split:
     held = {parameter.name.removeprefix("target.").rpartition(".")[0] for parameter in fit.held}
     related = {name for relation in problem.relations for name in relation.targets}
     joined = {t for t, name in enumerate(sets[0].targets) if seen[name] > 1 or name in held or name in related}
-    return split_of(problem.parameters, Layout.of(problem.model.robot, problem.reference), joined)
+    layout = Layout.of(problem.model.robot, problem.reference)
+    return split_of(problem.parameters, layout, sets, joined, targets_alone=True)
 
 
 def _reduced(problem: Problem, systematic: Systematic, split: Split, columns: int) -> list[Reduced]:

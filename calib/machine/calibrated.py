@@ -291,10 +291,9 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
-    # Targets are no part of the state.
-    own = fit.spread.split.common
-    common = [fit.parameters[k] for k in own]
-    null_basis = _to_state(fit, common, fit.machine) @ (fit.null_basis[own] * scales(common)[:, None])
+    own = _of_machine(fit)
+    parameters = [fit.parameters[k] for k in own]
+    null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
     return Uncertainty(
         read_only(np.hstack([state @ part for part in parts])),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
@@ -308,9 +307,14 @@ def _uncertainty(fit: Fit) -> Uncertainty:
 
 def measured_factor(fit: Fit) -> Array:
     """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
-    own = fit.spread.split.common
-    common = [fit.parameters[k] for k in own]
-    return np.asarray(_to_state(fit, common, fit.machine) @ _factor(fit.spread.of(own), scales(common)))
+    own = _of_machine(fit)
+    parameters = [fit.parameters[k] for k in own]
+    return np.asarray(_to_state(fit, parameters, fit.machine) @ _factor(fit.spread.of(own), scales(parameters)))
+
+
+def _of_machine(fit: Fit) -> IntArray:
+    """Return the parameters, by number, that the state can follow: targets and instruments are no part of it."""
+    return np.array([k for k, parameter in enumerate(fit.parameters) if not parameter.nuisance], dtype=np.intp)
 
 
 def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:

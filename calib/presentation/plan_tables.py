@@ -17,7 +17,7 @@ def forecast_sheet(plan: Plan) -> Sheet:
         columns,
         frozenset(columns),
         tuple(rows),
-        f"over the working poses; not included is what the model leaves out: {plan.floor / MM:.4f} mm",
+        f"over the working poses; not included is what no pose removes: {plan.floor / MM:.4f} mm",
     )
 
 

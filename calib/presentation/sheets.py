@@ -1,7 +1,7 @@
 """A fit and its figures as tables and sentences for people: millimetres and degrees, each number rounded once."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
-from calib.foundations.units import DISPLAY, MICRO, Display
+from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
 from calib.identification.fit import Fit
 from calib.identification.parameters import Parameter
 from calib.measurement.kinds import UNIT_OF, size
@@ -165,7 +165,18 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
         said.append(
             f"Noise of one {what} {'coordinate' if size(kind) > 1 else 'value'}{of}: {instrument}, {model} model{chi}."
         )
-    return tuple(said)
+    return (*said, *_together(fit))
+
+
+def _together(fit: Fit) -> Iterator[str]:
+    """Yield how photographs err together, of every set where they do."""
+    for data, own in zip(fit.measurements, fit.together, strict=False):
+        if own is not None:
+            of = f" of {Path(data.where).name}" if len(fit.measurements) > 1 else ""
+            yield (
+                f"Marks of one photograph{of} err together, as if the arm came back to {own.length / MM:.2g} mm along "
+                f"and {own.angle / MRAD:.2g} mrad about each axis; the model's part has this in it."
+            )
 
 
 def prior_sentences(fit: Fit) -> tuple[str, ...]:

@@ -245,6 +245,11 @@ def result(found: Calibration) -> dict[str, Any]:
             }
             for noise in fit.noise
         ],
+        "together": [
+            {"measurements": file, "length": own.length, "angle": own.angle, "alone": math.sqrt(own.variance)}
+            for file, own in zip(files, fit.together, strict=False)
+            if own is not None
+        ],
         "outliers": _worst(found.outliers),
         "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
         "setups": {

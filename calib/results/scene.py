@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calib.assessment.hand_eye import lens_of
+from calib.assessment.hand_eye import lens_of, marks_and_pixels
 from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
@@ -31,24 +31,30 @@ def scene_of(found: Calibration) -> Scene:
     """Return the scene of a calibration: every row of every table that tells a point, in the job's order.
 
     All is drawn in the instrument's frame of the first set-up: from others it is carried there with the robot's base. A
-    socket's point is where the calibrated robot says it is. Tables of lengths, heights and pixels tell no points:
-    where there is nothing else, the calibrated tool's are drawn, without errors.
+    socket's point is where the calibrated robot says it is. Tables of lengths, heights and pixels tell no points. Where
+    there is nothing else, marks are drawn for pixels, with errors across the line of sight; or the calibrated tool's
+    points, without errors.
     """
     fit, robot = found.fit, found.fit.robot
     root = robot.root_in_base
     known = [judged for judged in found.sets if fit.knows(judged.data)]
     with_points = [judged for judged in known if size(judged.data.kind) >= 3]
-    sets = with_points or known
+    with_marks = [judged for judged in known if judged.data.camera is not None and _is_placed(found, judged.data)]
+    sets = with_points or with_marks or known
     readings = np.concatenate([judged.data.readings for judged in sets])
     conditions = joined([(len(judged.data), judged.data.conditions) for judged in sets])
-    measured = np.concatenate([_points(found, judged) for judged in sets])
-    before = after = measured
+    if with_points or not with_marks:
+        measured = before = after = np.concatenate([_points(found, judged) for judged in sets])
+    else:
+        measured, before, after = (np.concatenate(of) for of in zip(*(_marks(found, j) for j in sets), strict=True))
     if with_points:
         before = measured - np.concatenate([_turned(found, judged, judged.before) for judged in sets])
         after = measured - np.concatenate([_turned(found, judged, judged.after) for judged in sets])
     calibrated = arm_of(robot, fit.deviations, readings, fit.machine.frames.base @ root, conditions)
     extent = float(np.ptp(np.concatenate([measured, calibrated.root[None, :3, 3]]), axis=0).max())
-    scales = magnification(before - measured, extent), magnification(after - measured, extent)
+    # A board lies still before a camera on the arm: errors as long as the arm is large would cover it.
+    drawn = float(np.ptp(measured, axis=0).max()) if with_marks and not with_points else extent
+    scales = magnification(before - measured, drawn), magnification(after - measured, drawn)
     # Its tool goes to where the errors before calibration, drawn as often, end.
     bases = fit.machine.frames.base, fit.nominal.frames.base
     nominal, apart = led_apart(
@@ -56,6 +62,8 @@ def scene_of(found: Calibration) -> Scene:
     )
     marks, notes = _targets(found, extent)
     marks += _cameras_and_boards(found, extent)
+    if with_marks and not with_points:
+        notes = (*notes, "Points are the marks of boards; errors are across the line of sight, where the marks are.")
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibration",
         urdf=robot.urdf,
@@ -81,7 +89,7 @@ def scene_of(found: Calibration) -> Scene:
         after=after,
         scales=scales,
         marks=(*marks, *_stations(found, extent)),
-        judged=bool(with_points),
+        judged=bool(with_points or with_marks),
         joints=tuple((reading.name, DISPLAY_OF[reading.dimension].symbol) for reading in robot.readings),
         readings=readings * [DISPLAY_OF[reading.dimension].times for reading in robot.readings],
         colourings={
@@ -247,6 +255,23 @@ def _points(found: Calibration, judged: JudgedSet) -> Array:
     placed = fit.machine.frames.base @ data.tips(fit.robot, fit.deviations)
     points = np.asarray((placed @ fit.tools_of(data))[:, :3, 3])
     return points + _turned(found, judged, judged.after) if data.kind == "socket" else points
+
+
+def _is_placed(found: Calibration, data: Measurements) -> bool:
+    """Return whether it was found where the boards, or the cameras, of a table are."""
+    return set(data.seen_targets) <= set(found.fit.measurements[0].targets)
+
+
+def _marks(found: Calibration, judged: JudgedSet) -> tuple[Array, Array, Array]:
+    """Return where marks (N, 3) were seen, and where before and after calibration, in the first set-up's frame.
+
+    All are as far away as the calibrated machine has them: a photograph does not tell.
+    """
+    T = _carried(found, judged)
+    places, of_pixel = marks_and_pixels(found.fit, judged.data)
+    places, of_pixel = (T[:, :3, :3] @ places[:, :, None])[:, :, 0] + T[:, :3, 3], T[:, :3, :3] @ of_pixel
+    before, after = ((of_pixel @ r[:, :, None])[:, :, 0] for r in (judged.before, judged.after))
+    return places + after, places + after - before, places
 
 
 def _carried(found: Calibration, judged: JudgedSet) -> Array:

@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from tests.support import machines
+from tests.support import cameras, machines
 from tests.support.machines import Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -41,6 +41,30 @@ def test_agrees_with_the_covariance(kind: Kind, observes: str) -> None:
     # A standard deviation from 40 repetitions is itself known to a ninth.
     assert 0.8 < np.mean(found.sigma / expected) < 1.25
     assert 0.75 < np.mean(np.sqrt(np.diag(found.covariance)) / fit.sigmas) < 1.3
+
+
+def test_photographs_that_err_together_are_drawn_whole() -> None:
+    """An arm that comes back to 0.2 mm and 0.5 mrad, corners to 0.05 px: what is told is what repeated fits scatter."""
+    rng = np.random.default_rng(5)
+    robot, arm = machines.load(cameras.UR5, cameras.TIP), machines.arm(cameras.UR5, cameras.TIP)
+    true = cameras.scene(rng, arm, "tip", sigma=0.05)
+    readings = true.draw(rng, 40)
+    off = np.stack([pose(*rng.normal(size=(2, 3)) * [[2e-4], [5e-4]]) for _ in readings])
+    data = true.measure(robot, readings, rng, 0.05, off)
+    fit = calib.identify(calib.error_model(robot, offsets=["elbow_joint"], base="fixed", tool="pose"), data)
+    (together,) = fit.together
+    assert together is not None
+    assert (together.length, together.angle) == pytest.approx((2e-4, 5e-4), rel=0.4)
+    said = f"came back to {1e3 * together.length:.2g} mm along and {1e3 * together.angle:.2g} mrad about each axis"
+    assert said in " ".join(str(fit).split())
+    found = bootstrap(fit, readings[:2], 20)
+    assert found.failed == 0
+    assert 0.75 < np.mean(np.sqrt(np.diag(found.covariance)) / fit.sigmas) < 1.33
+    # A photograph that is drawn twice errs twice, each time by itself.
+    twice = together.drawn(np.array([0, 1, 0, 1, 20]), np.array([0, 0, 1, 1, 2]))
+    assert twice.number.tolist() == [0, 0, 1, 1, 2]
+    np.testing.assert_array_equal(twice.share[0], twice.share[1])
+    np.testing.assert_array_equal(twice.directions[:2], twice.directions[2:4])
 
 
 def test_a_seed_is_an_answer_and_another_one_another() -> None:

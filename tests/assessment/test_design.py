@@ -7,7 +7,17 @@ import pytest
 
 import calib
 from calib.assessment.candidates import PlannedMeasurement, rows, working_rows
-from calib.assessment.design import DesignRows, Space, choose, parts_of, random_values, sequence, space, value_of
+from calib.assessment.design import (
+    DesignRows,
+    Space,
+    choose,
+    parts_of,
+    random_values,
+    sequence,
+    space,
+    unseen,
+    value_of,
+)
 from calib.foundations import rigid
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
@@ -59,6 +69,20 @@ def test_exchanges_find_the_best_of_all_subsets(criterion: Criterion, seed: int)
     assert found.value == pytest.approx(value_of(s, found.chosen), rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 3, 15])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_no_exchange_improves_what_converged(criterion: Criterion, count: int) -> None:
+    """Two poses barely determine everything, so that each one that leaves takes nearly all that was known."""
+    candidates, working = small(5, n=40)
+    s = space(candidates, criterion, working)
+    found = choose(s, count, starts=3)
+    assert found.converged
+    sign = 1.0 if criterion == "D" else -1.0
+    for place, new in itertools.product(range(count), set(range(40)) - set(found.chosen)):
+        other = sign * value_of(s, (*found.chosen[:place], new, *found.chosen[place + 1 :]))
+        assert other <= sign * found.value + 1e-8 * abs(found.value)
+
+
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_a_sequence_takes_what_brings_most(criterion: Criterion) -> None:
     candidates, working = small(1)
@@ -89,6 +113,21 @@ def test_priors_stand_in_for_poses() -> None:
     flat = DesignRows.without_misfit(candidates.of_parameters * [1.0, 1.0, 1.0, 0.0])
     known = space(flat, "A", working, prior=prior)
     assert (known.seen, known.V.shape[1]) == (3, 4)
+
+
+def test_what_no_candidate_sees_remains_when_all_are_measured_without_noise() -> None:
+    candidates, working = small(misfit=0)
+    # A direction that they cannot see: the first parameter grows as the second shrinks.
+    blind = candidates.of_parameters.copy()
+    blind[:, :, 1] = blind[:, :, 0]
+    prior = np.array([0.5, 0.2, np.inf, np.inf])
+    s = space(DesignRows.without_misfit(blind), "I", working, prior=prior)
+    flat, B = blind.reshape(-1, 4), working.of_parameters.reshape(-1, 4)
+    remains = np.trace(np.linalg.inv(1e4 * flat.T @ flat + np.diag(prior**-2.0)) @ B.T @ B) / 6
+    assert unseen(s) == pytest.approx(remains, rel=1e-3)
+    assert 0.0 < unseen(s) < value_of(s, range(9))
+    # Without such a direction nothing remains.
+    assert unseen(space(candidates, "I", working, prior=prior)) == 0.0
 
 
 def test_the_order_of_candidates_and_unseen_parameters_change_nothing() -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.blame import blame
-from calib.assessment.hand_eye import HandEye, hand_eyes
+from calib.assessment.hand_eye import HandEye, hand_eyes, marks_and_pixels
 from calib.assessment.judged import JudgedSet
 from calib.identification.identify import residuals_of
 from calib.measurement.boards import Board, shape_modes
@@ -50,6 +50,26 @@ def found(request: pytest.FixtureRequest) -> tuple[HandEye, Scene]:
     (one,) = hand_eyes(fit, sets)
     assert hand_eye_section((one,)) is not None
     return one, true
+
+
+@pytest.mark.parametrize("camera_on", ["tip", "floor"])
+def test_a_pixel_is_a_way_across_the_line_of_sight_where_a_mark_is(camera_on: str) -> None:
+    """Moved by its residual, a mark is seen by an independent projection where it was measured."""
+    rng = np.random.default_rng(3)
+    true = scene(rng, NOMINAL, camera_on, sigma=SIGMA)
+    data = true.measure(ROBOT, true.draw(rng, 12), rng, SIGMA)
+    data = seen_by(data, true.camera, Board(scale_sigma=0.0))
+    fit = calib.identify(calib.error_model(ROBOT, tool="pose", base="fixed"), data)
+    places, of_pixel = marks_and_pixels(fit, data)
+    ways = np.einsum("nij,nj->ni", of_pixel, fit.residuals[0])
+    frames = fit.machine.frames
+    tools = NOMINAL.tips(data.readings) @ frames.tools[0]
+    at = tools if camera_on == "tip" else np.broadcast_to(frames.targets[0], tools.shape)
+    sight = np.einsum("nji,nj->ni", at[:, :3, :3], places - at[:, :3, 3])
+    moved = sight + np.einsum("nji,nj->ni", at[:, :3, :3], ways)
+    np.testing.assert_allclose(cameras.see(true.camera, moved), data.value[:, :2], atol=1e-3)
+    along = np.sum(sight * (moved - sight), axis=1)
+    assert np.all(np.abs(along) < 1e-6 * np.linalg.norm(sight, axis=1) * np.linalg.norm(ways, axis=1) + 1e-12)
 
 
 def test_the_camera_is_where_it_is_and_its_errors_are_told_in_pixels_and_metres(found: tuple[HandEye, Scene]) -> None:

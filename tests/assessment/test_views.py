@@ -10,7 +10,10 @@ import calib
 from calib.assessment.views import Views, plan_views, view_candidates
 from calib.foundations.errors import JobError
 from calib.identification.identify import identify
-from calib.identification.parameters import Priors
+from calib.identification.machine import values_at
+from calib.identification.parameters import Priors, scales
+from calib.identification.system import Problem, with_twists
+from calib.identification.together import Together
 from calib.measurement.boards import Board
 from calib.measurement.lens import NAMES
 from calib.measurement.optics import seen_by
@@ -78,12 +81,33 @@ def test_rows_are_the_derivatives_of_pixels(true: simulation.Session, views: Vie
     assert 0.5 < np.median(diagonal) < 2.0
 
 
+def test_marks_of_a_photograph_that_err_together_bring_less(fit: calib.Fit, candidates: np.ndarray) -> None:
+    """As much as the full covariance of a photograph's rows says."""
+    own = Together.of(2e-4, 5e-4, 0.1**2, np.zeros(1, dtype=np.intp), np.zeros((1, 2, 6)), np.ones((1, 2)))
+    with_it = replace(fit, together=(own,))
+    (found,) = Views(with_it).rows(candidates[:1]).of_parameters
+    (alone,) = Views(fit).rows(candidates[:1]).of_parameters
+    data, count = Views(fit)._at(candidates[:1])
+    frames = fit.machine.frames
+    problem = Problem(fit.model, fit.parameters, frames, (data,), held=fit.deviations)
+    at = problem.machine(values_at(ROBOT, fit.parameters, frames, fit.deviations))
+    J, by_twist, _ = with_twists(problem, at, data, scales(fit.parameters))
+    U = by_twist.reshape(-1, 6) * np.repeat([2e-4, 5e-4], 3)
+    marks = len(np.unique(fit.measurements[0].value[:, 2:], axis=0))
+    C = (SIGMA**2 + 0.1**2) * count / marks * np.eye(2 * count) + U @ U.T
+    flat = J.reshape(2 * count, -1)
+    np.testing.assert_allclose(found.T @ found, flat.T @ np.linalg.solve(C, flat), rtol=1e-6, atol=1e-9)
+    assert np.linalg.norm(found) < np.linalg.norm(alone)
+
+
 def test_planned_photographs_beat_random_ones_in_forecast_and_in_truth(
     true: simulation.Session, fit: calib.Fit, views: Views, candidates: np.ndarray
 ) -> None:
     planned = plan_views(views, MORE, candidates=candidates)
     forecast = next(one for one in planned.forecasts if one.poses == MORE)
-    assert forecast.chosen < forecast.random
+    # What no photograph shows, the size of all, is told apart.
+    assert planned.floor > forecast.chosen
+    assert forecast.chosen < 0.7 * forecast.random
     rng, marked = np.random.default_rng(3), []
     elsewhere = candidates[::3]
     for chosen in (planned.readings, *(candidates[rng.permutation(len(candidates))[:MORE]] for _ in range(3))):

@@ -53,9 +53,10 @@ class Scene:
     tool: Array
     target: Array
 
-    def marks(self, readings: Array) -> Array:
-        """Where the camera has the marks (N, m, 3), in its frame."""
+    def marks(self, readings: Array, off: Array | None = None) -> Array:
+        """Where the camera has the marks (N, m, 3), in its frame; ``off`` (N, 4, 4): how far the tool is off."""
         tool = self.base @ self.arm.tips(readings) @ self.tool
+        tool = tool if off is None else tool @ off
         on_tip = self.camera.camera_on == "tip"
         T = inverse(tool) @ self.target if on_tip else inverse(self.target) @ tool
         return np.einsum("nij,mj->nmi", T[:, :3, :3], self.places) + T[:, None, :3, 3]
@@ -75,9 +76,11 @@ class Scene:
                 return found[:n]
         raise AssertionError(f"only {len(found)} poses are seen")
 
-    def columns(self, readings: Array, rng: Rng | None = None, sigma: float = 0.0) -> dict[str, object]:
+    def columns(
+        self, readings: Array, rng: Rng | None = None, sigma: float = 0.0, off: Array | None = None
+    ) -> dict[str, object]:
         """The table of what was seen, an image of m rows for each of N readings."""
-        pixels = see(self.camera, self.marks(readings))
+        pixels = see(self.camera, self.marks(readings, off))
         if rng is not None:
             pixels = pixels + rng.normal(scale=sigma, size=pixels.shape)
         m, many = len(self.places), np.repeat(readings, len(self.places), axis=0)
@@ -89,9 +92,14 @@ class Scene:
         return found
 
     def measure(
-        self, robot: calib.Robot, readings: Array, rng: Rng | None = None, sigma: float = 0.0
+        self,
+        robot: calib.Robot,
+        readings: Array,
+        rng: Rng | None = None,
+        sigma: float = 0.0,
+        off: Array | None = None,
     ) -> calib.Measurements:
-        columns = self.columns(readings, rng, sigma)
+        columns = self.columns(readings, rng, sigma, off)
         return calib.read_measurements(columns, robot, "pixels", instrument=self.camera)
 
 
