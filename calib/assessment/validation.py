@@ -48,6 +48,8 @@ _SURELY = 2.0
 _BY = 0.9
 # By what share of the 95 % quantile the largest error may grow.
 _LARGEST = 0.5
+# Poses between places.
+_BETWEEN = 200
 # Of fewer places that lie apart, each would be judged by too little else.
 _FEWEST_PLACES = 3
 
@@ -208,6 +210,25 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     places, place = connected_components(np.array(touching), directed=False)
     apart = bool(places >= _FEWEST_PLACES)
     return Neighbourhoods(np.asarray((place[part] if apart else part)[group], dtype=np.intp), apart)
+
+
+def poses_between(measurements: Sequence[Measurements], chosen: BoolArray, place: IntArray) -> Array:
+    """Return random readings (n, nr) of poses, each somewhere on the way from a row to one of another place.
+
+    ``chosen`` (N,): which rows of all sets are looked at, and ``place`` of these, from 0, two places at least. The
+    same ones every time, whatever the order of the rows. Loops may not close there.
+    """
+    ends = np.concatenate([_both_ends(data) for data in measurements])[chosen]
+    order = np.lexsort((*ends.T, place))
+    ends, place = ends[order], place[order]
+    rng = np.random.default_rng(0)
+    a = rng.integers(len(ends), size=_BETWEEN)
+    # Rows of one place stand together, so that all others follow its last one, the first after the last again.
+    sizes, last = np.bincount(place), np.cumsum(np.bincount(place))
+    b = (last[place[a]] + rng.integers(len(ends) - sizes[place[a]])) % len(ends)
+    share = rng.uniform(size=(_BETWEEN, 1))
+    # Of rows with two ends both are poses; others have the one end twice.
+    return np.asarray((share * ends[a] + (1.0 - share) * ends[b]).reshape(2 * _BETWEEN, -1))
 
 
 def _parts(points: Array, count: int) -> IntArray:
