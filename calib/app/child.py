@@ -77,9 +77,7 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
 def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
     """Return what ``calib check`` says of the job."""
     _refuse_outside()
-    inputs = load(Path(JOB), say)
-    say("computing what the poses determine")
-    seen = looked_at(inputs)
+    seen = looked_at(load(Path(JOB), say), say)
     return {
         "job": Path(JOB).read_text(encoding="utf-8-sig"),
         "findings": seen.findings or [NO_FINDINGS],

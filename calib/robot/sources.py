@@ -16,7 +16,7 @@ EXAMPLE = "example:"
 
 _DISTRIBUTION = "example-robot-data"
 _FOLDER = f"share/{_DISTRIBUTION}/robots"
-_MESH = re.compile(rb"""<mesh\b[^>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
+_MESH = re.compile(rb"""<mesh\b[^<>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
 _PACKAGE_NAME = re.compile(rb"<name>\s*([A-Za-z0-9_.-]{1,100})\s*</name>")
 _LARGEST_MANIFEST = 100_000
 _ABOVE = re.compile(r"^(?:\.\.?/)+")

@@ -119,7 +119,8 @@ def test_what_a_validation_must_be(cell: Cell, fit: calib.Fit, rows, name: str) 
     assert name in failed(found)
 
 
-def test_random_numbers_are_not_explained(cell: Cell) -> None:
+def test_random_numbers_are_not_explained() -> None:
+    cell = Cell()  # its own: what others have drawn before is a matter of chance
     data = cell.measured(cell.draw(60))
     wild = replace(data, position=cell.rng.uniform(-0.8, 0.8, (60, 3)))
     found = calib.assess(calib.identify(cell.model, wild.subset(range(40))), wild.subset(range(40, 60)))
