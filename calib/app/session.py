@@ -223,7 +223,8 @@ class Session:
             await _ended(child)
             trouble.cancel()
             self._busy = None
-            self._write()
+            with contextlib.suppress(OutputError):  # on a full disk the page goes on, and is not kept
+                self._write()
 
     def _take(self, verb: str, told: Mapping[str, Any], trouble: str) -> None:
         """Keep what a child has found, or why it has found nothing."""

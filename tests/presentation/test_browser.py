@@ -416,7 +416,7 @@ def test_a_point_tells_its_row_and_takes_the_arm_there(page: Page, out: Path, ou
     )
     assert np.linalg.norm(tip[12:15] - [reached[axis] for axis in "xyz"]) < 1e-3  # within the error that is left
     said = page.evaluate("document.getElementById('joints').innerText")
-    readings = [float(value) for value in re.findall(r" (-?\d+\.\d+) deg", said)]
+    readings = [float(value) for value in re.findall(r"\xa0(-?\d+\.\d+)\xa0deg", said)]
     assert readings == pytest.approx(s.readings[n], abs=5.1e-3)
     # Beside all points nothing is told.
     page.ask("Input.dispatchMouseEvent", type="mouseMoved", x=1270, y=10)
