@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -128,10 +129,10 @@ def test_shifted_zero(arm: str, name: str, degrees: float, needs: str, observes:
 @pytest.mark.parametrize("arm", JOINTS)
 def test_swapped_joints(arm: str, observes: str) -> None:
     lab = Lab(arm, observes)
-    for i, a in enumerate(JOINTS[arm]):
-        for b in JOINTS[arm][i + 1 :]:
-            sentence = lab.sentence(joints([a, b], lambda q: q[:, ::-1]))
-            assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
+    pairs = list(combinations(JOINTS[arm], 2))
+    for a, b in pairs if observes == "position" else pairs[::3]:
+        sentence = lab.sentence(joints([a, b], lambda q: q[:, ::-1]))
+        assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
 
 
 @pytest.mark.parametrize("observes", ["position", "pose"])
