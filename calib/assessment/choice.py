@@ -346,7 +346,9 @@ class _System:
         whole = initial_problem(full, sets)
         # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
-        parameters = tuple(replace(p, prior=known.get(p.name, p.prior)) for p in whole.parameters)
+        parameters = tuple(
+            p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
+        )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)

@@ -68,7 +68,8 @@ class HeldOut:
 def row_groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Not so where a tool
+    that touches it touches no other: without these rows nothing would be known of the tool. Rows of a stream go
     together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
     of the rows nor that of the sets matters.
     """
@@ -135,8 +136,15 @@ def _words(measurements: Sequence[Measurements]) -> list[str | None]:
 
 
 def _places(measurements: Sequence[Measurements]) -> list[str | None]:
-    """Return the socket of every row of all sets, None where a row is of none."""
-    return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
+    """Return the socket of every row of all sets, None where a row is of none, or of the only one of its tool."""
+    rows = [
+        (data.tools[tool], data.targets[target]) if data.kind == "socket" else (None, None)
+        for data in measurements
+        for tool, target in zip(data.tool, data.target, strict=True)
+    ]
+    sockets = {tool: {place for other, place in set(rows) if other == tool} for tool, _ in set(rows)}
+    alone = {next(iter(places)) for places in sockets.values() if len(places) == 1}
+    return [None if place in alone else place for _, place in rows]
 
 
 def _poses(data: Measurements, number: int) -> Array:

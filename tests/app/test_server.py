@@ -194,7 +194,7 @@ def test_a_browser_is_started_with_an_address_that_leads_to_the_page_once(tmp_pa
 
 
 def test_files_have_a_size_and_a_kind(empty: Server) -> None:
-    assert empty.drop("a.exe", b"MZ")[1]["sentence"].startswith("'a.exe': is no robot, table, photograph or job;")
+    assert empty.drop("a.exe", b"MZ")[1]["sentence"].startswith("'a.exe': is no robot, mesh, table, photograph or job;")
     assert empty.drop("../../x.csv", b"1,2\n")[1]["files"] == [{"name": "x.csv", "kind": "table", "size": 4}]
     assert empty.ask("DELETE", "files/..%2F..%2Fx.csv")[1]["sentence"] == "'../../x.csv': there is no such file."
     # Refused before it is read.
@@ -326,5 +326,5 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "there.csv").write_text("1")
     said = run("app", "--folder", tmp_path)
     assert (said.code, said.out) == (1, "")
-    assert said.err == f"Error: {tmp_path}: is there, and no empty folder; choose another.\n"
+    assert said.err == f"Error: {tmp_path}: is there, and neither empty nor left by this page; choose another.\n"
     assert run("app", "--port", "70000").code == 2

@@ -22,7 +22,7 @@ from calib.assessment.comparison import (
     nested_models,
     paired,
 )
-from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, held_out
+from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, held_out, row_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
@@ -224,6 +224,20 @@ def touched(data: calib.Measurements, sockets: list[int]) -> calib.Measurements:
         targets=tuple(data.targets[k] for k in sockets),
         target=np.array([sockets.index(t) for t in rows.target]),
     )
+
+
+def test_the_only_socket_of_a_tool_is_held_out_by_its_poses() -> None:
+    """Without its rows nothing would be known of the tool; another tool's two sockets stay whole."""
+    lab = touching.lab(1, noise=1e-5)
+    data = lab.sockets(12)
+    alone = touched(data, [0])
+    seen = lab.positions(24)
+    groups = row_groups([replace(alone, tools=("cone",)), seen], places=True)
+    assert len(np.unique(groups)) == 36
+    both = [replace(alone, tools=("cone",)), replace(touched(data, [1, 2]), tools=("ball",))]
+    assert sorted(np.bincount(row_groups(both, places=True))) == [1] * 12 + [12, 12]
+    model = machines.model(lab.robot, offsets="all", base="fixed", prior_angle=1e-2, prior_length=1e-3)
+    assert compare_models({"offsets": model}, [alone, seen]).groups == 36
 
 
 def test_what_is_known_of_a_socket_holds_while_it_is_held_out() -> None:

@@ -300,6 +300,13 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     assert check.passed == passed
 
 
+def test_lengths_that_nothing_tells_are_said_in_words(
+    cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "_common_scale", lambda *_: (float("nan"), float("nan")))
+    assert checks.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
+
+
 def test_a_tool_beyond_reach(fit: calib.Fit) -> None:
     assert checks.tool_and_base(fit).passed
     tools = np.array(fit.machine.frames.tools)
