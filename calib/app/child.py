@@ -15,7 +15,7 @@ from typing import Any
 from calib_start import loading
 
 with loading():
-    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS
+    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather
     from calib.foundations.errors import CalibError, JobError
     from calib.foundations.files import read_bytes, write_atomically
     from calib.foundations.words import shown
@@ -30,6 +30,7 @@ with loading():
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
     from calib.results.report import report_of
+    from calib.robot.sources import EXAMPLE, mesh_uris
 
 # Tables of text, which are read as they are; others become one first.
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
@@ -48,9 +49,11 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
     if not asked["robot"] and not (asked["photographs"] and boards):
         raise JobError("There is no robot yet; drop its URDF, or choose an example.")
     tables = [_as_text(name) for name in asked["tables"]]
+    robot, reasons = _with_meshes(asked["robot"], asked["meshes"])
+    asked = {**asked, "robot": robot}
     if asked["photographs"]:
-        return _photographed(asked, tables, boards, say)
-    reasons: list[str] = []
+        of_board = _photographed(asked, tables, boards, say)
+        return {**of_board, "reasons": [*reasons, *of_board["reasons"]]}
     if asked["stack"] and tables:
         sheet = stacked([read_sheet(table) for table in tables], "target")
         tables = [_made(_TOUCHED, sheet.csv())]
@@ -74,9 +77,7 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
 def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
     """Return what ``calib check`` says of the job."""
     _refuse_outside()
-    inputs = load(Path(JOB), say)
-    say("computing what the poses determine")
-    seen = looked_at(inputs)
+    seen = looked_at(load(Path(JOB), say), say)
     return {
         "job": Path(JOB).read_text(encoding="utf-8-sig"),
         "findings": seen.findings or [NO_FINDINGS],
@@ -105,6 +106,24 @@ def _settings(names: Sequence[str]) -> tuple[list[str], list[str]]:
         raise JobError(f"{' and '.join(map(shown, jobs[:2]))} are both jobs; remove one.")
     boards = [name for name in names if name not in jobs]
     return jobs, boards
+
+
+def _with_meshes(robot: str, meshes: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the robot beside the meshes that were dropped for it, and what there is to say of them."""
+    if not robot or not meshes or robot.startswith(EXAMPLE):
+        return robot, []
+    source = read_bytes(Path(robot), JobError)
+    path, lost = gather(Path.cwd(), robot, mesh_uris(source), meshes)
+    # What collisions are found with is not shown.
+    first, *others = source.split(b"<collision")
+    seen = mesh_uris(first + b"".join(other.partition(b"</collision>")[2] for other in others))
+    missing = [uri for uri in lost if uri in seen]
+    if not missing:
+        return path, [f"{robot}: its {len(seen)} meshes were found among those that were dropped."]
+    return path, [
+        f"{robot}: {len(missing)} of its {len(seen)} meshes are not among those that were dropped, such as "
+        f"{shown(missing[0].rpartition('/')[2])}; the scene shows sticks in their place, and nothing else needs them."
+    ]
 
 
 def _as_text(name: str) -> str:

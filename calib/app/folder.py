@@ -1,12 +1,21 @@
-"""The private folder of a page: what may be dropped into it, under which names, and all of it as one file."""
+"""The private folder of a page: what may be dropped into it, under which names, and all of it as one file.
+
+``robot/`` in it is made anew at every look: the URDF, and its meshes where it says that they are.
+"""
 
 import contextlib
+import io
 import os
 import re
+import shutil
+import stat
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import takewhile
+from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
 from calib.foundations.errors import OutputError
@@ -14,7 +23,10 @@ from calib.foundations.files import write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
 
-JOB, RESULTS, MADE, PHOTOGRAPHS = "calibration.toml", "results", "tables", "photographs"
+JOB, RESULTS, MADE, PHOTOGRAPHS, ROBOT = "calibration.toml", "results", "tables", "photographs", "robot"
+# What was dropped and said, for a page that is served again; no dropped file can have a name like this.
+SESSION = ".session.json"
+_MESHES = "meshes"  # as they were dropped
 # A table of a million rows has some 100 MB; photographs come in hundreds.
 LARGEST_FILE = 200_000_000
 _LARGEST_SUM = 1_000_000_000
@@ -23,7 +35,11 @@ TOO_LARGE = (
     f"is too large; a file may have {LARGEST_FILE // 1_000_000} MB, and all together {_LARGEST_SUM // 1_000_000} MB."
 )
 
-Kind = Literal["robot", "table", "photograph", "settings"]
+# How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
+_DEEPEST, _MOST_OFFERED = 12, 5000
+_DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError)
+
+Kind = Literal["robot", "table", "photograph", "settings", "mesh", "archive"]
 _OTHERS: dict[Kind, tuple[str, ...]] = {
     "robot": (".urdf",),
     "table": (
@@ -31,6 +47,8 @@ _OTHERS: dict[Kind, tuple[str, ...]] = {
         *(".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".xlsx", ".npz"),
     ),
     "settings": (".toml",),
+    "mesh": (".stl", ".dae", ".obj", ".ply", ".off", ".glb"),
+    "archive": (".zip",),
 }
 KINDS: dict[Kind, tuple[str, ...]] = {**_OTHERS, "photograph": ENDINGS}
 _ODD = re.compile(r"[^\w.+ -]|^[. -]+", re.ASCII)
@@ -43,7 +61,7 @@ def kind_of(name: str) -> Kind:
         if name.lower().endswith(endings):
             return kind
     listed = ", ".join(ending for endings in KINDS.values() for ending in endings)
-    raise OutputError(f"{shown(name)}: is no robot, table, photograph or job; their names end with {listed}.")
+    raise OutputError(f"{shown(name)}: is no robot, mesh, table, photograph or job; their names end with {listed}.")
 
 
 def plain_name(name: str) -> str:
@@ -58,15 +76,15 @@ def plain_name(name: str) -> str:
 def private_folder(path: Path | None) -> Iterator[Path]:
     """Give an empty folder that this user alone can enter; without a ``path`` it goes when the block ends.
 
-    Raises OutputError where ``path`` is there and not an empty folder.
+    A folder that such a page has left is given as it is. Raises OutputError where ``path`` is there and none of these.
     """
     if path is None:
         with tempfile.TemporaryDirectory(prefix="calib-app-") as made:
             yield Path(made)
         return
     try:
-        if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or any(path.iterdir())):
-            raise OutputError(f"{path}: is there, and no empty folder; choose another.")
+        if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or not (_left(path) or _empty(path))):
+            raise OutputError(f"{path}: is there, and neither empty nor left by this page; choose another.")
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         path.chmod(0o700)
     except OutputError:
@@ -76,40 +94,177 @@ def private_folder(path: Path | None) -> Iterator[Path]:
     yield path.absolute()
 
 
+def _empty(folder: Path) -> bool:
+    return not any(folder.iterdir())
+
+
+def _left(folder: Path) -> bool:
+    """Return whether a page of this user has left the folder: it alone could enter, and no link leads out of it."""
+    found = folder.stat()
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) != 0o700 or not (folder / SESSION).is_file():
+        return False
+    every = (Path(at, name) for at, folders, names in os.walk(folder) for name in (*folders, *names))
+    return not any(path.is_symlink() for path in every)
+
+
+def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
+    """Return which files of dropped folders, or ``packed`` in an archive, are of use, and the name that each gets here.
+
+    What lies in no folder is left to :func:`take`, which says what it is not. In the folder of a package, which
+    ``package.xml`` marks, the robot and its meshes are of use; a picture beside a mesh is its texture. Tables of one
+    name in several folders have these in their names. Raises OutputError where there are too many.
+    """
+    if len(paths) > _MOST_OFFERED:
+        raise OutputError(f"{len(paths)} files are too many; {_MOST_OFFERED} can be looked through.")
+    plain = {path: PurePosixPath(path.replace("\\", "/")) for path in paths}
+    packages = {path.parent for path in plain.values() if path.name == "package.xml"}
+    beside = {path.parent for path in plain.values() if _known(path) == "mesh"}
+    found = {}
+    for name, path in plain.items():
+        kind = _known(path)
+        hidden = any(part.startswith((".", "__MACOSX")) for part in path.parts)
+        described = kind in ("robot", "mesh") or not packages.intersection(path.parents)
+        texture = kind == "photograph" and path.parent in beside
+        alone = len(path.parts) == 1 and not packed
+        if alone or (kind not in (None, "archive") and described and not hidden and not texture):
+            found[name] = path
+    same = Counter(path.name for path in found.values() if _known(path) != "mesh")
+    return {
+        name: str(path) if _known(path) == "mesh" else "_".join(path.parts) if same[path.name] > 1 else path.name
+        for name, path in found.items()
+    }
+
+
+def _known(path: PurePosixPath) -> Kind | None:
+    try:
+        return kind_of(path.name)
+    except OutputError:
+        return None
+
+
+def unpacked(data: bytes, name: str, there: int) -> Iterator[tuple[str, bytes]]:
+    """Give the files of use in a ZIP archive, one after the other, with the names that they get here.
+
+    ``there``: how many bytes were dropped before. Links in the archive are left out. Raises OutputError where it cannot
+    be read, holds nothing of use or unpacks to too much.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if len(archive.infolist()) > _MOST_OFFERED:
+                raise OutputError(f"{shown(name)}: holds more than {_MOST_OFFERED} files.")
+            inside = {one.filename: one for one in archive.infolist() if not one.is_dir() and not _is_link(one)}
+            wanted = chosen(list(inside), packed=True)
+            if not wanted:
+                raise OutputError(f"{shown(name)}: holds no robot, mesh, table, photograph or job.")
+            if len(wanted) > _MOST_FILES:
+                raise OutputError(f"{shown(name)}: holds more than the {_MOST_FILES} files that are allowed.")
+            for path, plain in wanted.items():
+                with archive.open(inside[path]) as file:
+                    # What an archive says of its sizes need not be so.
+                    contents = file.read(min(LARGEST_FILE, _LARGEST_SUM - there) + 1)
+                there += len(contents)
+                yield plain, contents
+    except OutputError:
+        raise
+    except _DAMAGED as e:
+        locked = "is locked by a password" if "password" in str(e) else "is no archive that can be read"
+        raise OutputError(f"{shown(name)}: {locked}.") from e
+
+
+def _is_link(one: zipfile.ZipInfo) -> bool:
+    return stat.S_ISLNK(one.external_attr >> 16)
+
+
+def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str]) -> tuple[str, list[str]]:
+    """Put a dropped robot into its own folder, and dropped meshes where its ``uris`` say that they are.
+
+    Returns the path of the URDF there, and the uris for which there is no mesh: that is the one whose path ends most
+    alike, its file's name at least; of several that end alike, none can be told from the others.
+    """
+    own = folder / ROBOT
+    shutil.rmtree(own, ignore_errors=True)
+    own.mkdir(mode=0o700)
+    shutil.copyfile(folder / robot, own / robot)
+    dropped = [PurePosixPath(name).parts for name in meshes]
+    lost = []
+    for uri in dict.fromkeys(uris):
+        rest = uri.partition("://")[2] if "://" in uri else uri
+        parts = [part for part in rest.split("/") if part not in ("", ".", "..")]
+        best = _likest([plain_name(part) for part in parts], dropped)
+        place = own.joinpath(*parts)
+        try:
+            if best is None or uri.startswith(("file:", "/")) or "\0" in uri or len(parts) > _DEEPEST:
+                raise FileNotFoundError(uri)
+            place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not place.exists():
+                shutil.copyfile(folder / _MESHES / best, place)
+        except OSError:
+            lost.append(uri)
+    return f"{ROBOT}/{robot}", lost
+
+
+def _likest(parts: Sequence[str], dropped: Sequence[tuple[str, ...]]) -> PurePosixPath | None:
+    def same(path: Sequence[str]) -> int:
+        pairs = zip(reversed(parts), reversed(path), strict=False)
+        return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+    alike = {path: same(path) for path in dropped}
+    most = max(alike.values(), default=0)
+    best = [path for path, count in alike.items() if count == most]
+    return PurePosixPath(*best[0]) if most and len(best) == 1 else None
+
+
 def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
     """Write a dropped file under a plain name, in the place of one of that name, and return this name.
 
     ``there``: sizes of those that were dropped before. Raises OutputError where it is none that can be used, or the
     folder has enough.
     """
-    plain = plain_name(name)
+    plain = name_here(name)
     place = _place(folder, plain)
     others = [size for known, size in there.items() if known != plain]
     if len(others) >= _MOST_FILES:
         raise OutputError(f"{shown(plain)}: is one file more than the {_MOST_FILES} that are allowed.")
     if len(data) > LARGEST_FILE or len(data) + sum(others) > _LARGEST_SUM:
         raise OutputError(f"{shown(plain)}: {TOO_LARGE}")
-    place.parent.mkdir(mode=0o700, exist_ok=True)
+    try:
+        place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as e:  # such as a file where a folder is to be
+        raise OutputError(f"{shown(plain)}: cannot be kept ({e.strerror}).") from e
     write_atomically(place, data)
     return plain
 
 
 def remove(folder: Path, name: str) -> None:
     """Remove a dropped file, if it is there."""
-    _place(folder, plain_name(name)).unlink(missing_ok=True)
+    _place(folder, name_here(name)).unlink(missing_ok=True)
+
+
+def is_there(folder: Path, name: str) -> bool:
+    """Return whether a dropped file of this name is in the folder."""
+    return name_here(name) == name and _place(folder, name).is_file()
+
+
+def name_here(name: str) -> str:
+    """Return the name of a dropped file; that of a mesh keeps its folders, which tell it from others."""
+    if kind_of(name) != "mesh":
+        return plain_name(name)
+    return "/".join(plain_name(part) for part in name.replace("\\", "/").split("/")[-_DEEPEST:] if part)
 
 
 def _place(folder: Path, plain: str) -> Path:
-    return folder / PHOTOGRAPHS / plain if kind_of(plain) == "photograph" else folder / plain
+    inside = {"photograph": PHOTOGRAPHS, "mesh": _MESHES}.get(kind_of(plain))
+    return folder / plain if inside is None else folder / inside / plain
 
 
 def as_zip(folder: Path) -> IO[bytes]:
     """Return an open file with all regular files of the folder, as a ZIP archive, from its beginning."""
     archive = tempfile.TemporaryFile()  # noqa: SIM115 - whoever asked closes it
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as into:
-        for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, RESULTS))):
-            for path in sorted(place.iterdir()) if place.is_dir() else ():
-                if path.is_file() and not path.is_symlink():
+        for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
+            inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
+            for path in sorted(inside) if place.is_dir() else ():
+                if path.is_file() and not path.is_symlink() and path.name != SESSION:
                     into.write(path, Path("calibration") / path.relative_to(folder))
     archive.seek(0)
     return archive

@@ -12,7 +12,7 @@ from tornado.web import stream_request_body
 
 from calib.app.folder import LARGEST_FILE, RESULTS, TOO_LARGE, as_zip, private_folder
 from calib.app.session import Session
-from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import read_inside
 from calib.presentation.local import Guarded, listening
 from calib.results.folder import REPORT_FILE, SCENE_FILE
@@ -27,6 +27,7 @@ _POLICY = (
 _SANDBOX = "sandbox allow-scripts allow-popups"
 _LARGEST_PAGE = 200_000_000
 _PIECE = 1 << 20
+_UNKNOWN = "The page does not know this request."
 
 
 async def serve(folder: Path | None, port: int, started: Callable[[str, str], None]) -> None:
@@ -43,7 +44,8 @@ async def serve(folder: Path | None, port: int, started: Callable[[str, str], No
             (rf"/{secret}/(app\.js|app\.css|)", _Page, given),
             (rf"/{secret}/state", _State, given),
             (rf"/{secret}/examples", _Examples, given),
-            (rf"/{secret}/files/(.{{1,500}})", _Files, given),
+            (rf"/{secret}/offer", _Offer, given),
+            (rf"/{secret}/files/(.{{1,1000}})", _Files, given),
             (rf"/{secret}/(look|check|calibrate|cancel)", _Verb, given),
             (rf"/{secret}/results/({REPORT_FILE}|{SCENE_FILE})", _Results, given),
             (rf"/{secret}/calibration\.zip", _Folder, given),
@@ -142,17 +144,35 @@ class _Files(_Ours):
         self.finish(self.session.state())
 
 
+class _Offer(_Ours):
+    """What is about to be dropped; answered by what is of use of it."""
+
+    def post(self) -> None:
+        try:
+            paths = _said(self.request.body).get("paths")
+            if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+                raise JobError(_UNKNOWN)
+            wanted = self.session.offer(paths)
+        except CalibError as e:
+            self.refuse(400, str(e))
+            return
+        self.finish({**self.session.state(), "wanted": wanted})
+
+
+def _said(body: bytes) -> dict[str, Any]:
+    try:
+        said = json.loads(body or b"{}")
+    except (ValueError, RecursionError) as e:
+        raise JobError(_UNKNOWN) from e
+    if not isinstance(said, dict):
+        raise JobError(_UNKNOWN)
+    return said
+
+
 class _Verb(_Ours):
     async def post(self, verb: str) -> None:
         try:
-            said = json.loads(self.request.body or b"{}")
-            if not isinstance(said, dict):
-                raise ValueError("no object")
-        except (ValueError, RecursionError):
-            self.refuse(400, "The page does not know this request.")
-            return
-        try:
-            await self._do(verb, said)
+            await self._do(verb, _said(self.request.body))
         except CalibError as e:
             self.refuse(400, str(e))
             return

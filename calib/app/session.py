@@ -6,13 +6,13 @@ import json
 import re
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calib.app.folder import JOB, kind_of, remove, take
+from calib.app.folder import JOB, RESULTS, SESSION, chosen, is_there, kind_of, remove, take, unpacked
 from calib.foundations.errors import JobError, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
 from calib.robot.sources import EXAMPLE
 
@@ -28,7 +28,10 @@ _ERROR = re.compile(r"[^\n]*\S\s*\Z")
 
 
 class Session:
-    """What was dropped and said so far. One child works at a time: a new look ends the look before it."""
+    """What was dropped and said so far. One child works at a time: a new look ends the look before it.
+
+    It is kept in the folder, so that a page that is served there again goes on with it.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -36,10 +39,12 @@ class Session:
         self._asked: dict[str, Any] = {"robot": "", "answers": {}, "stack": False, "camera_on": "tip"}
         self._look: dict[str, Any] | None = None
         self._results: dict[str, Any] | None = None
-        self._sentence = ""
+        self._sentence = self._left_out = ""
         self._busy: dict[str, Any] | None = None
         self._begun = 0.0
         self._work: asyncio.Task[None] | None = None
+        if (folder / SESSION).exists():
+            self._go_on()
 
     def state(self) -> dict[str, Any]:
         """Return all that the page shows, as plain data."""
@@ -52,18 +57,34 @@ class Session:
             "look": self._look,
             "results": self._results,
             "sentence": self._sentence,
+            "left_out": self._left_out,
             "busy": busy,
         }
 
+    def offer(self, paths: Sequence[str]) -> dict[str, str]:
+        """Return which of the files that a person is about to drop are to be sent, and by which names."""
+        wanted = chosen(paths)
+        self._leave_out(len(paths) - len(wanted))
+        return wanted
+
     async def drop(self, name: str, data: bytes) -> None:
-        """Take a dropped file. Raises CalibError."""
+        """Take a dropped file, or those in an archive. Raises CalibError."""
         self._refuse_while_calibrating()
         await self.cancel()
+        self._changed()
+        if kind_of(name) != "archive":
+            self._keep(name, data)
+            return
+        files = unpacked(data, name, sum(self._files.values()))
+        while (file := await asyncio.to_thread(next, files, None)) is not None:
+            self._keep(*file)
+
+    def _keep(self, name: str, data: bytes) -> None:
         plain = take(self.folder, name, data, self._files)
         self._files[plain] = len(data)
         if kind_of(plain) == "robot":
             self._asked["robot"] = plain
-        self._changed()
+        self._write()
 
     async def remove(self, name: str) -> None:
         """Remove a dropped file."""
@@ -75,7 +96,9 @@ class Session:
         remove(self.folder, name)
         if self._asked["robot"] == name:
             self._asked["robot"] = next((file for file in self._files if kind_of(file) == "robot"), "")
+        self._left_out = ""
         self._changed()
+        self._write()
 
     async def look(self, said: Mapping[str, Any]) -> None:
         """Begin to look at the files with what the page says of them. Raises CalibError."""
@@ -83,10 +106,9 @@ class Session:
         await self.cancel()
         self._asked = self._understood(said)
         self._changed()
-        of = {kind: [name for name in self._files if kind_of(name) == kind] for kind in ("table", "photograph")}
-        settings = [name for name in self._files if kind_of(name) == "settings"]
-        asked = {**self._asked, "tables": of["table"], "photographs": of["photograph"], "settings": settings}
-        self._begin("look", asked)
+        kinds = {"table": "tables", "photograph": "photographs", "settings": "settings", "mesh": "meshes"}
+        of = {plural: [name for name in self._files if kind_of(name) == kind] for kind, plural in kinds.items()}
+        self._begin("look", {**self._asked, **of})
 
     async def check(self, job: str) -> None:
         """Begin to check a job as the page has it. Raises CalibError."""
@@ -124,6 +146,33 @@ class Session:
     def _changed(self) -> None:
         self._look = self._results = None
         self._sentence = ""
+
+    def _leave_out(self, count: int) -> None:
+        files = "file is" if count == 1 else "files are"
+        self._left_out = f"{count} {files} left out: neither robot, mesh, table, photograph nor job." if count else ""
+
+    def _write(self) -> None:
+        """Keep what was dropped, said and found."""
+        kept = {"files": self._files, "asked": self._asked, "look": self._look, "results": self._results}
+        write_atomically(self.folder / SESSION, json.dumps({**kept, "sentence": self._sentence}))
+
+    def _go_on(self) -> None:
+        """Take up what was kept, as far as the files are still there. Raises OutputError."""
+        where = self.folder / SESSION
+        try:
+            kept = json.loads(read_inside(self.folder, SESSION, OutputError, LARGEST_JSON))
+            files, look, results = kept["files"], kept["look"], kept["results"]
+            self._files = {name: int(size) for name, size in files.items() if is_there(self.folder, name)}
+            if kept["asked"]["robot"] in files and kept["asked"]["robot"] not in self._files:
+                kept["asked"]["robot"] = ""
+            self._asked = self._understood(kept["asked"])
+            self._sentence = str(kept["sentence"])
+        except (OutputError, JobError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
+            raise OutputError(f"{where}: was not written by this page; choose another folder.") from e
+        # What was found holds for all files that were there.
+        if set(self._files) == set(files) and (self.folder / JOB).is_file():
+            self._look = look if isinstance(look, dict) else None
+            self._results = results if isinstance(results, dict) and (self.folder / RESULTS).is_dir() else None
 
     def _understood(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Return what the page says, each of its kind. Raises JobError; what it means the look finds out."""
@@ -174,6 +223,8 @@ class Session:
             await _ended(child)
             trouble.cancel()
             self._busy = None
+            with contextlib.suppress(OutputError):  # on a full disk the page goes on, and is not kept
+                self._write()
 
     def _take(self, verb: str, told: Mapping[str, Any], trouble: str) -> None:
         """Keep what a child has found, or why it has found nothing."""

@@ -635,7 +635,12 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     if worst > 1.0:
         said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
         return _check("lengths", worst * LINK, LINK, False, said)
-    said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF." if moved.any() else "No lengths were free."
+    if not moved.any():
+        said = "No lengths were free."
+    elif np.isnan(scale):
+        said = "Nothing tells whether all links are longer than in the URDF."
+    else:
+        said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF."
     return _check("lengths", abs(scale), SCALE, True, said)
 
 

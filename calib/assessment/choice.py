@@ -31,6 +31,7 @@ from calib.assessment.validation import (
     held_out,
     largest_unharmed,
     neighbourhoods,
+    poses_between,
     row_groups,
     smallest_unharmed,
     some_rows,
@@ -47,14 +48,16 @@ from calib.identification.identify import identify
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
-from calib.identification.parameters import scales
+from calib.identification.parameters import directions, scales
 from calib.identification.system import Rates, without_rows
 from calib.identification.weights import sigmas_of
+from calib.machine.tool_motion import tool_jacobian
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import joined
+from calib.robot.conditions import joined, ordinary
 from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import closing
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
@@ -68,6 +71,10 @@ _GROUPS_EACH = 2
 _BY_CHANCE = 2.0
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
+# What shows where it was measured makes errors of poses held out this much smaller, ...
+_SHOWS = 0.87
+# ... and what does not must make predictions between places scatter this much less.
+_STEADIER = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,10 +256,16 @@ def choose_terms(
         if most:
             progress("choosing joint terms: judging away from what was measured")
             blocks = folds(place, count)
-            away, _ = system.judged(blocks, place, system.products(blocks), among, most)
+            products = system.products(blocks)
+            values = system.ways(products, among, most)
+            away = [held_out(row, place) for row in system.squares(blocks, values)[0]]
             # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
             if away[0].rms <= _FORETOLD * figures[0].rms:
                 most = largest_unharmed(away, apart=near.apart)
+            if near.apart and most and figures[most].rms > _SHOWS * figures[0].rms:
+                whole = system.way(products, among, steps=most).values
+                scatter = system.scatter(poses_between(sets, looked_at, place), whole, values[:, : most + 1])
+                most = most if scatter[most] < _STEADIER * scatter[0] else 0
     steps = tuple(
         Step(
             None if k == 0 else chosen_from[entered[k - 1]],
@@ -346,7 +359,9 @@ class _System:
         whole = initial_problem(full, sets)
         # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
-        parameters = tuple(replace(p, prior=known.get(p.name, p.prior)) for p in whole.parameters)
+        parameters = tuple(
+            p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
+        )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
@@ -414,13 +429,35 @@ class _System:
 
         ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``products``: of every fold.
         """
-        ways = list[Array]()
+        values = self.ways(products, among, steps, progress)
+        progress("choosing joint terms: judging by what was held out")
+        squares, rms = self.squares(fold, values)
+        return [held_out(row, group) for row in squares], rms
+
+    def ways(
+        self, products: Products, among: Sequence[int], steps: int, progress: Callable[[str], None] = lambda _: None
+    ) -> Array:
+        """Return what is found (folds, steps + 1, p) without the rows of every fold, given the products of all."""
+        found = list[Array]()
         for k in range(len(products)):
             progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
-            ways.append(self.way(products, among, without=k, steps=steps).values)
-        progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(fold, np.stack(ways))
-        return [held_out(row, group) for row in squares], rms
+            found.append(self.way(products, among, without=k, steps=steps).values)
+        return np.stack(found)
+
+    def scatter(self, poses: Array, whole: Array, without: Array) -> Array:
+        """Return how far predictions of the tool at poses (n, nr) scatter after every step (steps + 1,), in m.
+
+        ``whole`` (steps + 1, p): what all rows have found; ``without`` (places, steps + 1, p): the same without each of
+        the places, for which others may have entered. Rms of the jackknife over places; infinite where no loop closes.
+        """
+        problem, places = self._problem, len(without)
+        at = poses[closing(problem.model.robot, poses)]
+        if not len(at):
+            return np.full(len(whole), np.inf)
+        by_state = tool_jacobian(problem.model.robot, problem.machine(self._x), at, ordinary(at))[:, :3]
+        J = by_state @ (directions(problem.parameters, by_state.shape[2]) * scales(problem.parameters))
+        change = (without - whole) @ J.reshape(-1, len(self._known) - 1).T
+        return np.asarray(np.sqrt((places - 1) / places * np.sum(np.mean(change**2, axis=2) * 3.0, axis=0)))
 
     def way(
         self,

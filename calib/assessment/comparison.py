@@ -191,8 +191,6 @@ def compare_models(
     if unknown := sorted(set(choose) - set(models)):
         raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
     group = row_groups(sets, places=True)
-    if not group.any():
-        group = row_groups(sets)
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
     if not looked_at.all():

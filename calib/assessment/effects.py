@@ -22,6 +22,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
+from calib.identification.together import Together
 from calib.measurement.checks import resolutions
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
@@ -50,12 +51,13 @@ _LEAST_ROWS = 3
 class Stretch:
     """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 
+    Of photographs that err together all is less what rows have in common: an arm that does not come back is no other.
     ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
     ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up. ``least``: variance of r
-    that is rounding.
+    that is rounding. ``together``: how its photographs err, where their rows err together.
     """
 
     r: Array
@@ -72,6 +74,7 @@ class Stretch:
     data: Measurements
     used: float
     least: float
+    together: Together | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +136,15 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
             continue
         part = data.subset(rows)
         sigma, w = residue.sigma[i][rows][:, :, None], np.sqrt(residue.w[i][rows])[:, None, None]
+        together = fit.together[i] if fit.together else None
+        together = together and together.drawn(rows, np.zeros_like(rows))
+        less = _as_it_is if together is None else together.less
         at = Problem(wide, parameters, fit.machine.frames, (part,))
-        W = np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w
+        W = less(np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w)
         mine = replace(residue.problem, measurements=(part,), parameters=judged)
         blocks = list(Rates(mine, fit.machine, scales(judged)).blocks(part))
-        J = np.concatenate([b.J for b in blocks]) / sigma * w
-        r = np.concatenate([b.observed.residual for b in blocks]) / sigma[:, :, 0] * w[:, :, 0]
+        J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
+        r = less(np.concatenate([b.observed.residual for b in blocks])[:, :, None] / sigma * w)[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
@@ -157,9 +163,33 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 data,
                 float(np.sum((J @ residue.C) * J)),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
+                together,
             )
         )
     return tuple(found)
+
+
+def by_photograph(part: Stretch) -> Stretch:
+    """Return six numbers of every photograph in place of its rows, where these err together: what they have in common.
+
+    Whatever differs from photograph to photograph is in these; the rest of the rows would only dilute it.
+    """
+    together = part.together
+    if together is None:
+        return part
+    _, first = np.unique(together.number, return_index=True)
+    return replace(
+        part,
+        r=together.by_photograph(part.r[:, :, None])[:, :, 0],
+        J=together.by_photograph(part.J),
+        by_joint=together.by_photograph(part.by_joint),
+        by_base=together.by_photograph(part.by_base),
+        by_tool=together.by_photograph(part.by_tool),
+        values=part.values[first],
+        rates=part.rates[first],
+        row=part.row[first],
+        together=None,
+    )
 
 
 def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
@@ -173,6 +203,10 @@ def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
         if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
             return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
     return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
+
+
+def _as_it_is(rows: Array) -> Array:
+    return rows
 
 
 def _chosen(data: Measurements, residue: Residue) -> IntArray:

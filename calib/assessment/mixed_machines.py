@@ -5,7 +5,7 @@ one of K values in every row and D is what joints and parameters do. Values and 
 for the other (H. Spaeth, *Algorithm 39: clusterwise linear regression*, Computing 22, 1979), from several starts. A
 value for every row and a change always explain something: where there is but one machine, no more than the degrees of
 freedom they take. An effect that varies steadily, as of one gear that wobbles, is cut into K parts, which leaves K
-times less; only rows of K machines leave far less than that.
+times less; only rows of K machines leave far less than that. Of photographs whose rows err together, each is one row.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.effects import Stretch, per_metre, score_test
+from calib.assessment.effects import Stretch, by_photograph, per_metre, score_test
 from calib.foundations.arrays import Array
 
 # Of more rows so many are looked at, spread evenly.
@@ -50,7 +50,8 @@ ONE_MACHINE = MixedMachines(1, 1.0, 0.0, 0.0)
 
 def mixed_machines(parts: Sequence[Stretch]) -> tuple[MixedMachines, ...]:
     """Return what becomes of the residuals of all parts where rows are taken to be of two machines, or more."""
-    usable = [part for part in parts if part.data.other is None and part.r.shape[1] == parts[0].r.shape[1]]
+    own = [by_photograph(part) for part in parts]
+    usable = [part for part in own if part.data.other is None and part.r.shape[1] == own[0].r.shape[1]]
     if not usable:
         return (ONE_MACHINE,)
     every = np.concatenate([part.r for part in usable])

@@ -48,6 +48,8 @@ _SURELY = 2.0
 _BY = 0.9
 # By what share of the 95 % quantile the largest error may grow.
 _LARGEST = 0.5
+# Poses between places.
+_BETWEEN = 200
 # Of fewer places that lie apart, each would be judged by too little else.
 _FEWEST_PLACES = 3
 
@@ -68,7 +70,8 @@ class HeldOut:
 def row_groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
-    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Rows of a stream go
+    With ``places`` rows that touch one socket have one number as well: the tool was in one place. Not so where a tool
+    that touches it touches no other: without these rows nothing would be known of the tool. Rows of a stream go
     together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
     of the rows nor that of the sets matters.
     """
@@ -135,8 +138,15 @@ def _words(measurements: Sequence[Measurements]) -> list[str | None]:
 
 
 def _places(measurements: Sequence[Measurements]) -> list[str | None]:
-    """Return the socket of every row of all sets, None where a row is of none."""
-    return [data.targets[target] if data.kind == "socket" else None for data in measurements for target in data.target]
+    """Return the socket of every row of all sets, None where a row is of none, or of the only one of its tool."""
+    rows = [
+        (data.tools[tool], data.targets[target]) if data.kind == "socket" else (None, None)
+        for data in measurements
+        for tool, target in zip(data.tool, data.target, strict=True)
+    ]
+    sockets = {tool: {place for other, place in set(rows) if other == tool} for tool, _ in set(rows)}
+    alone = {next(iter(places)) for places in sockets.values() if len(places) == 1}
+    return [None if place in alone else place for _, place in rows]
 
 
 def _poses(data: Measurements, number: int) -> Array:
@@ -200,6 +210,25 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     places, place = connected_components(np.array(touching), directed=False)
     apart = bool(places >= _FEWEST_PLACES)
     return Neighbourhoods(np.asarray((place[part] if apart else part)[group], dtype=np.intp), apart)
+
+
+def poses_between(measurements: Sequence[Measurements], chosen: BoolArray, place: IntArray) -> Array:
+    """Return random readings (n, nr) of poses, each somewhere on the way from a row to one of another place.
+
+    ``chosen`` (N,): which rows of all sets are looked at, and ``place`` of these, from 0, two places at least. The
+    same ones every time, whatever the order of the rows. Loops may not close there.
+    """
+    ends = np.concatenate([_both_ends(data) for data in measurements])[chosen]
+    order = np.lexsort((*ends.T, place))
+    ends, place = ends[order], place[order]
+    rng = np.random.default_rng(0)
+    a = rng.integers(len(ends), size=_BETWEEN)
+    # Rows of one place stand together, so that all others follow its last one, the first after the last again.
+    sizes, last = np.bincount(place), np.cumsum(np.bincount(place))
+    b = (last[place[a]] + rng.integers(len(ends) - sizes[place[a]])) % len(ends)
+    share = rng.uniform(size=(_BETWEEN, 1))
+    # Of rows with two ends both are poses; others have the one end twice.
+    return np.asarray((share * ends[a] + (1.0 - share) * ends[b]).reshape(2 * _BETWEEN, -1))
 
 
 def _parts(points: Array, count: int) -> IntArray:

@@ -9,7 +9,7 @@ from calib.cli.options import Open, Port, option
 from calib.cli.view import shown_at
 from calib_start import loading
 
-_FOLDER = "A new or empty folder that keeps files and results; else they go at Ctrl-C."
+_FOLDER = "A folder that keeps files and results, new, empty or of an earlier page; else they go at Ctrl-C."
 
 
 @command("app", PATH, "calib app --open")

@@ -70,9 +70,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
         from calib.job.inputs import load
         from calib.job.looking import looked_at
     with telling.progress(STEPS_OF_LOADING + 1) as say:
-        inputs = load(job, say)
-        say("computing what the poses determine")
-        looked = looked_at(inputs, every=every)
+        looked = looked_at(load(job, say), say, every=every)
     tell_check(telling, looked)
 
 
@@ -82,9 +80,7 @@ def _check_files(urdf: str, tables: list[Path], given: dict[str, object], tellin
         from calib.job.looking import loaded, looked_at
     found = proposed(urdf, tables, given, ask=False)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
-        inputs = loaded(found, Path("calibration.toml"), say)
-        say("computing what the poses determine")
-        looked = looked_at(inputs, every=every)
+        looked = looked_at(loaded(found, Path("calibration.toml"), say), say, every=every)
     tell_check(telling, looked, found.reasons, {"toml": found.job(Path.cwd())})
 
 

@@ -57,9 +57,7 @@ def init(
     given = answers(tip, angles, lengths, orientation, observes, column)
     found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
     with telling.progress(STEPS_OF_LOADING + 1) as say:
-        inputs = loaded(found, output, say)
-        say("computing what the poses determine")
-        looked = looked_at(inputs)
+        looked = looked_at(loaded(found, output, say), say)
     write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
     if not as_json:

@@ -78,6 +78,15 @@ class Together:
             found[own] -= (V @ (self.share[k][:, None] * (V.T @ of))).reshape(len(own), *whitened.shape[1:])
         return found
 
+    def by_photograph(self, whitened: Array) -> Array:
+        """Return of whitened rows (n, d, k), or of what :meth:`less` makes of them, what rows have in common (m, 6, k).
+
+        These are six numbers of each photograph, each of its own noise.
+        """
+        found = np.zeros((len(self.share), 6, whitened.shape[2]))
+        np.add.at(found, self.number, np.einsum("ndj,ndk->njk", self.directions, whitened))
+        return found
+
     def drawn(self, rows: IntArray, draw: IntArray) -> "Together":
         """Return it for rows (n,) of whole photographs, by the ``draw`` (n,) of each: drawn twice, they are two."""
         kinds, number = np.unique(np.column_stack([draw, self.number[rows]]), axis=0, return_inverse=True)

@@ -41,8 +41,9 @@ def loaded(found: Proposal, path: Path, say: Callable[[str], None]) -> Inputs:
     return load(path, say, parse_job(tomllib.loads(found.job(folder)), str(path)))
 
 
-def looked_at(inputs: Inputs, *, every: bool = False) -> Looked:
+def looked_at(inputs: Inputs, say: Callable[[str], None], *, every: bool = False) -> Looked:
     """Look at what is wrong with inputs; ``every``: and at all directions of the null space, one by one."""
+    say("computing what the poses determine")
     seen = observability(inputs.model, inputs.identify)
     advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.undetermined)]
     brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.undetermined, advised)

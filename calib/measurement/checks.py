@@ -203,11 +203,12 @@ def _rounded(m: Measurements, readings: Sequence[Reading], reach: float) -> Iter
         return
     j = int(np.argmax(steps * arms))
     factor, unit = (1.0 / DEG, "deg") if readings[j].dimension == "angle" else (1.0 / MM, "mm")
-    many = int(np.count_nonzero(steps))
+    more = int(np.count_nonzero(steps)) - 1
+    others = f" and {more} other{'s' if more > 1 else ''}" if more else ""
     yield Finding(
         "warning",
         "rounded-readings",
-        f"{m.where}: readings of {readings[j].name!r}{f' and {many - 1} others' if many > 1 else ''} come in steps of "
+        f"{m.where}: readings of {readings[j].name!r}{others} come in steps of "
         f"{steps[j] * factor:.4g} {unit}; if they are rounded, the tip is off by up to "
         f"{0.5 * steps[j] * arms[j] / MM:.2g} mm: write more digits.",
     )

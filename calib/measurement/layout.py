@@ -4,6 +4,7 @@ Exporters put lines of their own before a header, spreadsheets choose their sepa
 """
 
 import re
+import string
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,12 +20,14 @@ _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
 _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
 # Units that may stand behind a name without brackets; shorter ones are the ends of too many names.
 _SUFFIXES = frozenset(("deg", "rad", "mrad", "mm", "m", "cm", "um", "px", "degc"))
+_APART = "_" + string.whitespace
+# No two parts of one pattern take the same characters: headers may be long, and all blanks.
 _BEHIND = (
-    re.compile(r"(.+?)\s*\(\s*([^()]*?)\s*\)"),
-    re.compile(r"(.+?)\s*/\s*([^/\s]+)"),
-    re.compile(r"(.+?)\s*([\u00b0\u00ba])"),
+    re.compile(r"(.+)\(([^()]*)\)"),
+    re.compile(r"(.+)/\s*([^/\s]+)"),
+    re.compile(r"(.+)([\u00b0\u00ba])"),
 )
-_SUFFIX = re.compile(r"(.+?)[_\s]+([^\W_]+)")
+_SUFFIX = re.compile(r"(.+)[_\s]([^\W_]+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +137,9 @@ def name_and_unit(title: str) -> tuple[str, str | None]:
     """
     for pattern in _BEHIND:
         match = pattern.fullmatch(title)
-        if match is not None and (symbol := symbol_of(match[2])) is not None:
-            return match[1], symbol
+        if match is not None and (symbol := symbol_of(match[2].strip())) is not None and (name := match[1].rstrip()):
+            return name, symbol
     match = _SUFFIX.fullmatch(title)
-    if match is not None and match[2].lower() in _SUFFIXES:
-        return match[1], symbol_of(match[2])
+    if match is not None and match[2].lower() in _SUFFIXES and (name := match[1].rstrip(_APART)):
+        return name, symbol_of(match[2])
     return title, None

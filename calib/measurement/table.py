@@ -46,7 +46,7 @@ _LONGEST_WORD = 200
 _LISTED = 12
 # What a plain number is made of; of these, float() takes only plain numbers.
 _PLAIN = b"0123456789.+-eE"
-_TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
+_TITLE = re.compile(r"([^\[\]]*)(?:\[([^\[\]]*)\])?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -369,16 +369,17 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def _split(title: str) -> tuple[str, str | None]:
-    match = _TITLE.fullmatch(title)
+    match = _TITLE.fullmatch(title.strip())
     if match is None:
         raise HeaderError(f"the header {shown(title)} is not a name with a unit, like 'x [mm]'")
-    if not match[1]:
+    name, unit = match[1].strip(), None if match[2] is None else match[2].strip()
+    if not name:
         raise HeaderError("a column has no name (is there a comma too many?)")
     if len(title) > _LONGEST_WORD:
         raise HeaderError(f"the header {shown(title)} is longer than {_LONGEST_WORD} characters")
-    if match[2] is None and not holds_words(match[1]):
-        return name_and_unit(match[1])
-    return match[1], match[2] and (symbol_of(match[2]) or match[2])
+    if unit is None and not holds_words(name):
+        return name_and_unit(name)
+    return name, unit and (symbol_of(unit) or unit)
 
 
 def holds_words(name: str) -> bool:

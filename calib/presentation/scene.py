@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +20,7 @@ from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
 from calib.presentation.mesh_counts import MOST_CORNERS
 from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
+from calib.presentation.page_files import page_file, template
 from calib.presentation.thin_meshes import thin_mesh
 from calib.presentation.viewer import (
     Command,
@@ -168,8 +168,6 @@ def render_scene(scene: Scene) -> str:
 
     Raises RobotError when the tip is not in the URDF.
     """
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - calib must not load it on import
-
     if scene.tip not in scene.urdf.links:
         raise RobotError(f"tip {scene.tip!r} is not a link of the URDF.")
     # Drawn in the root link's frame: the base stands on the grid whatever way the instrument's axes point.
@@ -233,15 +231,12 @@ def render_scene(scene: Scene) -> str:
         "factors": _factors(scene.scales),
         "radius": 0.004 * extent,
     }
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    pages = files("calib.presentation").joinpath("pages")
-    template = environment.from_string(pages.joinpath(_PAGE).read_text(encoding="utf-8"))
-    return template.render(
+    return template(_PAGE).render(
         title=scene.title,
         legend=_legend(scene, links, errors, edges, cell),
         licences=(asset("LICENSE") + asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace("</", "< /"),
         viewer=asset("dist/main.min.js"),
-        script=pages.joinpath(_SCRIPT).read_text(encoding="utf-8"),
+        script=page_file(_SCRIPT),
         page=json.dumps(page, separators=(",", ":")).replace("<", "\\u003c"),
     )
 

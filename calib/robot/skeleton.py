@@ -62,7 +62,8 @@ class Path(NamedTuple):
 class Outline:
     """A tree without deviations: what all its skeletons share.
 
-    ``carriers`` (n): the number of the moving joint before every joint, -1 for the base.
+    ``carriers`` (n): the number of the moving joint before every joint, -1 for the base. Of the joints that move, by
+    number: their ``types``, and ``parents``, the moving joint that carries each, -1 for the base.
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -73,19 +74,9 @@ class Outline:
         self._fixed = [(i, segments[i].parent) for i in behind if segments[segments[i].parent].number is None]
         self.carriers = [self.moving_at(segment.parent) for segment in segments]
         self._moving = [i for i, segment in enumerate(segments) if segment.type != "fixed"]
-        self._types = tuple(segment.type for segment in segments if segment.type != "fixed")
-        self._parents = tuple(self.carriers[i] for i in self._moving)
+        self.types: tuple[MovingType, ...] = tuple(segment.type for segment in segments if segment.type != "fixed")
+        self.parents = tuple(self.carriers[i] for i in self._moving)
         self._paths: dict[int, Path] = {}
-
-    @property
-    def parents(self) -> tuple[int, ...]:
-        """The moving joint that carries each, by number; -1 for the base."""
-        return self._parents
-
-    @property
-    def types(self) -> tuple[MovingType, ...]:
-        """Types of the joints that move."""
-        return self._types
 
     def path(self, joint: int) -> "Path":
         """Return the way from the base to the end of a joint."""
@@ -94,7 +85,7 @@ class Outline:
         return self._paths[joint]
 
     def _found(self, joint: int) -> "Path":
-        own = way(self._parents, self.moving_at(joint))
+        own = way(self.parents, self.moving_at(joint))
         carrier = {number: k + 1 for k, number in enumerate(own)} | {-1: 0}
         segments = way([segment.parent for segment in self.segments], joint)
         carriers = [carrier[self.carriers[i]] for i in segments]
@@ -113,7 +104,7 @@ class Outline:
         carried = placed.copy() if self._fixed else placed
         for i, parent in self._fixed:
             carried[i] = carried[parent] @ placed[i]
-        return Skeleton(self, placed, carried, twists, Tree(self._types, self._parents, carried[self._moving]))
+        return Skeleton(self, placed, carried, twists, Tree(self.types, self.parents, carried[self._moving]))
 
     def end_frame(self, s: Skeleton, joint: int) -> Frame:
         """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""

@@ -16,9 +16,10 @@ EXAMPLE = "example:"
 
 _DISTRIBUTION = "example-robot-data"
 _FOLDER = f"share/{_DISTRIBUTION}/robots"
-_MESH = re.compile(rb"""<mesh\b[^>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
+_MESH = re.compile(rb"""<mesh\b[^<>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
 _PACKAGE_NAME = re.compile(rb"<name>\s*([A-Za-z0-9_.-]{1,100})\s*</name>")
 _LARGEST_MANIFEST = 100_000
+_ABOVE = re.compile(r"^(?:\.\.?/)+")
 
 
 def resolve(path: str | Path) -> Path:
@@ -65,12 +66,13 @@ def examples_folder() -> Path:
 def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
     """Return the file that a URDF's mesh ``filename`` means, or None when it is not a file below one of ``roots``.
 
-    ``package://NAME/REST`` is ROOT/NAME/REST or ROOT/REST; a relative path starts at a root; ``file://`` and absolute
-    paths must lead below one. Links are followed first, and a path that leaves its root is refused.
+    ``package://NAME/REST`` is ROOT/NAME/REST or ROOT/REST; a relative path starts at a root, and its leading ``..`` may
+    be left out; ``file://`` and absolute paths must lead below one. Links are followed first, and a path that leaves
+    its root is refused.
     """
     scheme, mark, rest = uri.partition("://")
     if not mark:
-        names = [uri]
+        names = [uri, _ABOVE.sub("", uri)]
     elif scheme == "file":
         names = [unquote(rest)]
     elif scheme == "package":
@@ -79,7 +81,7 @@ def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
         return None
     for root in roots:
         # The folder of a package is no place for meshes of another one that have the same path there.
-        other = len(names) > 1 and _package_name(root) not in (None, rest.partition("/")[0])
+        other = scheme == "package" and _package_name(root) not in (None, rest.partition("/")[0])
         for name in names[:1] if other else names:
             try:
                 path = (root / name).resolve()

@@ -17,8 +17,11 @@ from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, link_length
 from calib.robot.gravity import Holding
 from calib.robot.skeleton import Segment
-from calib.robot.terms import KINDS, JointTerm, Kind, kind_of
+from calib.robot.terms import KINDS, NAMED, JointTerm, Kind, kind_of
 from calib.robot.terms.kind import Rows, Shares
+
+# Names of terms that may need a condition; of a thousand candidates hardly any does.
+_NEEDING = frozenset(name for name, kind in NAMED.items() if type(kind).lacking is not Kind.lacking)
 
 
 class Flexures(NamedTuple):
@@ -36,7 +39,7 @@ def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequen
     """
     every: list[Flexure] = []
     of_term = [range(0)] * len(terms)
-    of_links = [(t, term, kind_of(term)) for t, term in enumerate(terms) if kind_of(term).of_link]
+    of_links = [(t, term, kind) for t, term in enumerate(terms) if (kind := kind_of(term)).of_link]
     for kind in KINDS:
         for t, term, own in of_links:
             if own is kind:
@@ -54,7 +57,7 @@ def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Con
     """Return the first term that needs a condition which rows do not have, and the column that would; else None."""
     number = {name: k for k, name in enumerate(readings)}
     for term in terms:
-        if column := kind_of(term).lacking(term, number.get(term.reading, 0), conditions):
+        if term.kind in _NEEDING and (column := kind_of(term).lacking(term, number.get(term.reading, 0), conditions)):
             return term.name, column
     return None
 

@@ -591,8 +591,158 @@ def _recording(folder: Path, size: int) -> None:
     (folder / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + b"\xff\xff\xff\xff" * (size // 4))
 
 
-_ZEROS = ",".join("0" * 6)
-_UNDER = "".join("-" for _ in range(1))
+# Of others' files: kinematics, lenses, records, metadata, boards, acceptance tests. --------------------------------
+
+
+def _text(name: str, run: tuple[str, ...], piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
+    """Fill one file of the folder with pieces between a head and a tail."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(head + repeated(piece, size - len(head) - len(tail)) + tail, encoding="utf-8")
+
+    return Hostile(write, run)
+
+
+_UR10 = "example:ur_description/urdf/ur10_robot.urdf"
+
+
+def _kinematics(piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
+    return _text("own.conf", ("import", "own.conf", "--robot", _UR10, "-o", "own.urdf"), piece, head, tail)
+
+
+_K = "[900.0, 0.0, 640.0, 0.0, 901.5, 360.0, 0.0, 0.0, 1.0]"
+_CAMERA = """
+[instruments.camera]
+kind = "camera"
+camera_on = "tip"
+lens_file = "lens.yaml"
+sigma = "0.2 px"
+[[measurements]]
+file = "identification.csv"
+observes = "pixels"
+instrument = "camera"
+"""
+
+
+def _lens(piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
+    """Fill a lens, and name it in the job; there are no pixels to be read with it."""
+    filled = _text("lens.yaml", _CALIBRATE, piece, head, tail)
+
+    def write(folder: Path, size: int) -> None:
+        filled.write(folder, size)
+        path = folder / "calibration.toml"
+        job = path.read_text(encoding="utf-8").partition("[[measurements]]")[0]
+        path.write_text(job + _CAMERA, encoding="utf-8")
+
+    return Hostile(write)
+
+
+def _records(name: str, piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
+    return _text(name, ("import", name, "-o", "table.csv"), piece, head, tail)
+
+
+def _laughs(mark: str, last: str) -> str:
+    """Return lines of which each has the one before it nine times, by aliases, and what is then the last."""
+    lines = [f"a0: &{mark}a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{k}: &{mark}a{k} [{', '.join([f'*{mark}a{k - 1}'] * 9)}]" for k in range(1, 10)]
+    return "\n".join([*lines, f"{last}: *{mark}a9", ""])
+
+
+_BAG = "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: sqlite3\n  relative_file_paths: [bag.db3]\n"
+
+
+def _metadata(piece: Callable[[int], str], head: str = _BAG, tail: str = "") -> Hostile:
+    return _text("bag/metadata.yaml", ("import", "bag"), piece, head, tail)
+
+
+def _touches(table: str, row: Callable[[int], str]) -> Hostile:
+    """Fill a table of an acceptance test; ``row``: what stands behind the readings of the shipped one."""
+
+    def write(folder: Path, size: int) -> None:
+        lines = (CASE / table).read_text(encoding="utf-8").splitlines()
+        header, *rows = [line for line in lines if not line.startswith("#")]
+        joints = [",".join(line.split(",")[:6]) for line in rows]
+        (folder / table).write_text(
+            header + "\n" + repeated(lambda k: f"{joints[k % len(joints)]},{row(k)}\n", size), encoding="utf-8"
+        )
+
+    return Hostile(write, ("performance", _RESULTS, table))
+
+
+_OTHERS: dict[str, Hostile] = {
+    "blank lines of kinematics": _kinematics(lambda _: "\n"),
+    "blanks of kinematics": _kinematics(lambda _: " "),
+    "lists of kinematics that begin": _kinematics(lambda _: "delta_a=[\n"),
+    "numbers of kinematics": _kinematics(lambda _: "1,", "delta_a = [", "1]\n"),
+    "digits of kinematics": _kinematics(lambda _: "1", "delta_a = [", "]\n"),
+    "kinematics again and again": _kinematics(
+        lambda _: "".join(f"delta_{name} = [0, 0, 0, 0, 0, 0]\n" for name in ("theta", "a", "d", "alpha"))
+    ),
+    "links of kinematics": _kinematics(lambda k: f"shoulder:\n  {'xyz'[k % 3]}: 1\n"),
+    "blanks in links of kinematics": _kinematics(lambda _: " ", "shoulder:\n  x:", "y\n"),
+    "lens deep": _lens(lambda _: "[", "camera_matrix: "),
+    "lens of blocks": _lens(lambda _: "- "),
+    "lens of keys of keys": _lens(lambda _: "{a: ", "camera_matrix: "),
+    "lens of questions": _lens(lambda _: "? "),
+    "lens that laughs": _lens(lambda _: "# laughs\n", tail=_laughs("", "camera_matrix")),
+    "lens that laughs with a dash": _lens(lambda _: "# laughs\n", tail=_laughs("-", "camera_matrix")),
+    "keys of a lens": _lens(lambda k: f"k{k}: 1\n", f"camera_matrix: {_K}\n"),
+    "one key of a lens": _lens(lambda _: f"camera_matrix: {_K}\n"),
+    "numbers of a lens": _lens(lambda _: "1,", "camera_matrix: [", "1]\n"),
+    "digits of a lens": _lens(lambda _: "1", "camera_matrix: [", "]\n"),
+    "words of a lens": _lens(lambda _: "a ", f"camera_matrix: {_K}\nname: "),
+    "lens in XML": _lens(lambda k: f"<m{k}>1</m{k}>", "<?xml version='1.0'?><opencv_storage>", "</opencv_storage>"),
+    "records of YAML, deep": _records("a.yaml", lambda _: "[", "a: "),
+    "records of YAML, in blocks": _records("a.yaml", lambda _: "- "),
+    "records of YAML, blank lines": _records("a.yaml", lambda _: "\n", "a: 1\n"),
+    "records of YAML that laugh": _records("a.yaml", lambda _: "# laughs\n", tail=_laughs("-", "z")),
+    "records of YAML": _records("a.yaml", lambda k: f"- {{a: {k}, b: 2}}\n"),
+    "documents of YAML": _records("a.yaml", lambda k: f"---\na: {k}\n"),
+    "records of JSON, deep": _records("a.json", lambda _: "["),
+    "records of JSON": _records("a.json", lambda k: f'{{"a": {k}, "b": [1, 2]}},', "[", '{"a": 1, "b": [1, 2]}]'),
+    "names of JSON": _records("a.json", lambda k: f'"a{k}": 1,', "[{", '"a": 1}]'),
+    "metadata that laugh": _metadata(lambda _: "# laughs\n", _laughs("", "rosbag2_bagfile_information")),
+    "metadata deep": _metadata(lambda _: "[", _BAG + "x: "),
+    "metadata of keys": _metadata(lambda k: f"k{k}: 1\n"),
+    "metadata of files": _metadata(lambda _: "bag.db3, ", _BAG.removesuffix("bag.db3]\n"), "bag.db3]\n"),
+    "metadata of words": _metadata(lambda _: "a ", _BAG + "x: "),
+    "lists of a board": _photographs(lambda size: "x = " + "[" * (size - 100) + "\n", lambda _: "p0,1\n"),
+    "numbers of a board": _photographs(
+        lambda size: "x = [" + repeated(lambda k: f"{k},", size) + "]\n", lambda _: "p0,1\n"
+    ),
+    "dots of a board": _photographs(lambda size: "a" + ".a" * (size // 2) + " = 1\n", lambda _: "p0,1\n"),
+    "digits of a board": _photographs(lambda size: "x = " + "1" * size + "\n", lambda _: "p0,1\n"),
+    "tables of a board": _photographs(lambda size: repeated(lambda k: f"[t{k}]\n", size), lambda _: "p0,1\n"),
+    "a title of blanks": _text("a.csv", ("import", "a.csv", "-o", "t.csv"), lambda _: " ", "x [mm],y[", "\n1,2\n"),
+    "a title of blanks in a table": Hostile(
+        lambda folder, size: _edited(
+            folder / "identification.csv",
+            "x [mm]",
+            "x" + " " * min(size // 2, 45_000) + "[" + " " * min(size // 2, 45_000),
+        )
+    ),
+    "a title of brackets": _text("a.csv", ("import", "a.csv", "-o", "t.csv"), lambda _: "( ", "x", "\n1\n"),
+    "touches of one cone": _touches("cone.csv", lambda _: "near"),
+    "touches of cones": _touches("cone.csv", lambda k: f"c{k % 100}"),
+    "touches of cones without end": _touches("cone.csv", lambda k: f"c{k}"),
+    "touches of one length": _touches("lengths.csv", lambda k: f"{'AB'[k % 2]},1,299.987"),
+    "touches of lengths": _touches("lengths.csv", lambda k: f"{'AB'[k % 2]},{k // 2},299.987"),
+    "touches of one sphere": _touches("sphere.csv", lambda _: "near,24.9982,6"),
+    "touches of spheres": _touches("sphere.csv", lambda k: f"s{k % 100},24.9982,6"),
+    "touches of one sphere, articulated": _touches("articulations.csv", lambda k: f"near,{k},24.9982,6"),
+    "touches of many articulations": _touches("articulations.csv", lambda k: f"s{k % 50},{k // 250},24.9982,6"),
+    "touches of a sphere of kilometres": _touches("sphere.csv", lambda k: f"s{k % 9},1e6,1e6"),
+    "cycles of distances": _cycles(
+        lambda k: f"P{k % 5},{k % 3},{k % 7},{k % 2},{100 * (k % 5)},0,0,{k}\n",
+        "target,x [mm],y [mm],z [mm],command_x [mm],command_y [mm],command_z [mm],time [s]",
+    ),
+    "cycles of distances of many": _cycles(
+        lambda k: f"P{k % 100},{k % 3},{k % 7},{k % 2},{k % 100},0,0\n",
+        "target,x [mm],y [mm],z [mm],command_x [mm],command_y [mm],command_z [mm]",
+    ),
+}
 
 
 def _observed(kind: str) -> tuple[tuple[str, str], ...]:
@@ -787,6 +937,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),
+    **_OTHERS,
 }
 
 

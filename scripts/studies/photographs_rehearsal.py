@@ -1,7 +1,7 @@
 """From photographs to an arm nearer to its truth: many arms, prints and lenses, as a user would do it.
 
     python scripts/studies/photographs_rehearsal.py --store rehearsal.jsonl [--seeds 8] [--rendered 1]
-        [--only TEXT]
+        [--only TEXT] [--markdown docs/cameras.md]
 
 Every case and seed is one line of the store; what is there already is not simulated again. A small arm, a UR3, takes
 24 photographs; 16 identify and 8 are held out, in three splits by whole photographs. The job is the one that ``calib
@@ -20,9 +20,10 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,13 +40,17 @@ from calib.machine.tool_uncertainty import tool_errors
 from calib.measurement.lens import NAMES
 from calib.results.calibration import Calibration
 from scripts.simulate import photographs as simulation
+from scripts.studies.blame import write
 
 UR3 = "example:ur_description/urdf/ur3_robot.urdf"
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-c", "import sys; from calib_start import main; sys.exit(main())"]
 IMAGES, ELSEWHERE, SPLITS, HELD_OUT = 24, 40, 3, 8
 SIGMA, LEVER, NORMAL = 0.05, 0.1, 1.959964
+# Two arms are alike that are aligned to that, in m.
+ROUNDING = 1e-6
 Array = simulation.Array
+BEGIN, END = "<!-- rehearsal: by scripts/studies/photographs_rehearsal.py -->", "<!-- rehearsal: end -->"
 # Of a wide lens, as a camera's maker states eight numbers.
 EIGHT = (2.1, 0.9, 3e-4, -2e-4, 0.05, 2.35, 1.45, 0.2)
 
@@ -354,29 +359,75 @@ def rehearse(
     return {"untouched": untouched, "splits": splits}
 
 
+# ---- the table
+
+
+def table(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of a page: a row for every case, rendered or not, in the order of the cases."""
+    head = ("case", "jobs", "untouched [mm]", "off [mm]", "held out before [px]", "held out [px]", "trusted")
+    rows = ["| " + " | ".join(head) + " |", "|---|" + "--:|" * (len(head) - 1)]
+    for name in CASES:
+        for rendered in (False, True):
+            own = [one for one in lines if one["case"] == name and one["rendered"] == rendered]
+            told = [(one["untouched"], split) for one in own for split in one.get("splits", ())]
+            refused = sum("refused" in one for one in own)
+            if not own:
+                continue
+            jobs = f"{len(told)}" + (f", {refused} refused" if refused else "")
+            cells = [
+                _span([1e3 * before for before, _ in told], 2),
+                _span([1e3 * split["off"] for _, split in told], 2),
+                _span([split["px_before"] for _, split in told], 2),
+                _span([split["px"] for _, split in told], 2),
+                f"{sum(not split['doubts'] for _, split in told)} of {len(told)}",
+            ]
+            rows.append(f"| {name}{', rendered' if rendered else ''} | {jobs} | " + " | ".join(cells) + " |")
+    worse = [
+        split["off"] > before + ROUNDING and not split["doubts"]
+        for one in lines
+        for before, split in ((one["untouched"], split) for split in one.get("splits", ()))
+    ]
+    return "\n".join(
+        [*rows, "", f"Of {len(worse)} jobs {sum(worse)} are trusted and yet worse than the untouched arm."]
+    )
+
+
+def _span(values: Sequence[float], digits: int) -> str:
+    if not values:
+        return ""
+    low, high = (f"{value:.{digits}f}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--rendered", type=int, default=1, help="of the seeds, how many are rendered")
     parser.add_argument("--only", help="cases whose name holds this")
+    parser.add_argument("--markdown", type=Path, help="the page of the table, which is then made of what is stored")
     given = parser.parse_args()
     given.store.touch()
-    done = {(one := json.loads(line))["case"] + f" {one['seed']}": one for line in given.store.read_text().splitlines()}
-    for seed in range(given.seeds):
+    lines = [json.loads(line) for line in given.store.read_text().splitlines()]
+    done = {(one["case"], one["seed"], one["rendered"]) for one in lines}
+    for seed in range(0 if given.markdown is not None else given.seeds):
         for name, case in CASES.items():
-            if f"{name} {seed}" in done or (given.only or "") not in name:
+            rendered = seed < given.rendered
+            if (name, seed, rendered) in done or (given.only or "") not in name:
                 continue
-            if (case.flange or case.covered) and seed >= given.rendered:
+            if (case.flange or case.covered) and not rendered:
                 continue
             try:
-                found = rehearse(case, seed, rendered=seed < given.rendered, say=print)
+                found = rehearse(case, seed, rendered=rendered, say=print)
             except CalibError as e:
                 found = {"refused": str(e)}
-            one = {"case": name, "seed": seed, **found}
-            done[f"{name} {seed}"] = one
+            lines.append({"case": name, "seed": seed, "rendered": rendered, **found})
             with given.store.open("a") as out:
-                out.write(json.dumps(one) + "\n")
+                out.write(json.dumps(lines[-1]) + "\n")
+    found_table = table(lines)
+    print(found_table)
+    if given.markdown is not None:
+        write(given.markdown, found_table, BEGIN, END)
     return 0
 
 

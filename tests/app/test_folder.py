@@ -1,12 +1,13 @@
 """The private folder of the page: names, sizes, and what leaves it."""
 
+import io
 import stat
 import zipfile
 from pathlib import Path
 
 import pytest
 
-from calib.app.folder import as_zip, kind_of, plain_name, private_folder, take
+from calib.app.folder import SESSION, as_zip, chosen, gather, kind_of, plain_name, private_folder, take, unpacked
 from calib.foundations.errors import OutputError
 
 
@@ -33,7 +34,9 @@ def test_names_are_made_plain(name: str, plain: str) -> None:
 
 def test_what_is_none_of_ours_is_said() -> None:
     assert [kind_of(n) for n in ("a.URDF", "a.csv", "a.toml", "a.JPG")] == ["robot", "table", "settings", "photograph"]
-    with pytest.raises(OutputError, match=r"^'a\.exe': is no robot, table, photograph or job; their names end with"):
+    with pytest.raises(
+        OutputError, match=r"^'a\.exe': is no robot, mesh, table, photograph or job; their names end with"
+    ):
         kind_of("a.exe")
 
 
@@ -87,3 +90,109 @@ def test_the_folder_as_one_file_has_no_links(tmp_path: Path) -> None:
     with as_zip(tmp_path) as file, zipfile.ZipFile(file) as archive:
         assert archive.namelist() == ["calibration/measured.csv", "calibration/results/report.html"]
         assert archive.read("calibration/measured.csv") == b"m"
+
+
+def test_a_folder_that_the_page_has_left_is_taken_up_unless_it_leads_elsewhere(tmp_path: Path) -> None:
+    place = tmp_path / "work"
+    with private_folder(place):
+        (place / SESSION).write_text("{}")
+    with private_folder(place) as again:
+        assert again == place
+    for spoil in (lambda: (place / "photographs").symlink_to("/etc"), lambda: place.chmod(0o755)):
+        spoil()
+        with pytest.raises(OutputError, match="neither empty nor left by this page"), private_folder(place):
+            pytest.fail("was given")
+        (place / "photographs").unlink(missing_ok=True)
+
+
+PACKAGE = ["arm/package.xml", "arm/CMakeLists.txt", "arm/urdf/arm.urdf", "arm/config/limits.yaml"]
+
+
+def test_of_a_folder_what_is_of_use_is_chosen() -> None:
+    meshes = ["arm/meshes/visual/base.stl", "arm/meshes/collision/base.stl"]
+    found = chosen([*PACKAGE, *meshes, "arm/meshes/visual/skin.png", "arm/.git/base.stl"])
+    assert found == {"arm/urdf/arm.urdf": "arm.urdf", **{name: name for name in meshes}}
+    tables = ["day 1/a.csv", "day 2/a.csv", "day 2/b.csv", "day 2/notes.pdf", "photos/1.png", "photos/old.zip"]
+    assert chosen(tables) == {
+        "day 1/a.csv": "day 1_a.csv",
+        "day 2/a.csv": "day 2_a.csv",
+        "day 2/b.csv": "b.csv",
+        "photos/1.png": "1.png",
+    }
+    # What lies in no folder was meant: it is told what it is not.
+    assert chosen(["run.exe", "a.csv"]) == {"run.exe": "run.exe", "a.csv": "a.csv"}
+    with pytest.raises(OutputError, match="5001 files are too many"):
+        chosen(["a"] * 5001)
+
+
+def packed(contents: dict[str, bytes], **links: str) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in contents.items():
+            archive.writestr(name, data)
+        for name, target in links.items():
+            link = zipfile.ZipInfo(name + ".csv")
+            link.external_attr = (stat.S_IFLNK | 0o777) << 16
+            archive.writestr(link, target)
+    return file.getvalue()
+
+
+def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside = {
+        "../../arm.urdf": b"<robot/>",
+        "arm/meshes/base.stl": b"solid",
+        "readme.md": b"r",
+        "/etc/poses.csv": b"1\n",
+    }
+    found = dict(unpacked(packed(inside, passwd="/etc/passwd"), "arm.zip", 0))
+    assert found == {"arm/meshes/base.stl": b"solid", "poses.csv": b"1\n"}
+    for name, data in {**found, "../../out/../base.stl": b"solid"}.items():
+        take(tmp_path, name, data, {})
+    left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
+    assert left == ["meshes/_/_/out/_/base.stl", "meshes/arm/meshes/base.stl", "poses.csv"]
+    for data, sentence in (
+        (b"PK nothing", "is no archive that can be read"),
+        (packed({"readme.md": b"r"}), "holds no robot, mesh, table, photograph or job"),
+    ):
+        with pytest.raises(OutputError, match=rf"^'arm\.zip': {sentence}\.$"):
+            dict(unpacked(data, "arm.zip", 0))
+    # Of what unpacks to too much, no more is read than a byte too many.
+    monkeypatch.setattr("calib.app.folder.LARGEST_FILE", 100)
+    name, much = next(unpacked(packed({"a.csv": bytes(100_000)}), "arm.zip", 0))
+    assert len(much) == 101
+    with pytest.raises(OutputError, match=r"'a\.csv': is too large"):
+        take(tmp_path, name, much, {})
+    monkeypatch.setattr("calib.app.folder._MOST_FILES", 1)
+    with pytest.raises(OutputError, match="more than the 1 files"):
+        dict(unpacked(packed({"a.csv": b"1", "b.csv": b"1"}), "arm.zip", 0))
+
+
+def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    dropped = [
+        "arm-main/meshes/visual/base.stl",
+        "arm-main/meshes/collision/base.stl",
+        "tool.stl",
+        "a/1.stl",
+        "b/1.stl",
+    ]
+    for name in dropped:
+        take(tmp_path, name, name.encode(), {})
+    uris = ["package://arm/meshes/visual/base.stl", "../tool.stl", "package://arm/1.stl", "package://arm/none.stl"]
+    hostile = [
+        "package://../../tool.stl",
+        "file:///tmp/tool.stl",
+        "/etc/tool.stl",
+        "a\0/tool.stl",
+        "x/" * 3000 + "tool.stl",
+    ]
+    urdf, lost = gather(tmp_path, "arm.urdf", [*uris, *hostile], dropped)
+    assert urdf == "robot/arm.urdf"
+    assert lost == [*uris[2:], *hostile[1:]]
+    made = {str(path.relative_to(tmp_path)) for path in (tmp_path / "robot").rglob("*") if path.is_file()}
+    assert made == {"robot/arm.urdf", "robot/arm/meshes/visual/base.stl", "robot/tool.stl"}
+    found = (tmp_path / "robot/arm/meshes/visual/base.stl").read_text()
+    assert found == "arm-main/meshes/visual/base.stl"
+    assert not (tmp_path.parent / "tool.stl").exists()
+    gather(tmp_path, "arm.urdf", [], dropped)
+    assert [path.name for path in (tmp_path / "robot").iterdir()] == ["arm.urdf"]

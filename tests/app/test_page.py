@@ -2,6 +2,7 @@
 
 import io
 import os
+import shutil
 import signal
 import zipfile
 from collections.abc import Iterator
@@ -10,14 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from calib.robot.sources import resolve
 from scripts.development.browser import CHROMIUM, Page, browser
 from scripts.examples import positioner_camera_job
 from tests.app.test_server import PANDA, Server
-from tests.support.cases import CASE, JOB, TABLE, URDF
+from tests.support.cases import CASE, JOB, ROOT, TABLE, URDF
 
 DATASETS = os.environ.get("CALIB_DATASETS")
 REAL = Path(DATASETS or "")
 WIDTHS = [1280, 390]
+RECORDINGS = ROOT / "robots" / "panda_sockets" / "recordings" / "raised"
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
 real = pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder of real measurements")
@@ -259,3 +262,71 @@ def test_without_a_server_the_page_says_so(fresh: Page, server: Server) -> None:
     server.process.wait()
     fresh.choose("#choose", [CASE / JOB])
     fresh.wait_for("byId('sentence').textContent.startsWith('The server does not answer.')")
+
+
+def test_a_folder_with_meshes_is_dropped_and_the_page_goes_on_after_a_restart(page: Page, tmp_path: Path) -> None:
+    robot = resolve(PANDA)
+    folder = tmp_path / "panda_description"
+    shutil.copytree(robot.parents[1] / "meshes" / "visual", folder / "meshes" / "visual")
+    (folder / "urdf").mkdir()
+    (folder / "urdf" / "arm.urdf").write_bytes(robot.read_bytes())
+    for name in ("package.xml", "CMakeLists.txt", "meshes/visual/skin.png"):
+        (folder / name).write_text("<package><name>panda_description</name></package>")
+    server = Server("--folder", tmp_path / "work")
+    try:
+        page.trouble.clear()
+        page.size(1280, 900)
+        page.open(server.page)
+        page.drop("#drop", [folder])
+        settle(page)
+        assert page.evaluate("state.files.map(f => f.kind).filter(k => k === 'robot').length") == 1
+        meshes = len(list((folder / "meshes" / "visual").glob("*.dae")))
+        assert f"{meshes} meshes" in page.evaluate("byId('files').textContent")
+        assert page.evaluate("byId('left-out').textContent").startswith("3 files are left out")
+        page.drop("#drop", sorted(RECORDINGS.glob("hole_*.csv")))
+        page.wait_for("state.files.filter(f => f.kind === 'table').length > 1")
+        settle(page)
+        changed(page, "stack", True)
+        why = page.evaluate("byId('why').textContent")
+        assert f"arm.urdf: its {meshes} meshes were found among those that were dropped." in why
+        headline = calibrated(page)
+        assert axe(page) == []
+        before = page.evaluate("JSON.stringify({ ...state, busy: null })")
+        # The same page in the same browser, and another server in the same folder.
+        page.open(server.page)
+        page.wait_for("state && state.results")
+        assert page.evaluate("JSON.stringify({ ...state, busy: null })") == before
+        assert server.end()[0] == 0
+        server = Server("--folder", tmp_path / "work")
+        page.open(server.page)
+        page.wait_for("state && state.results")
+        assert page.evaluate("byId('headline').textContent") == headline
+        assert page.evaluate("byId('stack').checked && !byId('calibrate').disabled")
+        page.open(f"{server.page}results/scene.html")
+        page.wait_for("Boolean(viewer.scene_tree)")
+        parts = page.evaluate("(n => (nodeAt('robot').object.traverse(o => n += o.isMesh ? 1 : 0), n))(0)")
+        assert parts > 2 * meshes  # the parts of the meshes, each of a colour
+        assert page.trouble == []
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_an_archive_is_dropped_and_a_robot_without_its_meshes_is_said(fresh: Page, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "arm.zip", "w") as archive:
+        archive.writestr("arm/urdf/arm.urdf", resolve(PANDA).read_bytes())
+        archive.writestr("arm/meshes/visual/link0.dae", b"no mesh")
+    (tmp_path / "bad.zip").write_bytes(b"PK no archive")
+    fresh.choose("#choose", [tmp_path / "arm.zip"])
+    settle(fresh)
+    assert fresh.evaluate("state.robot") == "arm.urdf"
+    fresh.choose("#choose", sorted(RECORDINGS.glob("hole_*.csv")))
+    fresh.wait_for("state.files.length === 4")
+    settle(fresh)
+    assert "9 of its 10 meshes are not among" in fresh.evaluate("byId('why').textContent")
+    assert "link0.dae" in fresh.evaluate("byId('files').textContent")
+    fresh.evaluate("[...document.querySelectorAll('#files button')].at(-1).click(), true")
+    fresh.wait_for("state.files.length === 3 && !state.busy")
+    assert "mesh" not in fresh.evaluate("byId('files').textContent")
+    fresh.choose("#choose", [tmp_path / "bad.zip"])
+    fresh.wait_for("byId('sentence').textContent === \"'bad.zip': is no archive that can be read.\"")

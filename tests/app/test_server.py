@@ -20,6 +20,7 @@ from urllib.parse import quote
 import psutil
 import pytest
 
+from calib.app.folder import SESSION
 from tests.support.cases import CASE, JOB, TABLE, URDF, run
 
 MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"
@@ -121,6 +122,7 @@ def test_only_the_page_itself_may_ask(empty: Server) -> None:
         for method, path in (
             ("POST", "look"),
             ("POST", "calibrate"),
+            ("POST", "offer"),
             ("PUT", "files/a.csv"),
             ("DELETE", "files/a.csv"),
         ):
@@ -152,6 +154,9 @@ def test_only_the_page_itself_may_ask(empty: Server) -> None:
     ("path", "body"),
     [
         ("look", b"[]"),
+        ("offer", b"[]"),
+        ("offer", b'{"paths": 1}'),
+        ("offer", b'{"paths": [1]}'),
         ("look", b"\xff"),
         ("look", b"[" * 50_000),
         ("look", b'{"robot": 1}'),
@@ -194,7 +199,7 @@ def test_a_browser_is_started_with_an_address_that_leads_to_the_page_once(tmp_pa
 
 
 def test_files_have_a_size_and_a_kind(empty: Server) -> None:
-    assert empty.drop("a.exe", b"MZ")[1]["sentence"].startswith("'a.exe': is no robot, table, photograph or job;")
+    assert empty.drop("a.exe", b"MZ")[1]["sentence"].startswith("'a.exe': is no robot, mesh, table, photograph or job;")
     assert empty.drop("../../x.csv", b"1,2\n")[1]["files"] == [{"name": "x.csv", "kind": "table", "size": 4}]
     assert empty.ask("DELETE", "files/..%2F..%2Fx.csv")[1]["sentence"] == "'../../x.csv': there is no such file."
     # Refused before it is read.
@@ -326,5 +331,12 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "there.csv").write_text("1")
     said = run("app", "--folder", tmp_path)
     assert (said.code, said.out) == (1, "")
-    assert said.err == f"Error: {tmp_path}: is there, and no empty folder; choose another.\n"
+    assert said.err == f"Error: {tmp_path}: is there, and neither empty nor left by this page; choose another.\n"
+    left = tmp_path / "left"
+    left.mkdir(mode=0o700)
+    for contents in ("", "[]", '{"files": {"../a.csv": 1}}', '{"files": {}, "asked": 1, "look": 1, "results": 1}'):
+        (left / SESSION).write_text(contents)
+        said = run("app", "--folder", left)
+        assert (said.code, said.out) == (1, "")
+        assert said.err.startswith(f"Error: {left / SESSION}: was not written by this page; choose another folder.")
     assert run("app", "--port", "70000").code == 2

@@ -162,6 +162,50 @@ def test_in_cubes_that_were_not_measured_terms_do_not_harm(seed: int, places: in
     assert all(figure is not None for figure in away) or choice.taken == 0
 
 
+def judged_between(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Array, Array]]:
+    """Poses at which choices from now on compare scatters, and what they find there."""
+    found: list[tuple[Array, Array]] = []
+    scatter = choice_module._System.scatter
+
+    def told(system: choice_module._System, poses: Array, whole: Array, without: Array) -> Array:
+        found.append((poses, scatter(system, poses, whole, without)))
+        return found[-1][1]
+
+    monkeypatch.setattr(choice_module._System, "scatter", told)
+    return found
+
+
+def test_scatter_between_places_is_that_of_fits_without_each_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = judged_between(monkeypatch)
+    data, _, _ = cubes(17, 5, 40, {(1, 2): 2e-4, (2, 5): 2e-4})
+    monkeypatch.setattr(choice_module, "_SHOWS", 0.0)
+    model, place = calib.error_model(machines.load(*UR10), offsets="all", placements="all"), np.repeat(range(5), 40)
+    choose_terms(model, data)
+    ((poses, found),) = told
+
+    def tips(rows: calib.Measurements) -> Array:
+        return machines.predicted(calib.identify(model, rows), poses)[:, :3, 3]
+
+    change = np.array([tips(data.subset(place != k)) for k in range(5)]) - tips(data)
+    expected = np.sqrt(4.0 / 5.0 * np.mean(np.sum(change**2, axis=(0, 2))))
+    assert found[0] == pytest.approx(expected, rel=0.05)
+    assert len(found) > 1
+
+
+def test_what_hardly_shows_is_taken_only_where_it_steadies_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In cubes: a wave that is larger than the noise says enough by itself, a smaller one does not."""
+    told = judged_between(monkeypatch)
+    model = calib.error_model(machines.load(*UR10), offsets="all", placements="all")
+    loud, quiet, faint = (cubes(17, 5, 40, {(1, 5): size})[0] for size in (4e-4, 7e-5, 5e-5))
+    assert choose_terms(model, loud).taken == 1
+    assert not told
+    for data, taken in ((quiet, 1), (faint, 0)):
+        choice = choose_terms(model, data)
+        _, scatter = told.pop()
+        assert choice.steps[1].held_out.rms > 0.87 * choice.steps[0].held_out.rms
+        assert (scatter[1] < 0.8 * scatter[0]) == taken == choice.taken
+
+
 def test_a_fit_that_does_not_converge_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     model, data, _ = measured(1, 150, {(0, 5): 2e-4, (1, 3): 2e-4, (2, 7): 2e-4, (3, 4): 3e-4})
     whole = choose_terms(model, data)

@@ -18,8 +18,11 @@ PANDA = "example:panda_description/urdf/panda.urdf"
 PLAY = 1e-4
 
 
+Recorded = tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]]
+
+
 @pytest.fixture(scope="module")
-def recorded() -> tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]]:
+def recorded() -> Recorded:
     return simulation.recordings(7)
 
 
@@ -28,9 +31,7 @@ def robot() -> calib.Robot:
     return calib.load_robot(PANDA, "panda_hand_tcp")
 
 
-def resampled(
-    recorded: tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]], rng: np.random.Generator
-) -> dict[str, dict[str, Array]]:
+def resampled(recorded: Recorded, rng: np.random.Generator) -> dict[str, dict[str, Array]]:
     """Other angles near the recorded ones, with new play of the ball and nobody who pushes: one Newton step."""
     arm, where, rows = recorded
     found: dict[str, dict[str, Array]] = {}
@@ -182,8 +183,8 @@ def test_a_groups_gain_is_that_of_machines_of_its_own(robot: calib.Robot) -> Non
     assert group.gain == pytest.approx(gain / scatter, rel=1e-2)
 
 
-def test_a_target_that_moved_is_found(robot: calib.Robot) -> None:
-    _, _, rows = simulation.recordings(7)
+def test_a_target_that_moved_is_found(robot: calib.Robot, recorded: Recorded) -> None:
+    rows = recorded[2]
     place, hole, after = simulation.PUSHED
     for sigma in (None, 5e-4):
         found = calib.judging.outliers(socket_fit(robot, measured(robot, rows, sigma)))
@@ -193,8 +194,8 @@ def test_a_target_that_moved_is_found(robot: calib.Robot) -> None:
         assert np.allclose(jump.shift, simulation.PUSH, atol=1.5e-4)
 
 
-def test_a_jump_is_what_a_second_target_would_say(robot: calib.Robot) -> None:
-    _, _, rows = simulation.recordings(7)
+def test_a_jump_is_what_a_second_target_would_say(robot: calib.Robot, recorded: Recorded) -> None:
+    rows = recorded[2]
     place, hole, after = simulation.PUSHED
     sets = measured(robot, rows, PLAY)
     (jump,) = calib.judging.outliers(socket_fit(robot, sets)).moved
@@ -209,7 +210,7 @@ def test_a_jump_is_what_a_second_target_would_say(robot: calib.Robot) -> None:
 
 def test_one_gross_row_is_no_jump(
     robot: calib.Robot,
-    recorded: tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]],
+    recorded: Recorded,
 ) -> None:
     rows = resampled(recorded, np.random.default_rng(1))
     rows["left"]["hole_0"][-2] += (0.0, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -221,7 +222,7 @@ def test_one_gross_row_is_no_jump(
 def test_clean_data_give_no_alarm(
     robot: calib.Robot,
     model: calib.ErrorModel,
-    recorded: tuple[object, dict[str, dict[str, Array]], dict[str, dict[str, Array]]],
+    recorded: Recorded,
 ) -> None:
     """Chances are below the level in about one of a hundred clean calibrations, for rows, jumps and groups alike."""
     alarms = {"rows": 0, "jumps": 0, "groups": 0}

@@ -14,6 +14,7 @@ from calib.assessment.validation import (
     largest_unharmed,
     neighbourhoods,
     one_standard_error,
+    poses_between,
     row_groups,
     smallest_unharmed,
     some_rows,
@@ -148,6 +149,27 @@ def test_places_that_lie_apart_are_not_divided(places: int) -> None:
     order = np.random.default_rng(0).permutation(len(data))
     moved = data.subset(order)
     np.testing.assert_array_equal(neighbourhoods([moved], row_groups([moved])).number, found[order])
+
+
+def test_poses_between_places_are_on_the_way_from_one_to_another() -> None:
+    data, cube = in_cubes(4, 30, 0.2)
+    everything = np.ones(len(data), dtype=bool)
+    poses = poses_between([data], everything, cube)
+    middles = np.array([data.readings[cube == k].mean(axis=0) for k in range(4)])
+    ends = [(a, b) for a in range(4) for b in range(a)]
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    ways = np.concatenate([share * middles[a] + (1.0 - share) * middles[b] for a, b in ends])
+    off = np.abs(poses[:, None] - ways).max(axis=2)
+    assert np.all(off.min(axis=1) < 0.25)
+    # All ways are gone, none of them by a row and another one of its own place.
+    found = off.argmin(axis=1) // 101
+    assert set(found) == set(range(len(ends)))
+    assert np.mean(np.abs(poses[:, None] - middles).max(axis=2).min(axis=1) > 0.25) > 0.5
+    order = np.random.default_rng(0).permutation(len(data))
+    np.testing.assert_array_equal(poses_between([data.subset(order)], everything, cube[order]), poses)
+    some = cube > 0
+    few = poses_between([data], some, cube[some] - 1)
+    np.testing.assert_array_equal(few, poses_between([data.subset(some)], everything[some], cube[some] - 1))
 
 
 def test_poses_all_over_are_divided_into_neighbourhoods() -> None:

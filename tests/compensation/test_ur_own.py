@@ -1,5 +1,6 @@
 """A maker's calibration of a UR10 as the nominal robot, against kinematics by DH numbers that are written out here."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -101,3 +102,19 @@ def test_of_another_model() -> None:
         with_ur_kinematics(read_urdf(UR10), conf(deltas), "k")
     with pytest.raises(RobotError, match="is no arm of Universal Robots"):
         with_ur_kinematics(read_urdf("example:panda_description/urdf/panda.urdf"), conf(deltas), "k")
+
+
+@pytest.mark.parametrize("text", ["\n" * 100_000, " " * 100_000, "delta_a = [\n" * 10_000, "shoulder:\n" * 10_000])
+def test_files_of_nothing_are_refused_at_once(text: str) -> None:
+    begun = time.process_time()
+    with pytest.raises(RobotError, match="is it kinematics_params"):
+        with_ur_kinematics(read_urdf(UR10), text)
+    assert time.process_time() - begun < 5.0
+
+
+def test_what_is_said_twice_is_refused() -> None:
+    deltas = conf(some(1))
+    with pytest.raises(RobotError, match="has delta_theta twice"):
+        with_ur_kinematics(read_urdf(UR10), deltas + deltas)
+    with pytest.raises(RobotError, match="'shoulder' has x twice"):
+        with_ur_kinematics(read_urdf(UR10), "shoulder:\n  x: 1\n  x: 2\n")

@@ -9,7 +9,7 @@ import calib
 ARM = Path(__file__).parents[2] / "robots/arm_cmm/arm_cmm.urdf"
 D = np.array([100, 150, 450, 100, 350, 100, 150]) * 1e-3
 ALPHA = np.radians([-90, 90, 90, -90, -90, 90, 0])
-REPETITIONS, TOUCHES, NOISE = 1000, 20, 0.02e-3
+REPETITIONS, TOUCHES, NOISE = 300, 20, 0.02e-3
 
 
 def dh_product(q: np.ndarray) -> np.ndarray:

@@ -5,7 +5,12 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.base_and_tools import (
+    KnownFrames,
+    TipObservations,
+    _best_rotation,
+    base_and_tools,
+)
 from tests.support.machines import Array, anywhere, pose
 
 NOTHING = KnownFrames(None, None, None)
@@ -103,3 +108,18 @@ def test_positions_so_near_to_one_point_that_no_number_is_left_place_something(s
     base, tools, _ = base_and_tools(rows._replace(position=size * rows.position), NOTHING, scene.guess)
     assert np.isfinite(base).all()
     assert np.isfinite(tools).all()
+
+
+def test_the_rotation_found_is_the_best_also_where_much_is_left() -> None:
+    """As of a table with a mistake in it: sums of squares at random, beside scipy from all turns of a cube."""
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        X, c = rng.normal(size=(10, 9)), 3.0 * rng.normal(size=10)
+
+        def residual(w: Array, A: Array, X: Array = X, c: Array = c) -> Array:
+            return X @ (A @ Rotation.from_rotvec(w).as_matrix()).T.ravel() - c
+
+        starts = Rotation.create_group("O").as_matrix()
+        least = min(least_squares(residual, np.zeros(3), args=(A,)).cost for A in starts)
+        found = _best_rotation(X, c)
+        assert 0.5 * np.sum(residual(np.zeros(3), found) ** 2) <= least * (1.0 + 1e-9)

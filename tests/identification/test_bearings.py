@@ -92,7 +92,12 @@ class Bearings:
                 masses.append((i, body.mass, (T @ body.origin)[:3, 3]))
         masses.append((i, PAYLOAD.mass, (T @ [*PAYLOAD.position, 1.0])[:3]))
         return [
-            (P[:3, :3], link, own, sum((m * np.cross(c - P[:3, 3], G) for at, m, c in masses if at >= i), np.zeros(3)))
+            (
+                P[:3, :3],
+                link,
+                own,
+                np.cross(sum((m * (c - P[:3, 3]) for at, m, c in masses if at >= i), np.zeros(3)), G),
+            )
             for i, (P, link, own) in enumerate(found)
         ]
 

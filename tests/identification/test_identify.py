@@ -150,7 +150,7 @@ def test_an_unknown_noise_is_found() -> None:
 
 @pytest.mark.parametrize("model_sigmas", [[0.0], None], ids=["noise known", "noise estimated"])
 def test_95_percent_intervals_hold_the_truth_95_percent_of_the_time(model_sigmas: list[float] | None) -> None:
-    """200 repetitions of one measurement, with a model without a null space."""
+    """100 repetitions of one measurement, with a model without a null space."""
     rng = np.random.default_rng(11)
     robot, arm = machines.load(*UR10), machines.arm(*UR10)
     joints = ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
@@ -163,7 +163,7 @@ def test_95_percent_intervals_hold_the_truth_95_percent_of_the_time(model_sigmas
     fixed = np.array([not parameter.name.startswith("base.r") for parameter in truth.parameters])
     stated = None if model_sigmas else (0.0, 0.0)
     inside = []
-    for _ in range(200):
+    for _ in range(100):
         data = true.measure(robot, readings, rng=rng, sigma=SIGMA, stated=stated)
         fit = calib.identify(model, data, model_sigmas=model_sigmas)
         inside.append((np.abs(fit.values - truth.values) < 1.96 * fit.sigmas)[fixed])

@@ -96,7 +96,7 @@ class Soft(machines.Arm):
         for i, (P, link, sunk, bent) in enumerate(found):
             L = float(np.linalg.norm(link))
             F = sum(m for at, m, _ in masses if at >= i) * G
-            M = sum((m * np.cross(c - P[:3, 3], G) for at, m, c in masses if at >= i), np.zeros(3))
+            M = np.cross(sum((m * (c - P[:3, 3]) for at, m, c in masses if at >= i), np.zeros(3)), G)
             loads.append((P, link / max(L, 1e-12), L, F, M, sunk, bent))
         return loads
 

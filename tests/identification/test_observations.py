@@ -276,14 +276,14 @@ def test_with_noise_the_truth_is_within_the_intervals() -> None:
     """A minimal set is kept; its true values are those that noise-free measurements of the same machine give."""
     off = []
     for name in COVERED:
-        for seed in range(3):
+        for seed in range(2):
             truth, found = (fitted(lab(seed, noise=noise), name, null_space="minimal") for noise in (0.0, 3e-5))
             assert found.converged
             assert [p.name for p in found.held] == [p.name for p in truth.held]
             # Planes are named relative to where they start, which differs.
             compared = [k for k, p in enumerate(found.parameters) if p.kind != "target" or "length" in p.name]
             off += list(((found.values - truth.values) / found.sigmas)[compared])
-    assert len(off) > 300
+    assert len(off) > 200
     assert 0.90 <= np.mean(np.abs(off) < 1.96) <= 0.99
 
 

@@ -126,7 +126,7 @@ def test_errors_are_within_their_intervals(camera_on: str) -> None:
 @pytest.mark.parametrize("camera_on", ["floor", "tip"])
 def test_starts_from_anywhere(camera_on: str, what: str) -> None:
     """Camera, board and tool anywhere, turned any way, few noisy images: the nominal robot already explains them."""
-    for seed in range(20, 23):
+    for seed in range(20, 22):
         rng = np.random.default_rng(seed)
         true = scene(rng, NOMINAL.moved(rng, zero=0.02), camera_on, SEEN[what], sigma=0.3)
         data = true.measure(ROBOT, true.draw(rng, 40 if what == "mark" else 8), rng, 0.3)

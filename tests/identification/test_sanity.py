@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -128,10 +129,10 @@ def test_shifted_zero(arm: str, name: str, degrees: float, needs: str, observes:
 @pytest.mark.parametrize("arm", JOINTS)
 def test_swapped_joints(arm: str, observes: str) -> None:
     lab = Lab(arm, observes)
-    for i, a in enumerate(JOINTS[arm]):
-        for b in JOINTS[arm][i + 1 :]:
-            sentence = lab.sentence(joints([a, b], lambda q: q[:, ::-1]))
-            assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
+    pairs = list(combinations(JOINTS[arm], 2))
+    for a, b in pairs if observes == "position" else pairs[::3]:
+        sentence = lab.sentence(joints([a, b], lambda q: q[:, ::-1]))
+        assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
 
 
 @pytest.mark.parametrize("observes", ["position", "pose"])
@@ -235,7 +236,7 @@ def test_what_is_said() -> None:
 
 @pytest.mark.parametrize("observes", ["position", "pose"])
 @pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_badly_made_machines_are_left_alone(arm: str, observes: str, seed: int) -> None:
     lab = Lab(arm, observes, seed)
     half = np.repeat((10e-3, 5e-3), 3)
@@ -246,9 +247,9 @@ def test_badly_made_machines_are_left_alone(arm: str, observes: str, seed: int) 
         if j.type != "fixed"
     }
     lab.true = replace(lab.true, arm=lab.arm.with_errors(origins, zeros))
-    assert signatures(lab.model(), [lab.measure(rows=30 + seed)]) == ()
+    assert signatures(lab.model(), [lab.measure(rows=30 + 2 * seed)]) == ()
     known = {"base": "fixed", "base_pose": lab.true.base, "tool": "fixed", "tool_poses": lab.true.tools}
-    assert signatures(lab.model(**known), [lab.measure(rows=30 + seed)]) == ()
+    assert signatures(lab.model(**known), [lab.measure(rows=30 + 2 * seed)]) == ()
 
 
 def test_a_sound_table_costs_no_trial(monkeypatch: pytest.MonkeyPatch) -> None:

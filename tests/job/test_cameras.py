@@ -120,7 +120,7 @@ def written(folder: Path, cell: Cell, rng: np.random.Generator) -> Path:
             encoding="utf-8",
         )
     for table, (camera, board) in TABLES.items():
-        q, drawn = cell.draw(table, rng, 20), SHEETS[board].corners()
+        q, drawn = cell.draw(table, rng, 12), SHEETS[board].corners()
         uv = np.concatenate([cell.seen(table, one) for one in q])
         uv += rng.normal(scale=SIGMA, size=uv.shape)
         many, places = np.repeat(q, len(drawn), axis=0), np.tile(drawn, (len(q), 1))

@@ -221,6 +221,28 @@ def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
 PACKED = (("ros1", "BZ2"), ("ros1", "LZ4"), ("mcap", "STORAGE"), ("ros2", "MESSAGE"), ("mcap", "MESSAGE"))
 
 
+_LAUGHS = "".join(f"a{k + 1}: &a{k + 1} [{', '.join([f'*a{k}'] * 9)}]\n" for k in range(9))
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (f"a0: &a0 [1, 1]\n{_LAUGHS}", "has anchors and aliases, which are not read"),
+        ("deep: " + 100_000 * "[", "is nested too deep"),
+        ("many: [" + 40_000 * "1," + "1]\n", "has more than 30000 values"),
+        ("version: 5\nversion: 6\n", "is no YAML that can be read: it has 'version' twice in one object"),
+    ],
+)
+def test_metadata_that_would_take_long_are_refused(tmp_path: Path, more: str, says: str) -> None:
+    """The reader of recordings builds, and walks through, whatever is there."""
+    path = recording(tmp_path, "ros2")
+    metadata = path / "metadata.yaml"
+    metadata.write_text(metadata.read_text() + more)
+    with pytest.raises(MeasurementError) as caught:
+        topics(path)
+    assert str(caught.value) == f"{metadata}: {says}."
+
+
 @pytest.mark.parametrize(("kind", "packed"), PACKED)
 def test_packed_recordings_are_read_as_others_and_no_further_than_their_limit(
     kind: str, packed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,5 +1,6 @@
 """Tables: what is accepted, that every way in gives the same numbers, and one exact sentence for every refusal."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS
-from calib.measurement.table import Columns, Table, read_table, table_from_arrays, table_from_frame
+from calib.measurement.layout import name_and_unit
+from calib.measurement.table import Columns, Table, _split, read_table, table_from_arrays, table_from_frame
 
 HEADER = "j1 [deg], x [mm], qw, tool"
 ROWS = "90, 1.5, 1, tcp\n-45.25, 2e3, 0.5, ball\n"
@@ -302,3 +304,30 @@ def test_a_long_table_is_read(tmp_path: Path) -> None:
     header = ",".join(f"c{i} [m]" for i in range(12)) + ",group"
     path = write(tmp_path, header + "\n" + f"{row},a\n" * 20_000)
     assert len(read_table(path)) == 20_000
+
+
+def test_headers_of_blanks_are_read_at_once(tmp_path: Path) -> None:
+    """An expression whose parts share characters would take hours of these."""
+    blanks = " " * 45_000
+    for title in (f"y{blanks}[{blanks}", f"{blanks}y{blanks}]", f"y{blanks}({blanks}", f"y{'_' * 90_000}!"):
+        begun = time.process_time()
+        with pytest.raises(MeasurementError):
+            read_table(write(tmp_path, f"x [mm],{title}\n1,2\n"))
+        assert time.process_time() - begun < 5.0
+
+
+@pytest.mark.parametrize(
+    ("title", "found"),
+    [
+        ("x [ mm ]", ("x", "mm")),
+        ("x ( mm )", ("x", "mm")),
+        ("x / mm", ("x", "mm")),
+        ("x (a) (mm)", ("x (a)", "mm")),
+        ("J1 \u00b0", ("J1", "deg")),
+        ("x__ mm", ("x", "mm")),
+        ("_mm", ("_mm", None)),
+        ("(mm)", ("(mm)", None)),
+    ],
+)
+def test_units_behind_names(title: str, found: tuple[str, str | None]) -> None:
+    assert (_split(title) if "[" in title else name_and_unit(title)) == found

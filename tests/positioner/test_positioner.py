@@ -230,11 +230,11 @@ def test_world_and_order_change_nothing() -> None:
 
 
 def test_table_error_holds_in_simulation() -> None:
-    """95 % intervals of predicted table coordinates, and their rms, pooled over 200 touched sets of 20 poses."""
+    """95 % intervals of predicted table coordinates, and their rms, pooled over 120 touched sets of 20 poses."""
     rng = np.random.default_rng(7)
     robot = load(positioners.nominal(TWO_AXES), "table")
     inside, squares, expected = [], [], []
-    for _ in range(200):
+    for _ in range(120):
         data = TWO_AXES.touch(robot, TWENTY, [MARK], rng, 1e-4)
         fit = calib.identify(positioner.axes_model(robot), data)
         s, q = positioners.envelope(rng, 20)

@@ -19,7 +19,7 @@ DATASETS = os.environ.get("CALIB_DATASETS")
 def test_row_of_the_table(k: int) -> None:
     row = script.ROWS[k]
     fitted = row.evaluate is script.fitted
-    rms, foretold = script.study(row, 100 if fitted else 1000)
+    rms, foretold = script.study(row, 100 if fitted else 300)
     assert rms == pytest.approx(row.published, rel=0.1)
     if fitted:
         assert foretold == pytest.approx(row.published, rel=0.1)

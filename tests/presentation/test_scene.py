@@ -137,6 +137,7 @@ def test_meshes_are_found_below_their_roots_and_nowhere_else(tmp_path: Path) -> 
     assert find_mesh("package://arm/meshes/base.stl", (tmp_path / "none", root / "arm")) == found
     assert find_mesh("package://other/arm/meshes/base.stl", (root,)) == found
     assert find_mesh("arm/meshes/base.stl", (root,)) == found
+    assert find_mesh("../meshes/base.stl", (root / "arm",)) == found
     assert find_mesh(f"file://{mesh}", (root,)) == found
     assert find_mesh(str(mesh), (root,)) == found
     for uri in (

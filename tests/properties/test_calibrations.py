@@ -211,8 +211,9 @@ def test_with_estimated_noise_they_do_so_up_to_the_degrees_of_freedom(case: Case
     data = case.measured(SIGMA, stated=0.0)
     once, twice = (calib.identify(case.model, rows, free=names) for rows in (data, doubled(data)))
     n, p = 3 * ROWS, len(names)
-    assert once.noise[0].degrees_of_freedom == pytest.approx(n - p)
-    assert twice.noise[0].degrees_of_freedom == pytest.approx(2 * n - p)
+    # Weak priors know a little, too.
+    assert once.noise[0].degrees_of_freedom == pytest.approx(n - p, abs=0.01)
+    assert twice.noise[0].degrees_of_freedom == pytest.approx(2 * n - p, abs=0.01)
     ratio = (n - p) / (2 * n - p)
     np.testing.assert_allclose(
         twice.covariance, ratio * once.covariance, rtol=1e-4, atol=1e-6 * np.abs(once.covariance).max()

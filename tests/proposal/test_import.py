@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,27 @@ def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: s
     with pytest.raises(calib.MeasurementError) as caught:
         read_sheet(name)
     assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a: " + 300_000 * "[", "is nested too deep"),
+        (300_000 * "- ", "is nested too deep"),
+        ("a: " + 100_000 * "{b: ", "is nested too deep"),
+        ("a: &-a [1]\nb: *-a\n", "has anchors and aliases, which are not read"),
+    ],
+)
+def test_yaml_that_ends_its_reader_is_refused(folder: Path, text: str, says: str) -> None:
+    """PyYAML's builder in C takes a frame of the stack for every level, and ends the process with it."""
+    pytest.importorskip("yaml")
+    (folder / "a.yaml").write_text(text)
+    with pytest.raises(calib.MeasurementError, match=says):
+        read_sheet("a.yaml")
+    (folder / "b.yaml").write_text("a: 1\n" + 300_000 * "\n")
+    begun = time.process_time()
+    assert read_sheet("b.yaml").rows == (("1",),)
+    assert time.process_time() - begun < 5.0
 
 
 def test_numbers_of_yaml_are_as_written(folder: Path) -> None:

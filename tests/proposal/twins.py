@@ -6,11 +6,14 @@ a part of the sentence with which a file is refused that holds no measurement of
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from tests.support.people import PANDA, UR10, angles, quaternions, session, text
+from calib.robot.robot import TipModel
+from tests.support.people import PANDA, UR10, angles, quaternions, robot, session, text
 
 URDF_OF = {"UR10": UR10, "Panda": PANDA}
 
@@ -480,27 +483,28 @@ TWINS = [
 ]
 
 
-def sockets(title: str | None, first: float | None = None) -> str:
-    """Touches of two sockets: forty poses of a Panda's first six joints would need a search, a wrist's turns do not."""
-    from scipy.optimize import least_squares
-
-    from tests.support.people import robot
-
-    arm, chance = robot(UR10, "tool0"), np.random.default_rng(3)
+@cache
+def touched() -> tuple[np.ndarray, list[str]]:
+    """Readings in degrees at which a wrist touches two sockets by turns, and their names; a search finds them."""
+    model, chance = TipModel(robot(UR10, "tool0")), np.random.default_rng(3)
     tool, rows, names = np.array([0.03, -0.05, 0.12]), [], []
     goals = {"left": np.array([0.7, 0.2, 0.3]), "right": np.array([0.5, -0.5, 0.4])}
     while len(rows) < 24:
         name = list(goals)[len(rows) % 2]
 
         def off(q: np.ndarray, goal: np.ndarray = goals[name]) -> np.ndarray:
-            T = arm.tips(q[None])[0]
+            T = model.tips(q[None])[0]
             return T[:3, :3] @ tool + T[:3, 3] - goal
 
         found = least_squares(off, chance.uniform(-2.0, 2.0, 6))
         if found.cost < 1e-16 and np.abs(found.x).max() < 6.0:
             rows.append(np.degrees(found.x))
             names.append(name)
-    joints = np.array(rows) + 1e-3 * chance.standard_normal((24, 6))
+    return np.array(rows) + 1e-3 * chance.standard_normal((24, 6)), names
+
+
+def sockets(title: str | None, first: float | None = None) -> str:
+    joints, names = touched()
     if first is not None:
         return text(None, [np.arange(24), [first + (name == "left") for name in names], joints])
     return text(None if title is None else [*J, title], [joints, names])

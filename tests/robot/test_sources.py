@@ -1,5 +1,6 @@
 """Examples are found by name, and nothing outside their folder is."""
 
+import time
 from importlib import metadata
 from pathlib import Path
 
@@ -115,3 +116,10 @@ def test_packages_are_found_above_the_urdf_beside_it_and_in_sourced_workspaces(
     found = {uri: sources.find_mesh(uri, roots) for uri in sources.mesh_uris(source)}
     where = {uri.split("/")[2]: path and path.parents[1].name for uri, path in found.items()}
     assert where == dict.fromkeys(names) | {name: name for name in names[:3]}
+
+
+def test_meshes_are_found_in_one_pass() -> None:
+    begun = time.process_time()
+    source = b"<!--" + b"<mesh " * 160_000 + b'--><mesh scale="1 1 1" filename="package://a/b.stl"/>'
+    assert sources.mesh_uris(source) == ("package://a/b.stl",)
+    assert time.process_time() - begun < 5.0

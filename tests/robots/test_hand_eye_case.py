@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.cases import ROOT, Edit, append, edit, run
+from tests.support.cases import ROOT, Edit, append, edit, keep_rows, run
 
 CASE = ROOT / "robots" / "hand_eye"
 FILES = ("calibration.toml", "identification.csv", "validation.csv")
@@ -177,6 +177,8 @@ BROKEN: dict[str, tuple[Edit, str]] = {
 def test_a_spoilt_case_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
     for file in FILES:
         shutil.copyfile(CASE / file, tmp_path / file)
+    for table in FILES[1:]:
+        keep_rows(table, 90)(tmp_path)
     spoil, sentence = BROKEN[name]
     spoil(tmp_path)
     said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
@@ -191,6 +193,8 @@ def test_levels_work_without_a_base(tmp_path: Path) -> None:
     """Cameras alone know no base to fit anew after each level."""
     for file in FILES:
         shutil.copyfile(CASE / file, tmp_path / file)
+    for table in FILES[1:]:
+        keep_rows(table, 400)(tmp_path)
     append('[[levels]]\nname = "eye"\nfree = ["tool.*"]\n[[levels]]\nname = "all"\nfree = ["*"]\n')(tmp_path)
     said = run("calibrate", tmp_path / JOB, "-o", tmp_path / "out")
     assert (said.code, said.err) == (0, "")
@@ -201,7 +205,7 @@ def test_levels_work_without_a_base(tmp_path: Path) -> None:
 
 def test_photographs_are_planned_beside_those_of_the_case(tmp_path: Path) -> None:
     job, out = CASE / "calibration.toml", tmp_path / "next.csv"
-    asked = ("plan", job, "--observes", "pixels", "-n", "4", "--candidates", "60", "-o", out)
+    asked = ("plan", job, "--observes", "pixels", "-n", "4", "--candidates", "30", "-o", out)
     said = run(*asked, "--json")
     assert (said.code, said.err) == (0, "")
     told = json.loads(said.out)

@@ -52,15 +52,15 @@ class Sagging:
         document = machines.read(self.urdf)
         child = document.joint_map[joint].child
         P = places[child]
-        moment = np.zeros(3)
+        first = np.zeros(3)  # moment of the masses behind the joint
         for link in self._behind(child):
             inertial = document.link_map[link].inertial
             masses = [] if inertial is None or not inertial.mass else [(inertial.mass, inertial.origin[:3, 3])]
             masses += [payloads[link]] if link in payloads else []
             for mass, centre in masses:
                 arm = (places[link] @ [*centre, 1.0])[:3] - P[:3, 3]
-                moment += mass * np.cross(arm, gravity)
-        return float((P[:3, :3] @ document.joint_map[joint].axis) @ moment)
+                first += mass * arm
+        return float((P[:3, :3] @ document.joint_map[joint].axis) @ np.cross(first, gravity))
 
     def _behind(self, link: str) -> list[str]:
         joints = machines.read(self.urdf).robot.joints

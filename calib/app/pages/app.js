@@ -3,7 +3,8 @@
 
 const byId = id => document.getElementById(id);
 const EVERY = 400;  // ms between looks at a server that works
-const LARGEST = 200e6;  // bytes of a file; the server holds it as well
+const LARGEST = 200e6, MOST = 5000;  // bytes of a file, and files in a folder; the server holds them as well
+const GONE = "The server does not answer. It may have been ended in the terminal.";
 const WORDS = { look: "Looking at the files", check: "Checking the job", calibrate: "Calibrating" };
 let state = null, shown = {}, timer = 0, columns = {}, dirty = false, before = null;
 
@@ -43,7 +44,7 @@ async function ask(method, path, body) {
     const response = await fetch(path, { method, body });
     answer = await response.json();
   } catch {
-    answer = { sentence: "The server does not answer. It may have been ended in the terminal." };
+    answer = { sentence: GONE };
   }
   if (answer.files) state = answer;
   else byId("sentence").textContent = answer.sentence;
@@ -75,16 +76,43 @@ function look(more = {}) {
   return told("POST", "look", JSON.stringify({ ...said, ...more }));
 }
 
+// Files with their paths: a dropped folder's, one below the other, or those of a chosen folder.
+async function inside(entry, path, found) {
+  if (found.length > MOST) return;
+  if (entry.isFile) {
+    found.push([path + entry.name, await new Promise((good, bad) => entry.file(good, bad))]);
+    return;
+  }
+  const reader = entry.createReader();
+  for (;;) {  // a reader gives some at a time, and none at the end
+    const some = await new Promise((good, bad) => reader.readEntries(good, bad));
+    if (!some.length) return;
+    for (const one of some) await inside(one, path + entry.name + "/", found);
+  }
+}
+async function dropped(transfer) {
+  // Asked for at once: after the first wait the browser has forgotten them.
+  const entries = [...transfer.items].map(item => item.webkitGetAsEntry && item.webkitGetAsEntry()).filter(Boolean);
+  if (!entries.some(entry => entry.isDirectory)) return [...transfer.files].map(file => [file.name, file]);
+  const found = [];
+  for (const entry of entries) await inside(entry, "", found);
+  return found;
+}
+
 async function take(files) {
-  let good = true, robot;
-  for (const file of files) {
+  let good = false, robot, wanted = {};
+  const response = await fetch("offer", { method: "POST", body: JSON.stringify({ paths: files.map(([path]) => path) }) })
+    .then(answer => answer.json()).catch(() => ({ sentence: GONE }));
+  if (response.wanted) [wanted, state, good] = [response.wanted, response, true];
+  else byId("sentence").textContent = response.sentence;
+  for (const [path, file] of files.filter(([path]) => Object.hasOwn(wanted, path))) {
     if (file.size > LARGEST) {
-      byId("sentence").textContent = `${file.name}: is too large; a file may have ${LARGEST / 1e6} MB.`;
+      byId("sentence").textContent = `${path}: is too large; a file may have ${LARGEST / 1e6} MB.`;
       good = false;
       break;
     }
-    byId("status").textContent = `Taking ${file.name}`;
-    if (!(good = await ask("PUT", "files/" + encodeURIComponent(file.name), file))) break;
+    byId("status").textContent = `Taking ${path}`;
+    if (!(good = await ask("PUT", "files/" + encodeURIComponent(wanted[path]), file))) break;
     robot = state.robot;
   }
   byId("status").textContent = "";
@@ -92,21 +120,31 @@ async function take(files) {
   const sentence = byId("sentence").textContent;
   columns = {};
   draw();
-  if (good) await look({ robot: robot ?? state.robot });
+  if (good && state.files.length) await look({ robot: robot ?? state.robot });
   else byId("sentence").textContent = sentence;
 }
 
 function draw() {
   const found = state.look, busy = state.busy, running = Boolean(busy) && busy.verb === "calibrate";
   part("files", state.files, () => {
-    byId("files").replaceChildren(...state.files.map(({ name, kind, size }, k) => {
+    // A robot's meshes are many, and one thing.
+    const meshes = state.files.filter(file => file.kind === "mesh"), others = state.files.filter(file => file.kind !== "mesh");
+    const items = others.map(({ name, kind, size }) => [name, `${kind}, ${Math.ceil(size / 1000)} kB`, [name]]);
+    if (meshes.length) {
+      const size = meshes.reduce((sum, file) => sum + file.size, 0);
+      items.push([meshes.length === 1 ? meshes[0].name : `${meshes.length} meshes`, `mesh, ${Math.ceil(size / 1000)} kB`, meshes.map(file => file.name)]);
+    }
+    byId("files").replaceChildren(...items.map(([text, what, names], k) => {
       const item = element("li"), button = element("button", "Remove", { type: "button", id: "remove-" + k });
-      button.setAttribute("aria-label", "Remove " + name);
+      button.setAttribute("aria-label", "Remove " + text);
       button.addEventListener("click", async () => {
-        if (await told("DELETE", "files/" + encodeURIComponent(name)) && state.files.length) await look({ robot: state.robot });
+        let good = true;
+        for (const name of names) good = good && await ask("DELETE", "files/" + encodeURIComponent(name));
+        draw();
+        if (good && state.files.length) await look({ robot: state.robot });
         byId("choose").focus();
       });
-      item.append(element("span", name), element("span", `${kind}, ${Math.ceil(size / 1000)} kB`, { className: "soft" }), button);
+      item.append(element("span", text), element("span", what, { className: "soft" }), button);
       return item;
     }));
     const kinds = kind => state.files.filter(file => file.kind === kind).length;
@@ -130,12 +168,13 @@ function draw() {
     const named = Object.entries(columns).map(([ours, theirs]) => `${ours} is ${theirs}`).join("; ");
     byId("named").textContent = named && `Said so far: ${named}.`;
   });
+  byId("left-out").textContent = state.left_out;
   part("sentence", state.sentence, () => { byId("sentence").textContent = state.sentence; });
   if (!state.sentence && (found || busy)) byId("sentence").textContent = "";
 
   // While a new look is under way, what the last one found stays to be seen; it is not to be calibrated.
   if (found || !busy) drawLook(found);
-  for (const id of ["choose", "robot", "stack", "camera", "check", "name", "forget"]) byId(id).disabled = running;
+  for (const id of ["choose", "folder", "robot", "stack", "camera", "check", "name", "forget"]) byId(id).disabled = running;
   for (const control of document.querySelectorAll("#grids select, [data-answer], #choices button, #files button")) control.disabled = running;
   byId("job").readOnly = running;
   byId("calibrate").disabled = Boolean(busy) || dirty || !(found && found.findings);
@@ -283,15 +322,15 @@ function drawResults() {
   });
 }
 
-byId("choose").addEventListener("change", async event => {
-  await take([...event.target.files]);
+for (const id of ["choose", "folder"]) byId(id).addEventListener("change", async event => {
+  await take([...event.target.files].map(file => [file.webkitRelativePath || file.name, file]));
   event.target.value = "";
 });
 for (const kind of ["dragover", "dragleave", "drop"]) {
   document.addEventListener(kind, event => {
     event.preventDefault();
     byId("drop").classList.toggle("over", kind === "dragover");
-    if (kind === "drop" && !byId("choose").disabled && event.dataTransfer.files.length) take([...event.dataTransfer.files]);
+    if (kind === "drop" && !byId("choose").disabled && event.dataTransfer.items.length) dropped(event.dataTransfer).then(take);
   });
 }
 byId("robot").addEventListener("change", () => { if (state.files.length) look(); });
@@ -309,4 +348,7 @@ byId("cancel").addEventListener("click", () => told("POST", "cancel"));
 
 let examples = [];
 fetch("examples").then(response => response.json()).then(found => { examples = found.examples; if (state) draw(); });
-refresh();
+// After a server that was ended, files are there that nobody has looked at.
+refresh().then(() => {
+  if (state && state.files.length && !state.look && !state.busy && !state.sentence) look({ robot: state.robot });
+});

@@ -25,7 +25,7 @@ from calib.robot.load import load_robot
 from calib.robot.urdf import Urdf
 from calib.robot.urdf_writer import splice_origins
 
-_DELTA = re.compile(r"(?m)^\s*delta_(theta|a|d|alpha)\s*=\s*\[([^\]]*)\]")
+_DELTA = re.compile(r"(?m)^[ \t]*delta_(theta|a|d|alpha)[ \t]*=[ \t]*\[([^\[\]=]*)\]")
 _LINK = re.compile(r"^\s*(shoulder|upper_arm|forearm|wrist_1|wrist_2|wrist_3)\s*:\s*$")
 _VALUE = re.compile(rf"^\s*(x|y|z|roll|pitch|yaw)\s*:\s*({NUMBER.pattern})\s*$")
 _ALPHA = (0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi, 0.0)
@@ -75,7 +75,10 @@ def _of_yaml(text: str, where: str) -> Array:
         if head := _LINK.match(line):
             link = head[1]
         elif (value := _VALUE.match(line)) and link:
-            found.setdefault(link, {})[value[1]] = _number(value[2], where)
+            own = found.setdefault(link, {})
+            if value[1] in own:
+                raise RobotError(f"{where}: {link!r} has {value[1]} twice.")
+            own[value[1]] = _number(value[2], where)
     missing = [link for link in ur.LINKS if len(found.get(link, {})) != 6]
     if missing:
         raise RobotError(f"{where}: {missing[0]!r} has not x, y, z, roll, pitch and yaw; is it kinematics_params?")
@@ -89,7 +92,11 @@ def _of_yaml(text: str, where: str) -> Array:
 
 def _of_conf(text: str, nominal: Array, where: str) -> Array:
     """Return the same from ``calibration.conf``; ``nominal``: the driver's origins (6, 4, 4) of the model."""
-    deltas = {name: [_number(word, where) for word in numbers.split(",")] for name, numbers in _DELTA.findall(text)}
+    deltas: dict[str, list[float]] = {}
+    for name, numbers in _DELTA.findall(text):
+        if name in deltas:
+            raise RobotError(f"{where}: has delta_{name} twice.")
+        deltas[name] = [_number(word, where) for word in numbers.split(",")]
     if len(deltas) < 4 or any(len(numbers) != 6 for numbers in deltas.values()):
         raise RobotError(f"{where}: has not six numbers each in delta_theta, delta_a, delta_d and delta_alpha.")
     p = nominal[:, :3, 3]

@@ -8,12 +8,13 @@ least-squares fit; poses are weighted by an arm's length, and orientations add t
 """
 
 import itertools
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.ranges import SMALLEST_CELL
 from calib.identification.parameters import TOOL
 
@@ -149,6 +150,7 @@ def _solve(L: Array, c: Array) -> Array:
     return np.asarray(np.linalg.lstsq(L, c, rcond=_NEGLIGIBLE)[0] if L.shape[1] else np.zeros(0))
 
 
+@cache
 def cube_rotations() -> Array:
     """Return the 24 rotations (24, 3, 3) of the cube: every rotation is within 63 degrees of one of them."""
     found = []
@@ -157,16 +159,19 @@ def cube_rotations() -> Array:
             M = np.eye(3)[list(order)] * np.array(signs)[:, None]
             if np.linalg.det(M) > 0.0:
                 found.append(M)
-    return np.stack(found)
+    return read_only(np.stack(found))
 
 
 def _best_rotation(X: Array, c: Array) -> Array:
-    """Return the rotation A that minimises ``|X vec(A) - c|``, by Levenberg-Marquardt from many starts at once."""
+    """Return the rotation A that minimises ``|X vec(A) - c|``, by Newton's method from many starts at once.
+
+    Where much is left, as of a table with a mistake in it, the Hessian without its second derivatives creeps.
+    """
     # Numbers that no table may have, since nothing can be divided by them, say as little as zeros.
     X = np.where(np.abs(X) < SMALLEST_CELL, 0.0, X)
     relaxed = _solve(X, c).reshape(3, 3).T
     A = np.concatenate([rigid.nearest_rotation(relaxed)[None], cube_rotations()])
-    basis = rigid.skew(np.eye(3))
+    basis, eye = rigid.skew(np.eye(3)), np.eye(3)
 
     def residual(A: Array) -> Array:
         return np.asarray(np.swapaxes(A, -1, -2).reshape(len(A), 9) @ X.T - c)
@@ -180,7 +185,11 @@ def _best_rotation(X: Array, c: Array) -> Array:
         H = J @ np.swapaxes(J, -1, -2)
         g = (J @ r[:, :, None])[..., 0]
         size = np.trace(H, axis1=1, axis2=2)[:, None, None] / 3.0
-        damped = H + (damping[:, None, None] * size + np.finfo(float).tiny) * np.eye(3)
+        # d2 vec(A exp(w)) = vec(A [w]x [w]x), and [w]x [w]x = w w^T - |w|^2
+        C = (r @ X).reshape(-1, 3, 3) @ A
+        H = H + 0.5 * (C + np.swapaxes(C, -1, -2)) - np.trace(C, axis1=1, axis2=2)[:, None, None] * eye
+        lifted = np.maximum(-2.0 * np.linalg.eigvalsh(H)[:, :1, None], 0.0)  # downhill, where it is no minimum
+        damped = H + (damping[:, None, None] * size + lifted + np.finfo(float).tiny) * eye
         step = -np.linalg.solve(damped, g[..., None])[..., 0]
         trial = A @ rigid.exp3(step)
         r_trial = residual(trial)

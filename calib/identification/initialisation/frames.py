@@ -7,6 +7,7 @@ centre; targets from where the nominal robot puts the tool (:mod:`calib.identifi
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -49,6 +50,9 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     """
     known = None if begun is None else _values(sets[0].scalars, begun.frames.scalars)
     sets = [_thinned(data) for data in with_found_lenses(sets, known)]
+    if begun is None and model.robot.terms:
+        # Those of the nominal robot add nothing, and may be a thousand.
+        model = replace(model, robot=replace(model.robot, terms=(), weights=None))
     carried = [_carried(model, data, None if begun is None else begun.deviations) for data in sets]
     tips = [rows.tips for rows in carried]
     at = _Placed.of(model, sets[0], None if begun is None else begun.frames)

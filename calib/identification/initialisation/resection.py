@@ -8,11 +8,13 @@ I. Abdel-Aziz, H. M. Karara, 1971), where they do not; where p is unknown, from 
 directions are bounded, and those behind the camera are as far off as can be.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.optimize import least_squares
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.identification.initialisation.base_and_tools import cube_rotations
 
 # Points are spread over three dimensions, over two, or over one, by their spread relative to the largest one.
@@ -39,6 +41,13 @@ def camera_pose(points: Array, b: Array) -> Array | None:
     Marks by far off the others are left out. None where there are too few: four, or six that are not in a plane; or
     where they are on a line.
     """
+    return _trimmed_pose(np.ascontiguousarray(points).tobytes(), np.ascontiguousarray(b).tobytes())
+
+
+# A search among models or lenses begins with the same photographs again and again.
+@lru_cache(maxsize=512)
+def _trimmed_pose(points_of: bytes, b_of: bytes) -> Array | None:
+    points, b = (np.frombuffer(data).reshape(-1, 3) for data in (points_of, b_of))
     pose, kept = _camera_pose(points, b), np.ones(len(points), dtype=np.bool_)
     for _ in range(_MOST_TRIMS):
         if pose is None:
@@ -47,7 +56,7 @@ def camera_pose(points: Array, b: Array) -> Array | None:
         if np.array_equal(kept, last) or (better := _camera_pose(points[kept], b[kept])) is None:
             break
         pose = better
-    return pose
+    return None if pose is None else read_only(pose)
 
 
 def misses(camera: Array, points: Array, b: Array) -> Array:

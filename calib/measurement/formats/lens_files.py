@@ -9,6 +9,7 @@ from typing import Any
 
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
+from calib.measurement.formats.yaml_events import trouble
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
 _LARGEST = 1_000_000
@@ -16,7 +17,6 @@ _LARGEST = 1_000_000
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
 # YAML 1.1 takes 1e-05, as C++ writes it, for a text.
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]{1,3}")
-_ANCHOR = re.compile(r"(^|[\s:\[{,-])&\w")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
 _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
@@ -64,13 +64,14 @@ def _yaml(path: Path) -> Mapping[str, Any]:
     except UnicodeDecodeError as e:
         raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
     text = _TAG.sub("", _HEADER.sub("", text))
-    # An alias could make megabytes of a few lines.
-    if _ANCHOR.search(text):
-        raise JobError(f"{path}: has anchors, which are not read.")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        found = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        wrong = trouble(yaml.parse(text, loader))
+        found = None if wrong else yaml.load(text, loader)
     except (yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as e:
         raise JobError(f"{path}: is no YAML that can be read.") from e
+    if wrong:
+        raise JobError(f"{path}: {wrong}.")
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
     return found

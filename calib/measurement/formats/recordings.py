@@ -16,9 +16,11 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
+from calib.foundations.files import read_bytes
 from calib.foundations.words import listed, near, shown
 from calib.measurement.formats.sheet import Sheet
 from calib.measurement.formats.unpacking import limited
+from calib.measurement.formats.yaml_events import trouble
 
 SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 # A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
@@ -48,6 +50,8 @@ _DAMAGED = (
     zlib.error,
 )
 _LARGEST_METADATA = 1_000_000
+# Parts of its YAML: topics have some dozens each, and a second of processor time is needed for ten thousand.
+_MOST_METADATA = 30_000
 
 
 class Topic(NamedTuple):
@@ -213,11 +217,13 @@ def _opened(path: Path) -> Iterator[Any]:
         from rosbags.rosbag1 import ReaderError as Rosbag1Error  # noqa: PLC0415
         from rosbags.rosbag2 import ReaderError as Rosbag2Error  # noqa: PLC0415
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+        from ruamel.yaml.error import YAMLError  # noqa: PLC0415
     except ImportError as e:
         raise MeasurementError(
             f"{path}: recordings of ROS need the package rosbags: pip install 'urdf-calib[bags]'."
         ) from e
     try:
+        _refuse_metadata(path / "metadata.yaml")
         with (
             limited(path, _size(path)),
             AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
@@ -225,7 +231,7 @@ def _opened(path: Path) -> Iterator[Any]:
             yield reader
     except MeasurementError:
         raise
-    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, OSError, *_DAMAGED) as e:
+    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, YAMLError, OSError, *_DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
 
 
@@ -233,6 +239,16 @@ def _size(path: Path) -> int:
     """Return how many bytes a recording has; of a folder all its files."""
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)
+
+
+def _refuse_metadata(file: Path) -> None:
+    """Raise MeasurementError where the metadata of a folder would take long to build; rosbags builds what it finds."""
+    from ruamel.yaml import YAML  # noqa: PLC0415 - of rosbags
+
+    if file.exists():
+        text = read_bytes(file, MeasurementError, _LARGEST_METADATA).decode()
+        if wrong := trouble(YAML(typ="safe", pure=True).parse(text), _MOST_METADATA):
+            raise MeasurementError(f"{file}: {wrong}.")
 
 
 def _refuse_irregular(path: Path) -> None:
@@ -244,7 +260,5 @@ def _refuse_irregular(path: Path) -> None:
                 raise MeasurementError(f"{file}: no such file or folder.")
             if not (file.is_file() or (file.is_dir() and file != path)):
                 raise MeasurementError(f"{file}: is not a regular file.")
-            if file.name == "metadata.yaml" and file.stat().st_size > _LARGEST_METADATA:
-                raise MeasurementError(f"{file}: is larger than {_LARGEST_METADATA} bytes.")
     except OSError as e:
         raise MeasurementError(f"{path}: cannot be read ({e.strerror}).") from e

@@ -4,21 +4,18 @@ A ``sensor_msgs/JointState`` is one record: its ``name`` s are titles, its ``pos
 """
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import TwiceError, unique_names
 from calib.foundations.words import shown
+from calib.measurement.formats.yaml_events import trouble
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
 _OF_JOINTS = ("name", "position", "velocity", "effort")
-
-# With these a few lines may stand for any number of values.
-_ANCHOR, _ALIAS = (re.compile(rf"(?m)(?:^|[:\-\[{{,]\s)\s*[{mark}]\w") for mark in "&*")
 
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]]]
 
@@ -44,28 +41,25 @@ def from_yaml(data: bytes, where: str) -> _Rows:
     except ImportError as e:
         raise MeasurementError(f"{where}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
     text = _text(data, where)
-    if _ANCHOR.search(text) and _ALIAS.search(text):
-        raise MeasurementError(f"{where}: has anchors and aliases, which are not read.")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        nodes = list(yaml.compose_all(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
-        documents = [found for node in nodes if node is not None and (found := _written(node, set(), where))]
+        wrong = trouble(yaml.parse(text, loader))
+        nodes = [] if wrong else list(yaml.compose_all(text, loader))
+        documents = [found for node in nodes if node is not None and (found := _written(node))]
     except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
         twice = f": {e}" if isinstance(e, TwiceError) else ""
         raise MeasurementError(f"{where}: is no YAML that can be read{twice}.") from e
+    if wrong:
+        raise MeasurementError(f"{where}: {wrong}.")
     return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
 
 
-def _written(node: Any, seen: set[int], where: str) -> Any:
+def _written(node: Any) -> Any:
     """Return what stands at a node of YAML, scalars as they are written: 017 is neither 15 nor a number of ours."""
-    if id(node) in seen:
-        raise MeasurementError(f"{where}: has anchors and aliases, which are not read.")
-    seen.add(id(node))
     if node.id == "sequence":
-        return [_written(item, seen, where) for item in node.value]
+        return [_written(item) for item in node.value]
     if node.id == "mapping":
-        return unique_names(
-            [(str(_written(key, seen, where)), _written(value, seen, where)) for key, value in node.value]
-        )
+        return unique_names([(str(_written(key)), _written(value)) for key, value in node.value])
     kind = node.tag.rpartition(":")[2]
     if kind == "null":
         return None

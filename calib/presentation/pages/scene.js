@@ -178,19 +178,25 @@ draw();
 night.addEventListener("change", () => { draw(); choose(); });
 
 // Without a graphics card a picture takes long. There, while something moves, less is drawn: the calibrated arm in coarse
-// shapes, and of the points as many as there is time for. What rests is drawn whole.
-const LATE = 100, STILL = 300, MOST = 3000, SHEER = ["nominal", "regions"];  // ms, ms, corners of lines and faces
-let late = 0, light = false, still = 0;
+// shapes, some points from everywhere, and as many pixels as there is time for. What rests is drawn whole.
+const LATE = 70, STILL = 150, MOST = 3000, SHEER = ["nominal", "regions"];  // ms of two pictures, ms, corners
+let late = 0, light = false, moved = 0, calm = 0, share = 0.5;  // of the pixels across
 function moving() {
-  clearTimeout(still);
-  still = setTimeout(() => { still = 0; lighten(false); }, STILL);
   if (late > 2) lighten(true);
+  if (!moved) requestAnimationFrame(rest);
+  [moved, calm] = [performance.now(), 0];
+}
+// It rests where some time, and pictures for which it might have moved, went by: in one long picture it cannot move.
+function rest() {
+  if (++calm > 3 && performance.now() - moved > STILL) { moved = 0; lighten(false); } else requestAnimationFrame(rest);
 }
 function timed() {
-  if (!still || light || late > 2) return;
-  const start = performance.now();
+  if (!moved || (late > 2 && !light)) return;
+  const start = performance.now(), lighter = light;
   requestAnimationFrame(() => requestAnimationFrame(() => {
-    late = performance.now() - start > LATE ? late + 1 : 0;
+    const slow = performance.now() - start > LATE;
+    if (lighter) share = slow ? Math.max(0.25, 0.8 * share) : share;
+    else late = slow ? late + 1 : 0;
   }));
 }
 function lighten(on) {
@@ -287,7 +293,7 @@ function show(moment) {
   row.textContent = `Pose ${near + 1} of ${last + 1}, ${page.rows[near]}` +
     (page.judged ? `: before ${lengthBefore.toFixed(3)} mm, after ${lengthAfter.toFixed(3)} mm` : "");
   byId("joints").textContent = page.readings.length
-    ? page.joint_names.map(([name, unit], k) => `${name} ${plain(page.readings[near][k], 2)} ${unit}`).join(", ") : "";
+    ? page.joint_names.map(([name, unit], k) => `${name}\u00a0${plain(page.readings[near][k], 2)}\u00a0${unit}`).join(", ") : "";
   viewer.set_dirty();
 }
 
@@ -413,19 +419,19 @@ const labels = page.labels.map(([path, text]) => {
 });
 
 function arrange() {
-  const taken = [];
+  const taken = [], across = pane.offsetWidth, high = window.innerHeight;  // asked once: an answer takes a layout
   for (const { element, object, w, h } of labels) {
     const p = new THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(camera);
     let shown = names && p.z < 1 && Math.abs(p.x) < 1 && Math.abs(p.y) < 1;
     for (let o = object; o; o = o.parent) shown = shown && o.visible;
     element.style.display = shown ? "" : "none";
     if (!shown) continue;
-    const x = (p.x + 1) / 2 * pane.offsetWidth, y = (1 - p.y) / 2 * window.innerHeight;
+    const x = (p.x + 1) / 2 * across, y = (1 - p.y) / 2 * high;
     const places = [];
     for (let k = 0; k < 8; k++)
       places.push([x + 7, y + 4 + k * h], [x + 7, y - 4 - (k + 1) * h], [x - 7 - w, y + 4 + k * h], [x - 7 - w, y - 4 - (k + 1) * h]);
     const free = ([a, b]) => taken.every(r => a + w < r[0] || r[0] + r[2] < a || b + h < r[1] || r[1] + r[3] < b);
-    for (const place of places) place[0] = Math.min(Math.max(place[0], 2), pane.offsetWidth - w - 2);
+    for (const place of places) place[0] = Math.min(Math.max(place[0], 2), across - w - 2);
     const [a, b] = places.find(free) || places[0];
     taken.push([a, b, w, h]);
     element.style.transform = "translate(" + a + "px, " + b + "px)";
@@ -438,10 +444,15 @@ function measure() {
   const power = 10 ** Math.floor(Math.log10(120 / pixels));
   const length = [5, 2, 1].map(k => k * power).find(l => l * pixels <= 120) || power;
   byId("bar").style.width = length * pixels + "px";
-  byId("bar").textContent = length >= 0.1 ? `${+length.toPrecision(1)} m` : `${+(1000 * length).toPrecision(1)} mm`;
+  const text = length >= 0.1 ? `${+length.toPrecision(1)} m` : `${+(1000 * length).toPrecision(1)} mm`;
+  if (byId("bar").textContent !== text) byId("bar").textContent = text;
 }
 const render = viewer.render.bind(viewer);
-viewer.render = () => { render(); arrange(); measure(); timed(); };
+viewer.render = () => {
+  const ratio = window.devicePixelRatio * (light ? share : 1);
+  if (viewer.renderer.getPixelRatio() !== ratio) viewer.renderer.setPixelRatio(ratio);  // empties it: drawn at once
+  render(); arrange(); measure(); timed();
+};
 viewer.controls.addEventListener("change", moving);
 
 // A point is told when it is pointed at, and shown with the arm when it is clicked.

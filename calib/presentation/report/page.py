@@ -2,12 +2,9 @@
 
 import base64
 import hashlib
-from importlib.resources import files
 
+from calib.presentation.page_files import page_file, template
 from calib.presentation.report.document import Report, Sheet
-
-_TEMPLATE = "pages/report.html.jinja"
-_SORTING = "pages/sorting.js"
 
 
 def render_page(report: Report) -> str:
@@ -15,14 +12,9 @@ def render_page(report: Report) -> str:
 
     It runs no script but, where a sheet can be sorted, the one that sorts, which the page names by its hash.
     """
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - calib must not load it on import
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    pages = files("calib.presentation")
-    template = environment.from_string(pages.joinpath(_TEMPLATE).read_text(encoding="utf-8"))
-    script = pages.joinpath(_SORTING).read_text(encoding="utf-8") if _sortable(report) else ""
+    script = page_file("sorting.js") if _sortable(report) else ""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return template.render(report=report, script=script, digest=digest) + "\n"
+    return template("report.html.jinja").render(report=report, script=script, digest=digest) + "\n"
 
 
 def _sortable(report: Report) -> bool:

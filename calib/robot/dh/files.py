@@ -32,7 +32,7 @@ from calib.robot.urdf import MOST_JOINTS
 
 _LARGEST_FILE = 1_000_000
 _LONGEST_LINE = 2_000
-_TITLE = re.compile(r"([a-z]+)\s*(?:\[\s*([^\[\]]*?)\s*\])?")
+_TITLE = re.compile(r"([a-z]+)\s*(?:\[([^\[\]]*)\])?")
 _DIMENSIONS: dict[str, Dimension] = {
     "a": "length",
     "d": "length",
@@ -157,7 +157,7 @@ def _units(header: _Line) -> dict[str, Unit | None]:
     units: dict[str, Unit | None] = {}
     for title in titles:
         match = _TITLE.fullmatch(title)
-        name, symbol = (match[1], match[2]) if match else (title, None)
+        name, symbol = (match[1], None if match[2] is None else match[2].strip()) if match else (title, None)
         if name not in (*_WORDS, *_DIMENSIONS):
             raise RobotError(f"{at}: column {title!r} is not one of {', '.join((*_WORDS, *_DIMENSIONS))}.")
         if name in units:

@@ -1,0 +1,44 @@
+"""What YAML may not hold, told by its events before anything is built: builders are recursive, and aliases multiply."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from calib.foundations.words import shown
+
+# Deeper than any file that we read; PyYAML's builder in C ends the process at some ten thousand.
+_DEEPEST = 100
+
+
+def trouble(events: Iterable[Any], most: int | None = None) -> str | None:
+    """Return what is wrong with YAML, given the events of its parser, as the end of a sentence; None for nothing.
+
+    Wrong are aliases, nesting without end, names that come twice in one mapping, and more than ``most`` values. The
+    events are those of PyYAML or of ruamel.yaml. Raises what their parser raises.
+    """
+    # Of every collection that is open: its names so far, None for a list; and whether a name comes next.
+    names: list[set[str] | None] = []
+    named: list[bool] = []
+    for count, event in enumerate(events):
+        kind = type(event).__name__
+        if most is not None and count > most:
+            return f"has more than {most} values"
+        if kind == "AliasEvent":
+            return "has anchors and aliases, which are not read"
+        if kind in ("MappingEndEvent", "SequenceEndEvent"):
+            names.pop()
+            named.pop()
+            continue
+        if kind not in ("ScalarEvent", "MappingStartEvent", "SequenceStartEvent"):
+            continue
+        if names and (known := names[-1]) is not None:
+            if named[-1] and kind == "ScalarEvent":
+                if event.value in known:
+                    return f"is no YAML that can be read: it has {shown(event.value)} twice in one object"
+                known.add(event.value)
+            named[-1] = not named[-1]
+        if kind != "ScalarEvent":
+            names.append(set() if kind == "MappingStartEvent" else None)
+            named.append(True)
+            if len(names) > _DEEPEST:
+                return "is nested too deep"
+    return None
