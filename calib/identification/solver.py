@@ -262,6 +262,13 @@ class _Point(NamedTuple):
         """By how much the full step should lower the cost."""
         return self.rows.after(self.full, 0.0)
 
+    @property
+    def most_gained(self) -> float:
+        """The sum of squares of the component of which the full step should take most."""
+        none, parts = np.zeros(len(self.z)), self.evaluation.reweighted(self.noise.factors).alone
+        before, after = (np.array([own.after(step) for own in parts]) for step in (none, self.full))
+        return float(before[np.argmax(before - after)])
+
     def step(self, damping: float) -> Array:
         """Return the step (p,) of Levenberg and Marquardt, in units of what priors hold."""
         if damping == 0.0:
@@ -356,11 +363,11 @@ class _Search(NamedTuple):
         """Return where the search ends from a point that narrower priors held, as :meth:`gauss_newton` does.
 
         None where they do not cost a clearly worse fit. A tool that is far from the flange is pulled towards it by a
-        narrow prior, and the residuals grow by that.
+        narrow prior, and the residuals grow by that: those of the rows that it is in, which may be few of all.
         """
         noise = self.noise(held.z, held.evaluation, held.weighted_by)
         begin = _Point.of(held.z, held.evaluation, held.weighted_by, noise)
-        clearly = begin.gain >= _CLEARLY_HELD * begin.cost(noise)
+        clearly = begin.gain >= _CLEARLY_HELD * (begin.most_gained + noise.prior.cost(held.z))
         return self.gauss_newton(held.z, noise) if clearly else None
 
     def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:

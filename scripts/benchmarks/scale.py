@@ -2,8 +2,10 @@
 
     python scripts/benchmarks/scale.py [--check] [--markdown FILE] [--largest 1000000]
     python scripts/benchmarks/scale.py --targets [--check] [--markdown FILE]
+    python scripts/benchmarks/scale.py --setups [--check] [--markdown FILE]
 
-The second form is about lengths to many anchors in unknown places. Its times are the processor's, which others who use
+The second form is about lengths to many anchors in unknown places, the third about an arm that stands in many places,
+and about a camera on it that sees many boards. Their times are the processor's, which others who use
 the machine hardly change. Memory is the peak resident set of the whole process, libraries and data included. `--check`
 exits with 1 when anything takes more than 2 GiB, or anchors more than two minutes.
 """
@@ -26,10 +28,16 @@ from rich.table import Table
 
 import calib
 from calib.foundations import rigid
+from calib.identification.initialisation import problem as initialisation
+from calib.measuring import Camera
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 # Anchors in unknown places, each with so many lengths.
 ANCHORS, LENGTHS = (10, 100, 300, 1_000, 10_000), 8
+# Set-ups, each with so many positions, and boards, each in so many photographs of so many marks.
+SETUPS, POSITIONS = (10, 100, 300, 1_000), 9
+BOARDS, PHOTOGRAPHS, MARKS, APART = (10, 30, 100), 4, (4, 3), 0.04
+PIXEL = 0.1
 SIGMA = 0.05e-3
 LIMIT_MIB, LIMIT_SECONDS = 2048.0, 120.0
 # Lengths that nothing but noise disturbs scatter by less than so many times the noise that is stated.
@@ -127,6 +135,76 @@ def from_anchors(anchors: int, _: str) -> Cost:
     return Cost(f"{anchors:,} anchors", anchors * LENGTHS, seconds, loaded, peak())
 
 
+def from_setups(setups: int, _: str) -> Cost:
+    """Positions from many set-ups: six unknowns each beside those of the arm."""
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    model = calib.error_model(robot, offsets="all", placements="all", tool="position")
+    rng, setup = np.random.default_rng(3), np.repeat(np.arange(setups), POSITIONS)
+    table: dict[str, object] = dict(columns(robot, len(setup), "position"))
+    bases = rigid.placement(rigid.exp3(rng.normal(size=(setups, 3))), rng.uniform(-2.0, 2.0, (setups, 3)))
+    x = np.stack([table.pop(f"{axis} [m]") for axis in "xyz"], axis=1)
+    placed = np.einsum("nij,nj->ni", bases[setup, :3, :3], x) + bases[setup, :3, 3]
+    table |= {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")}
+    # Jobs have fewer set-ups, since what is said of each afterwards is not eliminated: here many tables have them.
+    initialisation.MOST_SETUPS = max(SETUPS)
+    data = [
+        calib.read_measurements(
+            {name: np.asarray(values)[rows] for name, values in table.items()}
+            | {"setup": [f"s{k}" for k in setup[rows]]},
+            robot,
+            sigma=SIGMA,
+        )
+        for rows in np.array_split(np.arange(len(setup)), max(1, setups // 50))
+    ]
+    loaded, start = peak(), time.process_time()
+    fit = calib.identify(model, data)
+    seconds = time.process_time() - start
+    if not fit.converged:
+        raise SystemExit(f"{setups} set-ups did not converge")
+    r = np.concatenate(fit.residuals)
+    if np.sqrt(np.mean(r**2)) > EXPLAINED * SIGMA:
+        raise SystemExit(f"of {setups} set-ups some are in the wrong place")
+    return Cost(f"{setups:,} set-ups", len(setup), seconds, loaded, peak())
+
+
+def from_boards(boards: int, _: str) -> Cost:
+    """Photographs by a camera on the tip, of boards in unknown poses: six unknowns each beside those of the arm."""
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose")
+    camera = Camera("tip", fx=1200.0, fy=1200.0, cx=640.0, cy=512.0, sigma=PIXEL)
+    rng, board = np.random.default_rng(4), np.repeat(np.arange(boards), PHOTOGRAPHS)
+    low, high = (np.array([getattr(r, end) or 0.0 for r in robot.readings]) for end in ("lower", "upper"))
+    middle = rng.uniform(0.8 * low, 0.8 * high, (boards, len(low)))
+    readings = middle[board] + rng.uniform(-0.1, 0.1, (len(board), len(low)))
+    deviations = calib.Deviations(
+        rng.normal(scale=np.repeat((0.5e-3, 1e-3), 3), size=(len(robot.chain), 6)),
+        rng.normal(scale=5e-3, size=len(robot.moving)),
+    )
+    tool = rigid.placement(rigid.exp3(np.array([0.05, -0.03, 0.8])), np.array([0.05, 0.02, 0.06]))
+    marks = APART * np.array([(i - 1.5, j - 1.0, 0.0) for i in range(MARKS[0]) for j in range(MARKS[1])])
+    ahead = rigid.placement(
+        rigid.exp3(rng.normal(scale=0.3, size=(boards, 3))),
+        rng.uniform((-0.1, -0.1, 0.5), (0.1, 0.1, 0.9), (boards, 3)),
+    )
+    places = (robot.tips(middle, deviations) @ tool @ ahead)[board]
+    seen = rigid.inverse(robot.tips(readings, deviations) @ tool) @ places
+    points = np.einsum("nij,mj->nmi", seen[:, :3, :3], marks) + seen[:, None, :3, 3]
+    pixels = 1200.0 * points[:, :, :2] / points[:, :, 2:] + np.array([640.0, 512.0])
+    pixels += rng.normal(scale=PIXEL, size=pixels.shape)
+    many, n = np.repeat(readings, len(marks), axis=0), len(board)
+    table: dict[str, object] = {f"{r.name} [rad]": many[:, k] for k, r in enumerate(robot.readings)}
+    table |= {f"{name} [px]": pixels[:, :, k].ravel() for k, name in enumerate("uv")}
+    table |= {f"board_{axis} [m]": np.tile(marks[:, k], n) for k, axis in enumerate("xyz")}
+    table["target"] = [f"b{k}" for k in np.repeat(board, len(marks))]
+    data = calib.read_measurements(table, robot, "pixels", instrument=camera)
+    loaded, start = peak(), time.process_time()
+    fit = calib.identify(model, data)
+    seconds = time.process_time() - start
+    if not fit.converged or np.sqrt(np.mean(fit.residuals[0] ** 2)) > EXPLAINED * PIXEL:
+        raise SystemExit(f"{boards} boards did not converge")
+    return Cost(f"{boards:,} boards", n, seconds, loaded, peak())
+
+
 def by_command(poses: int, observes: str) -> Cost:
     """The whole job, from the table on disk to report, scene and residuals."""
     robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
@@ -174,7 +252,8 @@ A Panda of 7 joints, every placement, zero, base and tool free, each run in a pr
 the whole process: libraries, data and all; before: with the data in memory and nothing identified. Residuals and
 Jacobians exist for a few hundred rows at a time and are reduced to a triangle by QR decompositions, so that what is
 added grows with the numbers measured, not with poses times parameters. The whole command also reads the table from
-disk, judges every row, and writes report, scene and residuals.
+disk, judges every row, and writes report, scene and residuals. [Many set-ups](benchmark_set_ups.md) and [many
+targets](benchmark_targets.md) have pages of their own.
 
 """
 
@@ -204,6 +283,38 @@ def of_targets(costs: list[Cost]) -> str:
     return TARGETS.format(machine=machine_name(), lengths=LENGTHS) + "\n".join([*lines, ""])
 
 
+SET_UPS = """# Many set-ups and boards
+
+Made by `python scripts/benchmarks/scale.py --setups --markdown docs/benchmark_set_ups.md`, one BLAS thread, on
+{machine}, which others used at the same time: so seconds are the processor's, of `calib.identify` alone.
+
+A Panda of 7 joints, every placement, zero and tool free. It stands in many places, in each of which {positions}
+positions are measured; or a camera on its tip takes {photographs} photographs of each of many boards, of {marks} marks.
+Every set-up and board has six unknowns, and all of them are found. Every run is in a process of its own, and fails
+where residuals are not what the noise explains. What only some rows are about is eliminated block by block
+([theory](theory.md)). The last column is the exponent with which seconds grow, from the row before: 1 is linear.
+
+A job may have 100 set-ups: this limit is lifted here, as what is said of each set-up afterwards (its share in the
+machine's uncertainty) is not eliminated. How photographs err together is judged by all unknowns at once: so boards grow
+faster than set-ups.
+
+"""
+
+
+def of_setups(costs: list[Cost]) -> str:
+    """The page on many set-ups and boards."""
+    lines = ["| what | rows or photographs | processor s | MiB before | MiB at most | exponent |", "|---|" + "--:|" * 5]
+    for before, cost in zip([None, *costs], costs, strict=False):
+        more = ""
+        if before is not None and before.what.split()[-1] == cost.what.split()[-1]:
+            more = f"{np.log(cost.seconds / before.seconds) / np.log(cost.poses / before.poses):.2f}"
+        lines.append(f"| {' | '.join((*cells(cost), more))} |")
+    page = SET_UPS.format(
+        machine=machine_name(), positions=POSITIONS, photographs=PHOTOGRAPHS, marks=MARKS[0] * MARKS[1]
+    )
+    return page + "\n".join([*lines, ""])
+
+
 def machine_name() -> str:
     return f"{os.cpu_count()} cores of {platform.machine()}, Python {platform.python_version()}"
 
@@ -219,6 +330,7 @@ def main() -> int:
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the table to FILE")
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="the largest problem (default: 1000000 poses)")
     parser.add_argument("--targets", action="store_true", help="anchors in the place of poses")
+    parser.add_argument("--setups", action="store_true", help="set-ups and boards in the place of poses")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one:
@@ -226,9 +338,13 @@ def main() -> int:
         print(
             json.dumps(
                 asdict(
-                    {"identify": from_arrays, "anchors": from_anchors, "command": by_command}[what](
-                        int(poses), observes
-                    )
+                    {
+                        "identify": from_arrays,
+                        "anchors": from_anchors,
+                        "command": by_command,
+                        "setups": from_setups,
+                        "boards": from_boards,
+                    }[what](int(poses), observes)
                 )
             )
         )
@@ -239,15 +355,19 @@ def main() -> int:
         table.add_column(heading, justify="left" if heading == "what" else "right")
     of_poses = (("identify", "position"), ("identify", "pose"), ("command", "position"))
     tasks = [(what, size, observes) for what, observes in of_poses for size in SIZES if size <= arguments.largest]
-    for task in [("anchors", n, "distance") for n in ANCHORS] if arguments.targets else tasks:
+    if arguments.targets:
+        tasks = [("anchors", n, "distance") for n in ANCHORS]
+    elif arguments.setups:
+        tasks = [("setups", n, "position") for n in SETUPS] + [("boards", n, "pixels") for n in BOARDS]
+    for task in tasks:
         costs.append(measured(*task))
         table.add_row(*cells(costs[-1]))
         print(", ".join(cells(costs[-1])), file=sys.stderr)
     Console().print(table)
     if arguments.markdown is not None:
-        page = of_targets(costs) if arguments.targets else markdown(costs)
+        page = (of_targets if arguments.targets else of_setups if arguments.setups else markdown)(costs)
         arguments.markdown.write_text(page, encoding="utf-8")
-    slow = LIMIT_SECONDS if arguments.targets else np.inf
+    slow = LIMIT_SECONDS if arguments.targets or arguments.setups else np.inf
     exceeded = [cost for cost in costs if cost.peak > LIMIT_MIB or cost.seconds > slow]
     for cost in exceeded:
         print(f"Beyond {LIMIT_MIB:,.0f} MiB, or {slow:g} s: {', '.join(cells(cost))}.", file=sys.stderr)
