@@ -187,7 +187,9 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
     shutil.copyfile(folder / robot, own / robot)
     dropped = [PurePosixPath(name).parts for name in meshes]
     lost = []
-    for uri in dict.fromkeys(uris):
+    every = tuple(dict.fromkeys(uris))
+    # Each is compared with all that were dropped; more shapes are not drawn either.
+    for uri in every[:_MOST_FILES]:
         rest = uri.partition("://")[2] if "://" in uri else uri
         parts = [part for part in rest.split("/") if part not in ("", ".", "..")]
         best = _likest([plain_name(part) for part in parts], dropped)
@@ -200,7 +202,7 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
                 shutil.copyfile(folder / _MESHES / best, place)
         except OSError:
             lost.append(uri)
-    return f"{ROBOT}/{robot}", lost
+    return f"{ROBOT}/{robot}", [*lost, *every[_MOST_FILES:]]
 
 
 def _likest(parts: Sequence[str], dropped: Sequence[tuple[str, ...]]) -> PurePosixPath | None:

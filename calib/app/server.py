@@ -118,7 +118,9 @@ class _Files(_Ours):
         self._pieces: list[bytes] = []
         super().prepare()
         length = self.request.headers.get("Content-Length", "0")
-        if not self._finished and length.isdecimal() and int(length) > LARGEST_FILE:
+        # Of thousands of digits Python makes no number.
+        too_long = length.isdecimal() and (len(length) > len(str(LARGEST_FILE)) or int(length) > LARGEST_FILE)
+        if not self._finished and too_long:
             self.refuse(413, f"The file {TOO_LARGE}")
         if self._finished:
             return

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import create, encoded, is_regular, lstat, names_in, opened_folder
+from calib.foundations.files import create, encoded, is_regular, lstat, names_in, opened_folder, refuse_taken
 
 # In the hidden folder: the one that is written, the one that stood there, and the list of what may be removed in both.
 _NEW, _OLD, _LIST = "new", "old", "list.json"
@@ -70,6 +70,8 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
     try:
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir()):
             raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
+        if not older and path.is_dir() and any(path.iterdir()):
+            refuse_taken(path)
         with _made(path.parent), opened_folder(path.parent) as above:
             _write(_Place(path, above), files, older)
     except CalibError:

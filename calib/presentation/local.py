@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from tornado.httpserver import HTTPServer
-from tornado.web import Application, RequestHandler
+from tornado.web import Application, HTTPError, RequestHandler
 
 from calib.foundations.errors import OutputError
 
@@ -27,6 +27,11 @@ class Guarded(RequestHandler):
         self.set_header("X-Content-Type-Options", "nosniff")
         self.set_header("Cross-Origin-Resource-Policy", "same-origin")
         self.set_header("Referrer-Policy", "no-referrer")
+
+    def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
+        """Say nothing in the terminal of requests that are none."""
+        if not isinstance(value, HTTPError):
+            super().log_exception(typ, value, tb)
 
 
 @contextlib.asynccontextmanager

@@ -710,7 +710,7 @@ _OTHERS: dict[str, Hostile] = {
     "metadata of words": _metadata(lambda _: "a ", _BAG + "x: "),
     "lists of a board": _photographs(lambda size: "x = " + "[" * (size - 100) + "\n", lambda _: "p0,1\n"),
     "numbers of a board": _photographs(
-        lambda size: "x = [" + repeated(lambda k: f"{k},", size) + "]\n", lambda _: "p0,1\n"
+        lambda size: "x = [" + repeated(lambda k: f"{k},\n", size) + "]\n", lambda _: "p0,1\n"
     ),
     "dots of a board": _photographs(lambda size: "a" + ".a" * (size // 2) + " = 1\n", lambda _: "p0,1\n"),
     "digits of a board": _photographs(lambda size: "x = " + "1" * size + "\n", lambda _: "p0,1\n"),
@@ -718,9 +718,7 @@ _OTHERS: dict[str, Hostile] = {
     "a title of blanks": _text("a.csv", ("import", "a.csv", "-o", "t.csv"), lambda _: " ", "x [mm],y[", "\n1,2\n"),
     "a title of blanks in a table": Hostile(
         lambda folder, size: _edited(
-            folder / "identification.csv",
-            "x [mm]",
-            "x" + " " * min(size // 2, 45_000) + "[" + " " * min(size // 2, 45_000),
+            folder / "identification.csv", "x [mm]", f"x{' ' * min(size // 2, 45_000)}[{' ' * min(size // 2, 45_000)}"
         )
     ),
     "a title of brackets": _text("a.csv", ("import", "a.csv", "-o", "t.csv"), lambda _: "( ", "x", "\n1\n"),

@@ -205,6 +205,8 @@ def test_files_have_a_size_and_a_kind(empty: Server) -> None:
     # Refused before it is read.
     status = empty.ask("PUT", "files/large.csv", b"", **{"Content-Length": "200000001"})[0]
     assert status == 413
+    assert empty.ask("PUT", "files/large.csv", b"", **{"Content-Length": "9" * 5000})[0] == 413
+    assert empty.ask("PUT", "files/%ff.csv", b"")[0] == 400
 
 
 BOMB = '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><robot name="&b;"/>'

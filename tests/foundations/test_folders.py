@@ -149,7 +149,7 @@ def test_write_folder_says_why_it_cannot(tmp_path: Path) -> None:
 def test_a_new_folder_never_takes_the_place_of_another(tmp_path: Path) -> None:
     fill(tmp_path / "out", {"letter.txt": "mine"})
     before = tree(tmp_path)
-    with pytest.raises(OutputError, match="Directory not empty"):
+    with pytest.raises(OutputError, match="already exists; choose another name"):
         write_folder(tmp_path / "out", NEW)
     assert tree(tmp_path) == before
 

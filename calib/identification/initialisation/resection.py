@@ -71,8 +71,11 @@ def not_outlying(off: Array) -> BoolArray:
 
 
 def _camera_pose(points: Array, b: Array) -> Array | None:
-    n, spread = len(points), np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if n < _LEAST_OF_PLANE or spread[1] <= _STRAIGHT * spread[0]:
+    n = len(points)
+    if n < _LEAST_OF_PLANE:  # none at all, where a lens bends no ray to the pixels
+        return None
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= _STRAIGHT * spread[0]:
         return None
     if spread[2] <= _FLAT * spread[0]:
         turns = _of_plane(points, b)
