@@ -16,7 +16,7 @@ from calib_start import loading
 
 with loading():
     from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather
-    from calib.foundations.errors import CalibError, JobError
+    from calib.foundations.errors import CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, write_atomically
     from calib.foundations.words import shown
     from calib.job.calibrate import STEPS_OF_LOADING, calibrate
@@ -48,7 +48,7 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
         return {"reasons": [f"{jobs[0]}: says how the tables are read."], "tables": [], **check(asked, say)}
     if not asked["robot"] and not (asked["photographs"] and boards):
         raise JobError("There is no robot yet; drop its URDF, or choose an example.")
-    tables = [_as_text(name) for name in asked["tables"]]
+    tables = _as_texts(asked["tables"])
     robot, reasons = _with_meshes(asked["robot"], asked["meshes"])
     asked = {**asked, "robot": robot}
     if asked["photographs"]:
@@ -105,6 +105,8 @@ def _settings(names: Sequence[str]) -> tuple[list[str], list[str]]:
     if len(jobs) > 1:
         raise JobError(f"{' and '.join(map(shown, jobs[:2]))} are both jobs; remove one.")
     boards = [name for name in names if name not in jobs]
+    if JOB in boards:
+        raise JobError(f"{JOB}: has no [robot], so it is no job, and the job is to have this name; rename the file.")
     return jobs, boards
 
 
@@ -126,15 +128,25 @@ def _with_meshes(robot: str, meshes: Sequence[str]) -> tuple[str, list[str]]:
     ]
 
 
-def _as_text(name: str) -> str:
-    """Return the table of text that a file is, or that is made of its records, cells or arrays."""
-    if name.lower().endswith(_TEXT):
-        return name
-    return _made(f"{Path(name).stem}.csv", read_sheet(name).csv())
+def _as_texts(names: Sequence[str]) -> list[str]:
+    """Return the tables of text that files are, or that are made of their records, cells or arrays."""
+    own = [Path(name).stem.lower() for name in names if not name.lower().endswith(_TEXT)]
+    found = []
+    for name in names:
+        if name.lower().endswith(_TEXT):
+            found.append(name)
+            continue
+        # Of poses.json and poses.xlsx neither takes the other's place.
+        plain = Path(name).stem if own.count(Path(name).stem.lower()) == 1 else name
+        found.append(_made(f"{plain}.csv", read_sheet(name).csv()))
+    return found
 
 
 def _made(name: str, text: str) -> str:
-    Path(MADE).mkdir(mode=0o700, exist_ok=True)
+    try:
+        Path(MADE).mkdir(mode=0o700, exist_ok=True)
+    except OSError as e:
+        raise OutputError(f"{MADE}: cannot be made ({e.strerror}).") from e
     write_atomically(Path(MADE, name), text)
     return f"{MADE}/{name}"
 

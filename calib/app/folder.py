@@ -4,6 +4,8 @@
 """
 
 import contextlib
+import errno
+import fcntl
 import io
 import os
 import re
@@ -27,6 +29,8 @@ JOB, RESULTS, MADE, PHOTOGRAPHS, ROBOT = "calibration.toml", "results", "tables"
 # What was dropped and said, for a page that is served again; no dropped file can have a name like this.
 SESSION = ".session.json"
 _MESHES = "meshes"  # as they were dropped
+# Locked while a page is served from the folder; the folder itself is locked where results are written.
+_SERVED = ".served"
 # A table of a million rows has some 100 MB; photographs come in hundreds.
 LARGEST_FILE = 200_000_000
 _LARGEST_SUM = 1_000_000_000
@@ -37,6 +41,9 @@ TOO_LARGE = (
 
 # How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
 _DEEPEST, _MOST_OFFERED = 12, 5000
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
+# Others are unpacked whole, however little is asked for.
+_BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError)
 
 Kind = Literal["robot", "table", "photograph", "settings", "mesh", "archive"]
@@ -53,6 +60,7 @@ _OTHERS: dict[Kind, tuple[str, ...]] = {
 KINDS: dict[Kind, tuple[str, ...]] = {**_OTHERS, "photograph": ENDINGS}
 _ODD = re.compile(r"[^\w.+ -]|^[. -]+", re.ASCII)
 _LONGEST_NAME = 100
+_SHORTER = _LONGEST_NAME - 5  # leaves place for a number
 
 
 def kind_of(name: str) -> Kind:
@@ -76,7 +84,8 @@ def plain_name(name: str) -> str:
 def private_folder(path: Path | None) -> Iterator[Path]:
     """Give an empty folder that this user alone can enter; without a ``path`` it goes when the block ends.
 
-    A folder that such a page has left is given as it is. Raises OutputError where ``path`` is there and none of these.
+    A folder that such a page has left is given as it is. Raises OutputError where ``path`` is there and none of these,
+    or another page is served from it.
     """
     if path is None:
         with tempfile.TemporaryDirectory(prefix="calib-app-") as made:
@@ -91,11 +100,28 @@ def private_folder(path: Path | None) -> Iterator[Path]:
         raise
     except (OSError, ValueError) as e:
         raise OutputError(f"{path}: cannot be made ({getattr(e, 'strerror', None) or e}).") from e
-    yield path.absolute()
+    with _alone_in(path):
+        yield path.absolute()
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep other pages out of a folder: of two, each would write what it knows over what the other one knows."""
+    try:
+        handle = os.open(folder / _SERVED, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError as e:
+        raise OutputError(f"{folder}: files cannot be kept in it ({e.strerror}).") from e
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as e:
+        raise OutputError(f"{folder}: another page is served from it; end that one, or choose another folder.") from e
+    finally:
+        os.close(handle)
 
 
 def _empty(folder: Path) -> bool:
-    return not any(folder.iterdir())
+    return all(path.name == _SERVED for path in folder.iterdir())
 
 
 def _left(folder: Path) -> bool:
@@ -129,10 +155,32 @@ def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
         if alone or (kind not in (None, "archive") and described and not hidden and not texture):
             found[name] = path
     same = Counter(path.name for path in found.values() if _known(path) != "mesh")
-    return {
+    names = {
         name: str(path) if _known(path) == "mesh" else "_".join(path.parts) if same[path.name] > 1 else path.name
         for name, path in found.items()
     }
+    return _apart(names)
+
+
+def _apart(names: Mapping[str, str]) -> dict[str, str]:
+    """Return names with numbers where several become one when they are made plain, so that none replaces another.
+
+    A mesh gets a folder with the number: a robot's path to it then ends as those of several, and none is taken.
+    """
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for path, name in names.items():
+        plain = kept = name if (kind := _known(PurePosixPath(name))) is None else name_here(name)
+        number = 2
+        while kind is not None and kept.lower() in taken:
+            ending = Path(plain).suffix
+            kept = (
+                f"{number}/{plain}" if kind == "mesh" else f"{plain.removesuffix(ending)[:_SHORTER]}_{number}{ending}"
+            )
+            number += 1
+        taken.add(kept.lower())
+        found[path] = kept
+    return found
 
 
 def _known(path: PurePosixPath) -> Kind | None:
@@ -142,11 +190,11 @@ def _known(path: PurePosixPath) -> Kind | None:
         return None
 
 
-def unpacked(data: bytes, name: str, there: int) -> Iterator[tuple[str, bytes]]:
+def unpacked(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
     """Give the files of use in a ZIP archive, one after the other, with the names that they get here.
 
-    ``there``: how many bytes were dropped before. Links in the archive are left out. Raises OutputError where it cannot
-    be read, holds nothing of use or unpacks to too much.
+    Links in the archive are left out. Of a file that is too large, a byte more than may be is given. Raises OutputError
+    where the archive cannot be read, or holds nothing of use.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -158,11 +206,14 @@ def unpacked(data: bytes, name: str, there: int) -> Iterator[tuple[str, bytes]]:
                 raise OutputError(f"{shown(name)}: holds no robot, mesh, table, photograph or job.")
             if len(wanted) > _MOST_FILES:
                 raise OutputError(f"{shown(name)}: holds more than the {_MOST_FILES} files that are allowed.")
+            if any(inside[path].compress_type not in _BOUNDED for path in wanted):
+                raise OutputError(
+                    f"{shown(name)}: is packed by another method than the usual one (deflate); pack it anew."
+                )
             for path, plain in wanted.items():
                 with archive.open(inside[path]) as file:
                     # What an archive says of its sizes need not be so.
-                    contents = file.read(min(LARGEST_FILE, _LARGEST_SUM - there) + 1)
-                there += len(contents)
+                    contents = file.read(LARGEST_FILE + 1)
                 yield plain, contents
     except OutputError:
         raise
@@ -179,12 +230,16 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
     """Put a dropped robot into its own folder, and dropped meshes where its ``uris`` say that they are.
 
     Returns the path of the URDF there, and the uris for which there is no mesh: that is the one whose path ends most
-    alike, its file's name at least; of several that end alike, none can be told from the others.
+    alike, its file's name at least; of several that end alike, none can be told from the others. Raises OutputError
+    where nothing can be written.
     """
     own = folder / ROBOT
     shutil.rmtree(own, ignore_errors=True)
-    own.mkdir(mode=0o700)
-    shutil.copyfile(folder / robot, own / robot)
+    try:
+        own.mkdir(mode=0o700)
+        shutil.copyfile(folder / robot, own / robot)
+    except OSError as e:
+        raise OutputError(f"{ROBOT}/{robot}: cannot be written ({e.strerror}).") from e
     dropped = [PurePosixPath(name).parts for name in meshes]
     lost = []
     every = tuple(dict.fromkeys(uris))
@@ -200,7 +255,9 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
             place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not place.exists():
                 shutil.copyfile(folder / _MESHES / best, place)
-        except OSError:
+        except OSError as e:
+            if e.errno in _FULL:
+                raise OutputError(f"{ROBOT}: meshes cannot be written ({e.strerror}).") from e
             lost.append(uri)
     return f"{ROBOT}/{robot}", [*lost, *every[_MOST_FILES:]]
 
@@ -260,13 +317,21 @@ def _place(folder: Path, plain: str) -> Path:
 
 
 def as_zip(folder: Path) -> IO[bytes]:
-    """Return an open file with all regular files of the folder, as a ZIP archive, from its beginning."""
-    archive = tempfile.TemporaryFile()  # noqa: SIM115 - whoever asked closes it
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as into:
-        for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
-            inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
-            for path in sorted(inside) if place.is_dir() else ():
-                if path.is_file() and not path.is_symlink() and path.name != SESSION:
-                    into.write(path, Path("calibration") / path.relative_to(folder))
-    archive.seek(0)
-    return archive
+    """Return an open file with all regular files of the folder, as a ZIP archive, from its beginning.
+
+    Raises OutputError where it cannot be made, as on a full disk.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            archive = stack.enter_context(tempfile.TemporaryFile())
+            with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as into:
+                for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
+                    inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
+                    for path in sorted(inside) if place.is_dir() else ():
+                        if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _SERVED):
+                            into.write(path, Path("calibration") / path.relative_to(folder))
+            archive.seek(0)
+        except OSError as e:
+            raise OutputError(f"The archive cannot be made ({e.strerror}).") from e
+        stack.pop_all()  # whoever asked closes it
+        return archive

@@ -206,7 +206,11 @@ class _Results(_Ours):
 
 class _Folder(_Ours):
     async def get(self) -> None:
-        archive = await asyncio.to_thread(as_zip, self.session.folder)
+        try:
+            archive = await asyncio.to_thread(as_zip, self.session.folder)
+        except OutputError as e:
+            self.refuse(500, str(e))
+            return
         self.set_header("Content-Type", "application/zip")
         self.set_header("Content-Disposition", 'attachment; filename="calibration.zip"')
         with archive:

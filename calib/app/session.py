@@ -75,7 +75,7 @@ class Session:
         if kind_of(name) != "archive":
             self._keep(name, data)
             return
-        files = unpacked(data, name, sum(self._files.values()))
+        files = unpacked(data, name)
         while (file := await asyncio.to_thread(next, files, None)) is not None:
             self._keep(*file)
 
@@ -167,7 +167,16 @@ class Session:
                 kept["asked"]["robot"] = ""
             self._asked = self._understood(kept["asked"])
             self._sentence = str(kept["sentence"])
-        except (OutputError, JobError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
+        except (
+            OutputError,
+            JobError,
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+            OverflowError,
+        ) as e:
             raise OutputError(f"{where}: was not written by this page; choose another folder.") from e
         # What was found holds for all files that were there.
         if set(self._files) == set(files) and (self.folder / JOB).is_file():

@@ -470,10 +470,11 @@ class _System:
         the places, for which others may have entered. Rms of the jackknife over places; infinite where no loop closes.
         """
         problem, places = self._problem, len(without)
-        at = poses[closing(problem.model.robot, poses)]
+        machine = problem.machine(self._x)
+        at = poses[closing(problem.model.robot, poses, (machine.deviations,))]
         if not len(at):
             return np.full(len(whole), np.inf)
-        by_state = tool_jacobian(problem.model.robot, problem.machine(self._x), at, ordinary(at))[:, :3]
+        by_state = tool_jacobian(problem.model.robot, machine, at, ordinary(at))[:, :3]
         J = by_state @ (directions(problem.parameters, by_state.shape[2]) * scales(problem.parameters))
         change = (without - whole) @ J.reshape(-1, len(self._known) - 1).T
         return np.asarray(np.sqrt((places - 1) / places * np.sum(np.mean(change**2, axis=2) * 3.0, axis=0)))

@@ -50,6 +50,8 @@ _BY = 0.9
 _LARGEST = 0.5
 # Poses between places.
 _BETWEEN = 200
+# Numbers of a pose.
+_OF_A_POSE = 6
 # Of fewer places that lie apart, each would be judged by too little else.
 _FEWEST_PLACES = 3
 
@@ -105,7 +107,8 @@ def hold_out(
         some, rest = calib.hold_out(data)                  # a quarter at random, the same ones every time
         some, rest = calib.hold_out(data, places=["left"])  # all that was touched or grouped there
 
-    ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together.
+    ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together, and of
+    several tools or set-ups none is left with fewer measured numbers than a pose has.
     ``places``: instead of a share, names of sockets and other targets, or words of the column ``group``. Neither part
     has targets without rows. Raises MeasurementError when a place is not known, or when one part would have no rows;
     JobError for a share that is not between 0 and 1.
@@ -119,6 +122,12 @@ def hold_out(
             raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
         many = min(max(round(share * number), 1), number - 1)
         out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
+        out &= ~np.isin(group, group[_needed(data, out)])
+        if not out.any():
+            raise MeasurementError(
+                f"{data.where}: no rows can be held out, as too few of their tools and set-ups would be left; name "
+                "places, or measure more with each."
+            )
     else:
         words = [{data.targets[t]} if t >= 0 else set() for t in data.target]
         if data.group is not None:
@@ -131,6 +140,17 @@ def hold_out(
         if out.all() or not out.any():
             raise MeasurementError(f"{data.where}: {'all' if out.all() else 'no'} rows are of {', '.join(places)}.")
     return data.subset(~out).with_own_names(), data.subset(out).with_own_names()
+
+
+def _needed(data: Measurements, out: BoolArray) -> BoolArray:
+    """Return which rows (N,) are of a tool or a set-up, one of several, that those not ``out`` (N,) hardly show."""
+    each = data.sigma.shape[1]
+    found = np.zeros(len(data), dtype=np.bool_)
+    for own in (data.setup, *(end.tool for end in data.ends)):
+        kept = np.bincount(own[(own >= 0) & ~out], minlength=int(own.max(initial=-1)) + 1) * each
+        if np.unique(own).size > 1:
+            found |= (own >= 0) & (kept < _OF_A_POSE)[own]
+    return found
 
 
 def _words(measurements: Sequence[Measurements]) -> list[str | None]:
@@ -385,7 +405,8 @@ def predict_held_out(
                 known = (*fit.measurements[0].tools, *fit.measurements[0].setups)
                 alien = [name for name in (*data.tools, *data.setups) if name not in known]
                 raise MeasurementError(
-                    f"{data.where}: {alien[0]!r} was not identified without a fold of rows, which cannot judge it then."
+                    f"{data.where}: {alien[0]!r} has rows in one fold alone, and is unknown without the rows that are "
+                    "to judge; leave them out, or measure it in more poses."
                 )
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r

@@ -1,13 +1,27 @@
 """The private folder of the page: names, sizes, and what leaves it."""
 
+import errno
 import io
+import os
+import shutil
 import stat
 import zipfile
 from pathlib import Path
 
 import pytest
 
-from calib.app.folder import SESSION, as_zip, chosen, gather, kind_of, plain_name, private_folder, take, unpacked
+from calib.app.folder import (
+    SESSION,
+    as_zip,
+    chosen,
+    gather,
+    kind_of,
+    name_here,
+    plain_name,
+    private_folder,
+    take,
+    unpacked,
+)
 from calib.foundations.errors import OutputError
 
 
@@ -144,7 +158,7 @@ def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytes
         "readme.md": b"r",
         "/etc/poses.csv": b"1\n",
     }
-    found = dict(unpacked(packed(inside, passwd="/etc/passwd"), "arm.zip", 0))
+    found = dict(unpacked(packed(inside, passwd="/etc/passwd"), "arm.zip"))
     assert found == {"arm/meshes/base.stl": b"solid", "poses.csv": b"1\n"}
     for name, data in {**found, "../../out/../base.stl": b"solid"}.items():
         take(tmp_path, name, data, {})
@@ -155,16 +169,16 @@ def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytes
         (packed({"readme.md": b"r"}), "holds no robot, mesh, table, photograph or job"),
     ):
         with pytest.raises(OutputError, match=rf"^'arm\.zip': {sentence}\.$"):
-            dict(unpacked(data, "arm.zip", 0))
+            dict(unpacked(data, "arm.zip"))
     # Of what unpacks to too much, no more is read than a byte too many.
     monkeypatch.setattr("calib.app.folder.LARGEST_FILE", 100)
-    name, much = next(unpacked(packed({"a.csv": bytes(100_000)}), "arm.zip", 0))
+    name, much = next(unpacked(packed({"a.csv": bytes(100_000)}), "arm.zip"))
     assert len(much) == 101
     with pytest.raises(OutputError, match=r"'a\.csv': is too large"):
         take(tmp_path, name, much, {})
     monkeypatch.setattr("calib.app.folder._MOST_FILES", 1)
     with pytest.raises(OutputError, match="more than the 1 files"):
-        dict(unpacked(packed({"a.csv": b"1", "b.csv": b"1"}), "arm.zip", 0))
+        dict(unpacked(packed({"a.csv": b"1", "b.csv": b"1"}), "arm.zip"))
 
 
 def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> None:
@@ -196,3 +210,76 @@ def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> No
     assert not (tmp_path.parent / "tool.stl").exists()
     gather(tmp_path, "arm.urdf", [], dropped)
     assert [path.name for path in (tmp_path / "robot").iterdir()] == ["arm.urdf"]
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_an_archive_that_is_unpacked_without_bounds_is_refused(method: int) -> None:
+    """Of these zipfile unpacks all, however little is asked for: 200 kB became 3 GB of memory."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("a.csv", b"1\n" * 1000)
+    with pytest.raises(OutputError, match=r"^'arm\.zip': is packed by another method than the usual one"):
+        dict(unpacked(file.getvalue(), "arm.zip"))
+
+
+def test_an_archive_that_is_dropped_again_is_unpacked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it replaces counts no more: its files were cut off where both together were too much."""
+    monkeypatch.setattr("calib.app.folder.LARGEST_FILE", 10)
+    monkeypatch.setattr("calib.app.folder._LARGEST_SUM", 15)
+    inside = {"a.csv": b"12345", "b.csv": b"12345", "c.csv": b"12345"}
+    there: dict[str, int] = {}
+    for _ in range(2):
+        for name, data in unpacked(packed(inside), "arm.zip"):
+            there[take(tmp_path, name, data, there)] = len(data)
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == inside
+    with pytest.raises(OutputError, match=r"'d\.csv': is too large"):
+        take(tmp_path, "d.csv", b"1", there)
+
+
+def test_files_whose_plain_names_are_alike_are_kept_apart(tmp_path: Path) -> None:
+    names = ["a/b/x.csv", "a_b/x.csv", "Größe.csv", "Gräße.csv", "A/m.csv", "q/M.csv", "l/" + "x" * 200 + "1.csv"]
+    names += ["l/" + "x" * 200 + "2.csv", "arm/meshes/底座.stl", "arm/meshes/手臂.stl", "run.exe"]
+    kept = chosen(names)
+    assert list(kept) == names
+    plain = [name_here(name) for name in kept.values() if name != "run.exe"]
+    assert plain == [name for name in kept.values() if name != "run.exe"]
+    assert len({name.lower() for name in plain}) == len(plain)
+    assert chosen(names) == kept
+    assert kept["Größe.csv"] == "Gr__e.csv"
+    assert kept["Gräße.csv"] == "Gr__e_2.csv"
+    # Which of the two meshes is meant cannot be told: neither is shown in the other's place.
+    meshes = [name for name in plain if name.endswith(".stl")]
+    for name in meshes:
+        take(tmp_path, name, b"solid", {})
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    uris = ["package://arm/meshes/底座.stl", "package://arm/meshes/手臂.stl"]
+    assert gather(tmp_path, "arm.urdf", uris, meshes)[1] == uris
+
+
+def test_a_folder_is_served_by_one_page_at_a_time(tmp_path: Path) -> None:
+    place = tmp_path / "work"
+    for _ in range(2):
+        with private_folder(place):
+            with pytest.raises(OutputError, match="another page is served from it"), private_folder(place):
+                pytest.fail("was given")
+            with as_zip(place) as file, zipfile.ZipFile(file) as archive:
+                assert archive.namelist() == []
+
+
+@pytest.mark.parametrize("ending", [".urdf", ".stl"])
+def test_a_full_disk_is_said_when_robot_and_meshes_are_put_together(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mesh for which there is no room is not said to be missing among those that were dropped."""
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    take(tmp_path, "m/a.stl", b"solid", {})
+    copy = shutil.copyfile
+
+    def full(source: Path, place: Path) -> None:
+        if source.suffix == ending:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        copy(source, place)
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
+        gather(tmp_path, "arm.urdf", ["package://m/a.stl"], ["m/a.stl"])

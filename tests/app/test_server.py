@@ -20,6 +20,7 @@ from urllib.parse import quote
 import psutil
 import pytest
 
+from calib.app.child import _as_texts
 from calib.app.folder import SESSION
 from tests.support.cases import CASE, JOB, TABLE, URDF, run
 
@@ -209,6 +210,17 @@ def test_files_have_a_size_and_a_kind(empty: Server) -> None:
     assert empty.ask("PUT", "files/%ff.csv", b"")[0] == 400
 
 
+def test_tables_of_one_name_in_two_formats_are_two_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One took the other's place, and was read twice."""
+    monkeypatch.chdir(tmp_path)
+    for name, x in (("poses.json", 1), ("Poses.jsonl", 2), ("more.json", 3)):
+        Path(name).write_text(json.dumps({"x": x, "y": x}) + "\n")
+    found = _as_texts(["poses.json", "Poses.jsonl", "more.json", "own.csv"])
+    assert found == ["tables/poses.json.csv", "tables/Poses.jsonl.csv", "tables/more.csv", "own.csv"]
+    values = [Path(name).read_text().splitlines()[-1][0] for name in found[:3]]
+    assert values == ["1", "2", "3"]
+
+
 BOMB = '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><robot name="&b;"/>'
 ENTITY = '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="&a;"><link name="l"/></robot>'
 JOINTS = "".join(f"{k}.1,{k}.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0\n" for k in range(9))
@@ -226,6 +238,7 @@ HOSTILE = {
     "deep": ({"m.json": "[" * 100_000}, r"m\.json"),
     "no job": ({"j.toml": "a = ["}, r"j\.toml: is not TOML"),
     "two jobs": ({"a.toml": "[robot]\n", "b.toml": "[robot]\n"}, "'a.toml' and 'b.toml' are both jobs; remove one"),
+    "board called as the job": ({"calibration.toml": 'kind = "charuco"\n'}, r"calibration\.toml: has no \[robot\]"),
     "no photographs": ({"p.png": b"\x89PNG", "b.toml": 'kind = "charuco"\n', "m.csv": "image\np.png\n"}, r"b\.toml"),
     "files elsewhere": (
         {
@@ -336,7 +349,10 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
     assert said.err == f"Error: {tmp_path}: is there, and neither empty nor left by this page; choose another.\n"
     left = tmp_path / "left"
     left.mkdir(mode=0o700)
-    for contents in ("", "[]", '{"files": {"../a.csv": 1}}', '{"files": {}, "asked": 1, "look": 1, "results": 1}'):
+    (left / "a.csv").write_text("1")
+    endless = '{"files": {"a.csv": 1e999}, "asked": {"robot": ""}, "look": 1, "results": 1, "sentence": ""}'
+    few = '{"files": {}, "asked": 1, "look": 1, "results": 1}'
+    for contents in ("", "[]", '{"files": {"../a.csv": 1}}', few, endless):
         (left / SESSION).write_text(contents)
         said = run("app", "--folder", left)
         assert (said.code, said.out) == (1, "")

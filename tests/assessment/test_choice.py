@@ -13,8 +13,10 @@ from calib.assessment.validation import cross_validate
 from calib.identification.error_model import with_terms
 from calib.presentation.sheets import choice_sheet
 from calib.robot.terms.harmonic import OFFERED, harmonic
+from calib.robot.urdf import parse_urdf
 from tests.support import machines
 from tests.support.gears import UR10, geared
+from tests.support.loops import four_bar_urdf
 
 Array = np.ndarray
 SIGMA = 5e-5
@@ -309,3 +311,33 @@ def test_other_kinds_of_observation_are_judged_as_well() -> None:
     assert set(harmonic(robot.readings[1].name, 3)) <= set(choice.terms)
     assert list(choice.steps[0].rms) == ["position", "distance"]
     assert choice.steps[choice.taken].rms["distance"] < 0.8 * choice.steps[0].rms["distance"]
+
+
+def test_between_places_the_loops_of_the_identified_machine_close_too() -> None:
+    """A lever that is too short: near the flat parallelogram only the nominal machine closes."""
+    loop = calib.ClosedLoop("parallelogram", ("rod_end", "pin"), ("x", "z"), ("elbow", "rod"))
+
+    def robot(e: float) -> calib.Robot:
+        return calib.load_robot(parse_urdf(four_bar_urdf(e=e).encode(), "arm.urdf"), "tip", loops=[loop])
+
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-0.5, 0.5, (40, len(robot(0.18).readings)))
+    x = robot(0.175).tips(q)[:, :3, 3] + rng.normal(scale=1e-5, size=(40, 3))
+    columns: dict[str, object] = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot(0.18).readings)}
+    data = calib.read_measurements(
+        columns | {f"{a} [m]": x[:, k] for k, a in enumerate("xyz")}, robot(0.18), sigma=1e-5
+    )
+    model = calib.error_model(robot(0.18), placements=["pin.tx"], tool="fixed")
+    fit = calib.identify(model, data)
+    system = choice_module._System(fit, (), None, np.ones(40, dtype=bool), np.zeros(0))
+    names = [r.name for r in robot(0.18).readings]
+    flat = np.zeros((2, len(names)))
+    flat[:, names.index("crank")] = np.pi / 2 - 0.02
+    flat[1, names.index("crank")] = 0.1
+    p = len(fit.parameters)
+    whole = np.zeros((1, p))
+    without = rng.normal(size=(3, 1, p))
+    found = system.scatter(flat, whole, without)
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found, system.scatter(flat[1:], whole, without))
+    assert np.isinf(system.scatter(flat[:1], whole, without)).all()

@@ -214,3 +214,18 @@ def test_the_order_of_rows_does_not_matter_to_the_figure() -> None:
     one, other = cross_validate(model, data, count=4), cross_validate(model, [data.subset(order)], count=4)
     np.testing.assert_allclose(other.residuals[0], one.residuals[0][order], rtol=0, atol=1e-11)
     assert other.figure().rms == pytest.approx(one.figure().rms, rel=1e-9)
+
+
+def test_no_set_up_is_held_out_whose_other_rows_hardly_show_it() -> None:
+    """It was chance whether the only row of a place was held out, and then nothing could be judged."""
+    _, data = measured(60)
+    few = replace(data, setups=tuple("abcdef"), setup=np.array([0] * 50 + [1, 2, 2, 3, 3, 3, 4, 4, 4, 5]))
+    some, rest = calib.hold_out(few, 0.5)
+    assert len(rest) > 15
+    kept = {name: int(np.sum(some.setup == k)) for k, name in enumerate(some.setups)}
+    assert set(kept) == set("abcdef")
+    assert all(kept[name] >= 2 for name in rest.setups)
+    assert kept["b"] == kept["f"] == 1
+    alone = replace(data, setups=tuple(map(str, range(60))), setup=np.arange(60))
+    with pytest.raises(MeasurementError, match="no rows can be held out, as too few of their tools and set-ups"):
+        calib.hold_out(alone)
