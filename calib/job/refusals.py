@@ -117,8 +117,8 @@ def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
             yield Finding(
                 "warning",
                 "weighed-at-zero",
-                f"{data.where}: what hangs on joint {', '.join(map(repr, names))} is weighed as if it were at zero, "
-                "and the table tells where it is; name a link behind it in robot.links.",
+                f"{data.where}: the weight behind joint {', '.join(map(repr, names))} is taken as if the joint were at "
+                "zero, although the table has its readings; name a link behind it in robot.links.",
             )
 
 
