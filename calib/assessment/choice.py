@@ -169,7 +169,7 @@ class Choice:
     @property
     def model(self) -> ErrorModel:
         """The error model with the chosen terms."""
-        return with_terms(self.geometric.model, self.terms)
+        return self.fit.model
 
     @property
     def terms(self) -> tuple[JointTerm, ...]:
@@ -225,7 +225,8 @@ def choose_terms(
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
     and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
-    measurements with these options, where it is known already.
+    measurements with these options, where it is known already. Where poses are in a few places with nothing between
+    them, the widths of chosen terms are learned, unless a prior is stated.
     """
     with one_thread():
         if geometric is None:
@@ -276,15 +277,33 @@ def choose_terms(
         for k, figure in enumerate(figures)
     )
     taken, fit = most, geometric
+    begun = _with_learned_widths(geometric.model) if near.apart else geometric.model
     while taken:
         progress(f"choosing joint terms: fitting {taken} of them")
-        chosen = with_terms(geometric.model, _terms(geometric, steps, taken))
+        chosen = with_terms(begun, _terms(geometric, steps, taken))
         fit = identify(chosen, measurements, model_sigmas=model_sigmas, losses=losses)
         if fit.converged:
             break
         taken //= 2
     return Choice(
         steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken, weighed
+    )
+
+
+def _with_learned_widths(model: ErrorModel) -> ErrorModel:
+    """Return a model whose joint terms have learned priors where none is stated.
+
+    Poses in a few places hardly tell many terms from each other, and what they grow to there goes on beyond.
+    """
+    stated = model.priors
+    return replace(
+        model,
+        priors=replace(
+            stated,
+            harmonics=stated.harmonics or "learned",
+            elastic=stated.elastic or "learned",
+            elastic_sliding=stated.elastic_sliding or "learned",
+        ),
     )
 
 

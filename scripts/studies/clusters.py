@@ -136,6 +136,7 @@ def real(repository: Path, splits: int = 2) -> None:
         learning = choose_terms(replace(plain, priors=calib.Priors("learned", "learned", "learned", "learned")), seen)
         fits = {
             "geometry": choice.geometric,
+            "geometry, widths learned": learning.geometric,
             f"{len(choice.terms)} terms": choice.fit,
             f"{len(learning.terms)} terms, all widths learned": learning.fit,
         }

@@ -160,8 +160,18 @@ def test_in_cubes_that_were_not_measured_terms_do_not_harm(seed: int, places: in
         return float(np.quantile(np.linalg.norm(missed, axis=1), 0.95))
 
     assert p95(choice.fit) <= p95(choice.geometric)
+    assert choice.taken == 0 or choice.model.priors.harmonics == "learned"
     away = [step.away for step in choice.steps[: choice.taken + 1]]
     assert all(figure is not None for figure in away) or choice.taken == 0
+
+
+def test_a_prior_that_is_stated_stays_in_places_apart() -> None:
+    data, _, _ = cubes(17, 5, 40, {(1, 2): 2e-4, (2, 5): 2e-4})
+    model = calib.error_model(machines.load(*UR10), offsets="all", placements="all")
+    choice = choose_terms(replace(model, priors=calib.Priors(harmonics=1e-4)), data)
+    assert choice.taken
+    assert choice.model.priors.harmonics == 1e-4
+    assert {p.prior for p in choice.fit.parameters if p.name.endswith(("cos_2", "sin_2"))} == {1e-4}
 
 
 def judged_between(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Array, Array]]:
