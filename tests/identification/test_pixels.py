@@ -276,7 +276,7 @@ def test_a_mark_behind_the_camera_is_refused() -> None:
     for axis, value in zip("xyz", place, strict=False):
         columns = bent_columns(columns, f"board_{axis} [mm]", 33, 1e3 * value)
     data = calib.read_measurements(columns, ROBOT, "pixels", instrument=true.camera)
-    with pytest.raises(MeasurementError, match=r'^arrays:33: the camera saw this mark, .* behind it; .*"tip"'):
+    with pytest.raises(MeasurementError, match=r'^arrays:33: the camera saw this mark, .* behind the camera; .*"tip"'):
         calib.identify(calib.error_model(ROBOT, offsets="all", tool="pose"), data)
 
 
