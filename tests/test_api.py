@@ -225,7 +225,7 @@ def test_plain_arrays_are_the_table(arm: calib.Robot) -> None:
         (lambda r, q, x: calib.positions(r, q, x[:, :2]), r"xyz of shape \(60, 2\): needed is \(N, 3\)\."),
         (lambda r, q, x: calib.positions(r, q, x, tool=["a"]), r"tool: 1 names are given for 60 rows\."),
         (calib.poses, r"placements of shape \(60, 3\): needed is \(N, 4, 4\)\."),
-        (lambda r, q, x: calib.poses(r, q, np.ones((60, 4, 4))), r"placements: row 1 is none;"),
+        (lambda r, q, x: calib.poses(r, q, np.ones((60, 4, 4))), r"placements: row 1 is not a placement;"),
         (calib.measuring.distances, r"lengths of shape \(60, 3\): needed is \(N,\)\."),
         (
             lambda r, q, x: calib.hold_out(calib.positions(r, q, x), places=["nowhere"]),

@@ -106,7 +106,7 @@ def _settings(names: Sequence[str]) -> tuple[list[str], list[str]]:
         raise JobError(f"{' and '.join(map(shown, jobs[:2]))} are both jobs; remove one.")
     boards = [name for name in names if name not in jobs]
     if JOB in boards:
-        raise JobError(f"{JOB}: has no [robot], so it is no job, and the job is to have this name; rename the file.")
+        raise JobError(f"{JOB}: has no [robot], and this name is kept for the job; rename the file.")
     return jobs, boards
 
 

@@ -93,7 +93,7 @@ def private_folder(path: Path | None) -> Iterator[Path]:
         return
     try:
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or not (_left(path) or _empty(path))):
-            raise OutputError(f"{path}: is there, and neither empty nor left by this page; choose another.")
+            raise OutputError(f"{path}: already exists, and is neither empty nor left by this page; choose another.")
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         path.chmod(0o700)
     except OutputError:
@@ -141,7 +141,7 @@ def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
     name in several folders have these in their names. Raises OutputError where there are too many.
     """
     if len(paths) > _MOST_OFFERED:
-        raise OutputError(f"{len(paths)} files are too many; {_MOST_OFFERED} can be looked through.")
+        raise OutputError(f"{len(paths)} files are too many; allowed are {_MOST_OFFERED}.")
     plain = {path: PurePosixPath(path.replace("\\", "/")) for path in paths}
     packages = {path.parent for path in plain.values() if path.name == "package.xml"}
     beside = {path.parent for path in plain.values() if _known(path) == "mesh"}

@@ -127,7 +127,7 @@ class Session:
         self._refuse_while_calibrating()
         await self.cancel()
         if self._look is None or self._look.get("findings") is None:
-            raise JobError("There is no job yet that could be calibrated.")
+            raise JobError("There is no job to calibrate yet.")
         self._results = None
         self._begin("calibrate", {})
 
@@ -190,14 +190,14 @@ class Session:
         if not (isinstance(robot, str) and isinstance(answers, dict) and camera_on in _CAMERAS):
             raise JobError("The page does not know this request.")
         if not (robot in ("", *self._files) or robot.startswith(EXAMPLE)):
-            raise JobError(f"{shown(robot)}: is no file that was dropped, and no example.")
+            raise JobError(f"{shown(robot)}: is neither a dropped file nor an example.")
         columns = answers.get("columns", {})
         texts = [answers[key] for key in _ANSWERS if key in answers]
         if not isinstance(columns, dict) or len(columns) > _MOST_COLUMNS:
             raise JobError("The page does not know this request.")
         texts += [*columns, *columns.values()]
         if not all(isinstance(text, str) and len(text) <= _LONGEST_TEXT for text in texts):
-            raise JobError(f"An answer is no text of at most {_LONGEST_TEXT} characters.")
+            raise JobError(f"An answer must be text of at most {_LONGEST_TEXT} characters.")
         kept = {key: answers[key] for key in _ANSWERS if answers.get(key)} | ({"columns": columns} if columns else {})
         return {"robot": robot, "answers": kept, "stack": said.get("stack") is True, "camera_on": camera_on}
 

@@ -322,8 +322,8 @@ def _refuse_priors(priors: Priors, robot: Robot) -> None:
         for dimension, name in kind.priors.items():
             if getattr(priors, name) not in (None, "learned") and dimension not in dimensions:
                 raise JobError(
-                    f"prior.{kind.key}: {kind.coefficients[dimension].unit} is of a joint that "
-                    f"{'turns' if dimension == 'angle' else 'slides'}, and the arm has none that is read."
+                    f"prior.{kind.key}: {kind.coefficients[dimension].unit} is for a joint that "
+                    f"{'turns' if dimension == 'angle' else 'slides'}, and the arm has no such joint with a reading."
                 )
 
 
@@ -349,7 +349,7 @@ def corrected_dh(model: ErrorModel, deviations: Deviations) -> DhTable:
     no DH parameters, or the machine deviates in ways that a DH table does not hold.
     """
     if model.dh is None:
-        raise JobError("dh: no DH parameter is free, so that there is no table; take that of the calibrated URDF.")
+        raise JobError("dh: no DH parameter is free, so there is no DH table; make one of the calibrated URDF.")
     try:
         return model.dh.table(deviations)
     except RobotError as e:
@@ -369,8 +369,8 @@ def _select_dh(dh: Selection, frames: DhFrames) -> tuple[list[tuple[str, str]], 
         dropped = {f"{joint}.{number}" for joint, number in frames.dropped}
         if alone := next((name for name in listed_names(dh, "dh") if name in dropped), None):
             raise JobError(
-                f"dh: {alone!r} slides along an axis that is parallel to the next, where beta takes its place; a "
-                "smaller dh_parallel brings it back, if the axes are not quite parallel."
+                f"dh: {alone!r} slides along an axis that is parallel to the next, where beta is used instead; if "
+                "the axes are not quite parallel, give a smaller dh_parallel."
             )
         names = _select_parts(dh, list(every), {row.joint for row in frames.rows}, "dh")
     else:

@@ -560,8 +560,8 @@ def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> 
     ).rank
     if count + priors <= rank:
         raise IdentificationError(
-            f"{count} measured numbers and {priors} priors determine {rank} unknowns and leave none to judge the "
-            "fit; measure more poses, free fewer parameters, or give priors."
+            f"{count} measured numbers and {priors} priors determine {rank} unknowns, and no numbers are left to "
+            "judge the fit; measure more poses, free fewer parameters, or give priors."
         )
 
 

@@ -76,7 +76,8 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
         for name in dict.fromkeys(data.targets[t] for t in data.target) if shape else ():
             if shape and found.setdefault(name, shape) != shape:
                 raise MeasurementError(
-                    f"{data.where}: the target {name!r} is a {shape} here and a {found[name]} in another table."
+                    f"{data.where}: the target {name!r} is a {shape} here and a {found[name]} in another table; give "
+                    "one of them another name."
                 )
             thing = _THINGS.get(data.kind)
             if thing and things.setdefault(name, thing) != thing:

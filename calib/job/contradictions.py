@@ -30,7 +30,7 @@ def contradictions(job: Job) -> Iterator[str]:
         for i, section in enumerate(job.measurements):
             if section.loss != "linear":
                 yield (
-                    f'measurements[{i}].loss: {section.loss!r} means nothing with solver.kind = "total_differential", '
+                    f'measurements[{i}].loss: {section.loss!r} has no effect with solver.kind = "total_differential", '
                     "which weighs all rows alike; leave it out."
                 )
     if not any(section.use == "identify" for section in job.measurements):
@@ -40,9 +40,9 @@ def contradictions(job: Job) -> Iterator[str]:
         if (target.position is not None and target.normal is not None) or (nothing and target.on == FLOOR):
             yield f"targets.{name}: a point has a position, a plane a normal; give one of them."
         if target.quaternion is not None and target.position is None:
-            yield f"targets.{name}.quaternion: belongs to a position, and there is none."
+            yield f"targets.{name}.quaternion: is given without a position; give the position as well."
         if target.height is not None and target.normal is None:
-            yield f"targets.{name}.height: belongs to a normal, and there is none."
+            yield f"targets.{name}.height: is given without a normal; give the normal as well."
     for i, relation in enumerate(job.relations):
         yield from _relation_contradictions(f"relations[{i}]", relation)
     yield from _of_bases(job)
@@ -62,10 +62,10 @@ def _of_bases(job: Job) -> Iterator[str]:
     for name, setup in job.setups.items():
         for key in ("quaternion", "prior"):
             if setup.position is None and getattr(setup, key) is not None:
-                yield f"{dotted(('setups', name))}.{key}: belongs to a position, and there is none."
+                yield f"{dotted(('setups', name))}.{key}: is given without a position; give the position as well."
     for at, section in (("base", job.base), *((dotted(("setups", name)), one) for name, one in job.setups.items())):
         if section is not None and section.prior is not None and fixed:
-            yield f'{at}.prior: means nothing with error_model.base = "fixed"; leave it out.'
+            yield f'{at}.prior: has no effect with error_model.base = "fixed"; leave it out.'
 
 
 def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection) -> Iterator[str]:
@@ -92,11 +92,11 @@ def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection)
     if section.use == "validate":
         for key in ("model_sigma", "model_sigma_angle"):
             if getattr(section, key) is not None:
-                yield f'{at}.{key}: means nothing with use = "validate"; leave it out.'
+                yield f'{at}.{key}: has no effect with use = "validate"; leave it out.'
     if section.use != "identify" and section.hold_out is not None:
-        yield f'{at}.hold_out: means nothing with use = "{section.use}"; leave it out.'
+        yield f'{at}.hold_out: has no effect with use = "{section.use}"; leave it out.'
     if section.use != "identify" and section.loss != "linear":
-        yield f'{at}.loss: means nothing with use = "{section.use}"; leave it out.'
+        yield f'{at}.loss: has no effect with use = "{section.use}"; leave it out.'
 
 
 def _relation_contradictions(at: str, relation: RelationSection) -> Iterator[str]:
@@ -141,7 +141,7 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
     """Yield keys that an instrument lacks, or that belong to another kind."""
     for key in [key for kind, keys in _KEYS_OF.items() if kind != section.kind for key in keys]:
         if key in section.model_fields_set:
-            yield f'{at}.{key}: means nothing with kind = "{section.kind}"; leave it out.'
+            yield f'{at}.{key}: has no effect with kind = "{section.kind}"; leave it out.'
     if section.sigma is None:
         if section.kind != "camera":
             yield f"{at}.sigma: is missing."
@@ -190,7 +190,7 @@ def _of_lens(at: str, section: InstrumentSection) -> Iterator[str]:
         yield f"{at}.size: is missing, and no more is known of the lens; write that of its images, like [1920, 1080]."
     bent = [key for key in (*BENT, *RATIONAL) if key in section.model_fields_set]
     if missing and bent:
-        yield f"{at}.{bent[0]}: means nothing without fx, fy, cx, cy."
+        yield f"{at}.{bent[0]}: has no effect without fx, fy, cx, cy."
 
 
 def _words(kind: str) -> str:

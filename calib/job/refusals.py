@@ -117,8 +117,8 @@ def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
             yield Finding(
                 "warning",
                 "weighed-at-zero",
-                f"{data.where}: what hangs on joint {', '.join(map(repr, names))} is weighed as if it were at zero, "
-                "and the table tells where it is; name a link behind it in robot.links.",
+                f"{data.where}: the weight behind joint {', '.join(map(repr, names))} is taken as if the joint were at "
+                "zero, although the table has its readings; name a link behind it in robot.links.",
             )
 
 
@@ -134,7 +134,7 @@ def refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> N
         said = "point" if target.normal is None else "plane"
         # Boards and cameras have a position as points have.
         if found[name] not in (said, "frame" if said == "point" else said):
-            raise JobError(f"{path}: targets.{name}: is said to be a {said}, and was measured as a {found[name]}.")
+            raise JobError(f"{path}: targets.{name}: is given as a {said}, and was measured as a {found[name]}.")
     for relation in job.relations:
         shape = "point" if relation.kind == "distance" else "plane"
         for name in relation.targets:

@@ -149,7 +149,7 @@ def measurements_of(
             data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
-        raise MeasurementError(f"{str(e).removesuffix('.')}; what fits is: {ready}." if ready else str(e)) from e
+        raise MeasurementError(f"{str(e).removesuffix('.')}; write in the job: {ready}." if ready else str(e)) from e
     if section.board is not None and data.camera is not None:
         data = seen_by(data, data.camera, prints[section.board].board(Path(section.board).stem))
     for name in section.targets:

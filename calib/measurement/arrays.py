@@ -59,8 +59,8 @@ def poses(
     bad = ~rigid.are_placements(T)
     if bad.any():
         raise MeasurementError(
-            f"placements: row {int(np.argmax(bad)) + 1} is none; needed are a rotation, a finite position and a last "
-            "row 0 0 0 1."
+            f"placements: row {int(np.argmax(bad)) + 1} is not a placement; needed are a rotation, a finite position "
+            "and a last row 0 0 0 1."
         )
     turned = rigid.quaternion_of(T[:, :3, :3])
     columns = _columns(robot, readings, T[:, :3, 3], tool) | dict(zip(QUATERNION_COLUMNS, turned.T, strict=True))

@@ -60,7 +60,7 @@ class Board:
         if self.shape != "flat" and len(self.marks) < _LEAST_MARKS:
             raise JobError(f"board: a {self.shape} shape needs the places of six marks or more; write a board.toml.")
         if self.shape == "quadratic" and not can_be_bent(self.marks):
-            raise JobError("board: its marks are not in a plane, so that its shape cannot be quadratic.")
+            raise JobError("board: its marks are not in a plane, so its shape cannot be quadratic.")
         object.__setattr__(self, "modes", shape_modes(self.marks, self.shape))
 
     @property

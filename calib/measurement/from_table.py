@@ -118,7 +118,7 @@ def measurements_from_table(
     width = min(size(kind), 3)
     if width < 3 and (along := [name for name in SIGMAS[1] if name in table.columns]):
         raise MeasurementError(
-            f"{table.where}: column {along[0]!r} is the noise of a coordinate, and a {kind} has none; call it 'sigma'."
+            f"{table.where}: column {along[0]!r} is of a coordinate, and a {kind} has no coordinates; call it 'sigma'."
         )
     ways = SIGMAS if width == 3 else SIGMAS[:1]
     dimension: Dimension = "length" if camera is None else "pixel"
@@ -201,7 +201,9 @@ def _refuse_useless(
     if offset is not None and kind not in ("distance", "pair_distance", "sphere"):
         raise JobError(f"{table.where}: an unknown offset is given, and a {kind} has no length.")
     if offset is not None and kind == "sphere" and "diameter" in table.columns:
-        raise JobError(f"{table.where}: an unknown radius is given, and column 'diameter' says it; keep one of them.")
+        raise JobError(
+            f"{table.where}: the radius is unknown by length_offset and known by column 'diameter'; keep one."
+        )
 
 
 def _numbered(given: tuple[str, ...] | None, only: str, n: int) -> tuple[tuple[str, ...], IntArray]:
@@ -241,8 +243,9 @@ def _pixels(table: Table, camera: Camera) -> Array:
         row = int(np.argmin(seen))
         u, v = pixels[row]
         raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: no line of sight belongs to the pixel u = {u:.6g}, v = {v:.6g}: the "
-            "camera's distortion folds the image before it; is it outside the image, or are k1, k2, p1, p2, k3 wrong?"
+            f"{table.where}:{table.lines[row]}: the camera cannot see anything at the pixel u = {u:.6g}, v = "
+            f"{v:.6g}: its distortion ends the image before; is the pixel outside the image, or are k1, k2, p1, p2, k3 "
+            "wrong?"
         )
     return read_only(np.column_stack([pixels, _places(table, BOARD)]))
 
@@ -260,8 +263,8 @@ def _points(table: Table, kind: Kind) -> Array | None:
     told = [name for name in POINT if name in table.columns]
     if told and kind in ("pose", "pixels"):
         raise MeasurementError(
-            f"{table.where}: column {told[0]!r} says where in the tool's frame a point was seen, and {kind} are about "
-            "more than a point; leave it out."
+            f"{table.where}: column {told[0]!r} says where in the tool's frame a point was seen, and observes = "
+            f"{kind!r} has no such point; leave it out."
         )
     return read_only(_places(table, POINT)) if told else None
 
@@ -281,11 +284,13 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
             )
         if rows.value[found[0], 0] != rows.value[found[1], 0]:
             raise MeasurementError(
-                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows say the same one."
+                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has two lengths; both rows must have "
+                "the same one."
             )
         if rows.setup[found[0]] != rows.setup[found[1]]:
             raise MeasurementError(
-                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} is of two set-ups; a pair is of one."
+                f"{rows.where}:{rows.lines[found[1]]}: the pair {name!r} has its ends in two set-ups; both must be "
+                "in one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
     other = End(

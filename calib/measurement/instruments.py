@@ -109,12 +109,16 @@ class Camera:
                 raise JobError(f"camera: lens_sigma: {name!r} is not a free number of the lens.")
             if missing:
                 raise JobError(
-                    f"camera: lens_sigma: {name!r} is expected near what is given, and fx, fy, cx, cy are not."
+                    f"camera: lens_sigma: {name!r} is expected near a given value, and fx, fy, cx, cy are not given; "
+                    "give them, or leave lens_sigma out."
                 )
             of = "lens_sigma" if name in (*FOCAL, *CENTRE) else "lens_sigma of distortion"
             refuse_beyond(sigma, of, f"camera: lens_sigma of {name}")
         if missing and self.size is None:
-            raise JobError("camera: its lens is neither given nor is the size of its images, from which it is found.")
+            raise JobError(
+                "camera: neither the lens nor the size of its images is given; give fx, fy, cx, cy, or the size, from "
+                "which the search for the lens begins."
+            )
 
     @property
     def unknown(self) -> bool:

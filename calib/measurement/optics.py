@@ -76,8 +76,8 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
     if not data.of_boards:
         if camera.unknown:
             raise JobError(
-                f"{data.where}: a lens of which nothing is known is found from photographs of boards, and these are of "
-                "single marks; give fx, fy, cx, cy."
+                f"{data.where}: an unknown lens can only be found from photographs of boards, and these are of single "
+                "marks; give fx, fy, cx, cy."
             )
         board = None
     mark = None

@@ -288,7 +288,7 @@ def _turned(columns: dict[str, Column], orientation: str, lines: IntArray, where
     found = quaternions_of(given, orientation, where, lines)
     rest = {name: column for name, column in columns.items() if name not in names}
     if both := [name for name in QUATERNION_COLUMNS if name in rest]:
-        raise HeaderError(f"{where}: column {both[0]!r} is there, and {names[0]!r} says it as well; keep one.")
+        raise HeaderError(f"{where}: column {both[0]!r} and column {names[0]!r} say the same thing; keep one.")
     return rest | {
         name: Column(name, UNITS["1"], read_only_view(np.ascontiguousarray(found[:, k])))
         for k, name in enumerate(QUATERNION_COLUMNS)

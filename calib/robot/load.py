@@ -217,8 +217,8 @@ def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving:
             raise RobotError(f"{where}: {what} {list(given)} must name at least one, and each once.")
     if len(loop.closes) != len(loop.passive):
         raise RobotError(
-            f"{where}: {len(loop.closes)} directions close and {len(loop.passive)} joints are passive; there must be "
-            "as many of one as of the other."
+            f"{where}: closes has {len(loop.closes)} directions and passive has {len(loop.passive)} joints; both need "
+            "the same number."
         )
     numbers = {joint.name: j for j, joint in enumerate(moving)}
     for name in loop.passive:
@@ -284,15 +284,15 @@ def _drivers(
         raise RobotError(f"{document.where}: the couplings of joint {joint.name!r} run in a circle.")
     if depth > MOST_JOINTS:
         raise RobotError(
-            f"{document.where}:{joint.line}: joint {joint.name!r} follows others that follow others, "
-            f"more than the {MOST_JOINTS} that are allowed."
+            f"{document.where}:{joint.line}: joint {joint.name!r} follows a joint that follows another one, and so on, "
+            f"through more than the {MOST_JOINTS} joints that are allowed."
         )
     found: dict[str, float] = {}
     for name, multiple in drivers.items():
         if name in passive:
             raise RobotError(
-                f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which a loop determines and "
-                "nothing reads."
+                f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which is passive: a loop "
+                "determines it, and it has no reading."
             )
         multiples, constant = _drivers(document, document.joint(name), couplings, passive, known, depth + 1)
         offset += multiple * constant
@@ -300,8 +300,8 @@ def _drivers(
             found[reading] = found.get(reading, 0.0) + multiple * share
     if not max([abs(offset), *map(abs, found.values())]) <= _LARGEST_MULTIPLE:
         raise RobotError(
-            f"{document.where}:{joint.line}: joint {joint.name!r} follows its readings more than "
-            f"{_LARGEST_MULTIPLE:g} times, or from as far away."
+            f"{document.where}:{joint.line}: joint {joint.name!r} follows its readings with a multiplier or an offset "
+            f"above {_LARGEST_MULTIPLE:g}."
         )
     known[joint.name] = dict(found), offset
     return found, offset

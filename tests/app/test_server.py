@@ -346,7 +346,9 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "there.csv").write_text("1")
     said = run("app", "--folder", tmp_path)
     assert (said.code, said.out) == (1, "")
-    assert said.err == f"Error: {tmp_path}: is there, and neither empty nor left by this page; choose another.\n"
+    assert (
+        said.err == f"Error: {tmp_path}: already exists, and is neither empty nor left by this page; choose another.\n"
+    )
     left = tmp_path / "left"
     left.mkdir(mode=0o700)
     (left / "a.csv").write_text("1")

@@ -329,7 +329,7 @@ REFUSALS: tuple[Refusal, ...] = (
     Refusal(
         ("solver: total differential",),
         ("loss: huber", "loss: soft_l1", "loss: cauchy"),
-        "means nothing with solver.kind",
+        "has no effect with solver.kind",
     ),
     Refusal(("solver: total differential",), ("tools: turned",), "the points determine .* of .* parameters"),
     Refusal(("null_space: refuse",), ("geometry: all", "geometry: dh", "tools: turned"), "the data do not determine"),

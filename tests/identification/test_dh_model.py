@@ -204,7 +204,7 @@ def test_offsets_and_placements_of_other_joints_may_be_free_beside_them() -> Non
         ({"dh": ["elbow_joint.q"]}, "dh: 'elbow_joint.q' matches no joint of the arm; did you mean 'elbow_joint."),
         (
             {"dh": ["elbow_joint.d"]},
-            "dh: 'elbow_joint.d' slides along an axis that is parallel to the next, where beta t",
+            "dh: 'elbow_joint.d' slides along an axis that is parallel to the next, where beta is",
         ),
         ({"dh_convention": "craig"}, "dh_convention: 'craig' is not one of standard, modified."),
         ({"dh_parallel": -1.0}, "dh_parallel: -1.0 is not an angle between 0 and 0.5 rad."),
@@ -323,7 +323,7 @@ def test_a_machine_that_no_table_holds_is_refused() -> None:
         JobError, match=r"^dh: joint 'joint_5' has a deviation that is no parameter of a standard DH tab"
     ):
         corrected_dh(model, at(model, np.array([1e-3, 1e-3])))
-    with pytest.raises(JobError, match=r"^dh: no DH parameter is free, so that there is no table"):
+    with pytest.raises(JobError, match=r"^dh: no DH parameter is free, so there is no DH table"):
         corrected_dh(alone(robot, dh="none"), robot.no_deviations())
 
 

@@ -197,8 +197,8 @@ def test_a_prior_is_a_measurement_of_every_parameter() -> None:
 @pytest.mark.parametrize(
     ("rows", "options", "sentence"),
     [
-        (2, {}, "6 measured numbers and 0 priors determine 6 unknowns and leave none to judge the fit; "),
-        (9, {}, "27 measured numbers and 0 priors determine 27 unknowns and leave none to judge the fit; "),
+        (2, {}, "6 measured numbers and 0 priors determine 6 unknowns, and no numbers are left to judge the fit; "),
+        (9, {}, "27 measured numbers and 0 priors determine 27 unknowns, and no numbers are left to judge the fit; "),
     ],
 )
 def test_too_few_rows_are_refused(rows: int, options: dict[str, object], sentence: str) -> None:

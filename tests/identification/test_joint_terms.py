@@ -167,7 +167,7 @@ def test_a_prior_holds_them_back() -> None:
         ({"prior_harmonics": 0.0}, "prior harmonics: 0.0 is not a positive number"),
         ({"prior_elastic": float("inf")}, "prior elastic is inf rad/Nm; allowed is 1e-09 to "),
         ({"prior_elastic_sliding": -1.0}, "prior elastic sliding: -1.0 is not a positive number"),
-        ({"prior_elastic_sliding": 1e-7}, "prior.elastic: m/N is of a joint that slides, and the arm has none"),
+        ({"prior_elastic_sliding": 1e-7}, "prior.elastic: m/N is for a joint that slides, and the arm has no"),
     ],
 )
 def test_wrong_choices_are_refused(options: dict[str, object], sentence: str) -> None:

@@ -180,7 +180,7 @@ def test_refusals(sets, says: str) -> None:
 
 def test_a_single_mark_does_not_tell_a_lens() -> None:
     true: Scene = scene(np.random.default_rng(2), NOMINAL, "tip", MARK)
-    with pytest.raises(JobError, match="is found from photographs of boards, and these are of single marks"):
+    with pytest.raises(JobError, match="can only be found from photographs of boards, and these are of single marks"):
         seen_by(true.measure(ROBOT, true.draw(np.random.default_rng(1), 8)), unknown("tip"), None)
 
 
@@ -216,7 +216,7 @@ def test_a_stated_prior_counts_and_stays_about_what_was_given() -> None:
         ({"lens_sigma": {"fx": 0.0}}, "lens_sigma of fx is 0 px; allowed is 0.0001 to 100000 px"),
         (
             {"lens_sigma": {"fx": 1.0}, "fx": None, "fy": None, "cx": None, "cy": None, "size": (64, 64)},
-            "lens_sigma: 'fx' is expected near what is given",
+            "lens_sigma: 'fx' is expected near a given value",
         ),
     ],
 )

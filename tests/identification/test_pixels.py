@@ -261,7 +261,9 @@ def test_a_pixel_beyond_the_lens_is_refused() -> None:
     true, columns = seen_table()
     lens = replace(true.camera, k1=-2.0, k2=0.0, k3=0.0)
     middle = columns | {"u [px]": np.full(160, lens.cx), "v [px]": np.full(160, lens.cy)}
-    with pytest.raises(MeasurementError, match=r"^arrays:7: no line of sight belongs to the pixel u = 9000, v = 508: "):
+    with pytest.raises(
+        MeasurementError, match=r"^arrays:7: the camera cannot see anything at the pixel u = 9000, v = 508"
+    ):
         calib.read_measurements(bent_columns(middle, "u [px]", 7, 9000.0), ROBOT, "pixels", instrument=lens)
 
 
@@ -274,7 +276,7 @@ def test_a_mark_behind_the_camera_is_refused() -> None:
     for axis, value in zip("xyz", place, strict=False):
         columns = bent_columns(columns, f"board_{axis} [mm]", 33, 1e3 * value)
     data = calib.read_measurements(columns, ROBOT, "pixels", instrument=true.camera)
-    with pytest.raises(MeasurementError, match=r'^arrays:33: the camera saw this mark, .* behind it; .*"tip"'):
+    with pytest.raises(MeasurementError, match=r'^arrays:33: the camera saw this mark, .* behind the camera; .*"tip"'):
         calib.identify(calib.error_model(ROBOT, offsets="all", tool="pose"), data)
 
 

@@ -185,6 +185,6 @@ def test_points_of_rows_that_are_about_more_are_refused(kind: str) -> None:
         rows = {k: v for k, v in rows.items() if k[0] not in "xyzq"} | {"u [px]": np.ones(1), "v [px]": np.ones(1)}
     camera = calib.measuring.Camera("tip", 1e3, 1e3, 500.0, 500.0) if kind == "pixels" else None
     with pytest.raises(
-        MeasurementError, match=rf"column 'point_z' .* {kind} are about more than a point; leave it out"
+        MeasurementError, match=rf"column 'point_z' .* observes = '{kind}' has no such point; leave it out"
     ):
         calib.read_measurements(rows, robot, kind, instrument=camera)

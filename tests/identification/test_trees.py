@@ -231,7 +231,7 @@ def test_wrong_frames_are_refused() -> None:
     with pytest.raises(MeasurementError, match="the target 'a' is on 'left_hand', which carries the tool as well"):
         data.named(on={"a": "left_hand"})
     with pytest.raises(
-        MeasurementError, match=r"there is no column 'right_shoulder_pan', .* of a joint, which matters"
+        MeasurementError, match=r"there is no column 'right_shoulder_pan', .* of a joint, which is needed"
     ):
         calib.identify(model, [data.named(on={"a": "right_hand"})])
     with pytest.raises(MeasurementError, match="the target 'a' is on the floor here and on right_hand in another"):

@@ -154,9 +154,9 @@ SENTENCES: dict[str, tuple[Edit, str]] = {
     "tool of a urdf": (edit(JOB, (PIVOT, 'tool = "spike"\n')), "calibration.toml: instruments.welder.tool: a urdf has "
                        "no tools; give a point on its tip, or a pivot."),
     "tracker's key": (edit(JOB, (PIVOT, PIVOT + 'station = ["0 m", "0 m", "0 m"]\n')), "calibration.toml: "
-                      'instruments.welder.station: means nothing with kind = "arm"; leave it out.'),
+                      'instruments.welder.station: has no effect with kind = "arm"; leave it out.'),
     "arm's key": (edit(JOB, ('kind = "arm"', 'kind = "laser_tracker"')), "calibration.toml: instruments.welder.urdf: "
-                  'means nothing with kind = "laser_tracker"; leave it out.'),
+                  'has no effect with kind = "laser_tracker"; leave it out.'),
     "poses": (edit(JOB, ('file = "touched.csv"\n', 'file = "touched.csv"\nobserves = "pose"\n')), "calibration.toml: "
               'measurements[0].observes: an arm that touches sees positions only; write "position".'),
     "no such folder": (edit(JOB, (ARM + PIVOT, 'model = "arm"\ntool = "tool"\n')),

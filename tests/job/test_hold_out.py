@@ -57,7 +57,7 @@ def test_a_share_that_is_none_is_refused(share: str, tmp_path: Path) -> None:
 def test_held_out_tables_hold_nothing_out(tmp_path: Path) -> None:
     job = copy_case(tmp_path)
     edit(JOB, ('use = "validate"', 'use = "validate"\nhold_out = 0.5'))(job.parent)
-    assert 'hold_out: means nothing with use = "validate"' in run("check", job).err
+    assert 'hold_out: has no effect with use = "validate"' in run("check", job).err
 
 
 def test_one_row_cannot_be_shared_out(tmp_path: Path) -> None:

@@ -175,4 +175,4 @@ def test_the_other_arm_is_read_where_it_is_named(tmp_path: Path) -> None:
         results.append(json.loads((tmp_path / "out" / "result.json").read_text()))
     assert judged(results[0]) < 1.2 * SIGMA * np.sqrt(3.0) < 0.5 * judged(results[1])
     said_of = [" ".join(result["findings"]) for result in results]
-    assert ["is weighed as if it were at zero" in text for text in said_of] == [False, True]
+    assert ["is taken as if the joint were at zero" in text for text in said_of] == [False, True]

@@ -65,8 +65,8 @@ WRONG = {
     "latency of a free clock": (
         'clock = "free" ',
         'clock = "free"\nlatency = "free" ',
-        "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; "
-        'write clock = "given" or, where another stream has the same clock, clock_of; or leave it out.',
+        "latency: is free, and the clock is free too: the data cannot tell the latency from the clock's offset; "
+        'write clock = "given", or clock_of if another stream has the same clock, or leave latency out.',
     ),
     "clock of what is no stream": (
         'clock = "free" ',

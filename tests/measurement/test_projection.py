@@ -131,7 +131,7 @@ def test_impossible_cameras_are_refused(key: str, value: object, says: str) -> N
 
 
 def test_a_lens_of_which_nothing_is_known_needs_the_size_of_its_images() -> None:
-    with pytest.raises(JobError, match="neither given nor is the size of its images"):
+    with pytest.raises(JobError, match="neither the lens nor the size of its images is given"):
         calib.measuring.Camera("tip", free=NAMES[:9])
     with pytest.raises(JobError, match="cx is neither given nor free"):
         calib.measuring.Camera("tip", free=("fx", "fy", "cy"), size=(640, 480))

@@ -77,9 +77,11 @@ def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
     assert "40 rows joined in their order" in run("import", "joints.csv", "in_order.txt", "-o", "a.csv").out
     assert understood(folder / "a.csv")["x [mm]"] == "column 1"
     said = run("import", "sa.txt", "in_order.txt", "-o", "b.csv")
-    assert said.err == "Error: sa.txt has 36 rows and in_order.txt 40, and no column names them.\n"
+    assert (
+        said.err == "Error: sa.txt has 36 rows and in_order.txt 40, and no column tells which rows belong together.\n"
+    )
     said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Group")
-    assert said.err == "Error: joints.csv, sa.txt: 'Group' does not name rows of both, each once.\n"
+    assert said.err == "Error: joints.csv, sa.txt: 'Group' does not name each row of both tables exactly once.\n"
     assert not (folder / "b.csv").exists()
 
 

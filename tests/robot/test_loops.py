@@ -366,8 +366,7 @@ def test_wrong_couplings_are_refused(couplings: list[Coupling], sentence: str) -
         ),
         (
             ClosedLoop("p", ("rod_end", "pin"), ("x", "y", "z"), ("elbow", "rod")),
-            "loop.urdf: loop 'p': 3 directions close and 2 joints are passive; there must be as many of one as of "
-            "the other.",
+            "loop.urdf: loop 'p': closes has 3 directions and passive has 2 joints; both need the same number.",
         ),
     ],
 )
@@ -498,7 +497,9 @@ def test_a_model_file_with_loops_and_couplings_predicts_the_same(name: str, tmp_
 
 
 def test_a_joint_that_follows_a_passive_one_is_refused() -> None:
-    with pytest.raises(RobotError, match="joint 'roll' follows 'elbow', which a loop determines and nothing reads"):
+    with pytest.raises(
+        RobotError, match="joint 'roll' follows 'elbow', which is passive: a loop determines it, and it has no"
+    ):
         load_robot(
             parse_urdf(four_bar_urdf().encode(), "loop.urdf"),
             "tip",

@@ -93,7 +93,7 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     "sigma in mm": (edit(JOB, ('"0.2 px"', '"0.2 mm"')), "'0.2 mm' is not of a camera; allowed are pixels"),
     "camera with a station": (
         edit(JOB, ('kind = "camera"', 'kind = "camera"\nstation = ["0 m", "0 m", "0 m"]')),
-        'instruments.camera.station: means nothing with kind = "camera"',
+        'instruments.camera.station: has no effect with kind = "camera"',
     ),
     "pixels without a camera": (
         edit(JOB, ('instrument = "camera"\n', "")),
@@ -117,7 +117,7 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     ),
     "tracker with a lens": (
         append('[instruments.leica]\nkind = "laser_tracker"\nsigma = "1 um"\nk1 = 0.1\n'),
-        'instruments.leica.k1: means nothing with kind = "laser_tracker"',
+        'instruments.leica.k1: has no effect with kind = "laser_tracker"',
     ),
     "tool without orientation": (edit(JOB, ('tool = "pose"', 'tool = "position"')), 'is not known; write "pose"'),
     "prior of what is given": (
@@ -152,7 +152,7 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     ),
     "lens bent and without focal lengths": (
         edit(JOB, *((f'{key} = "{value} px"\n', "") for key, value in LENS.items())),
-        "instruments.camera.k1: means nothing without fx, fy, cx, cy",
+        "instruments.camera.k1: has no effect without fx, fy, cx, cy",
     ),
     "lens twice": (
         edit(JOB, ("size = [1280, 1024]", 'lens_file = "lens.yaml"')),
@@ -168,7 +168,7 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     "column in mm": (edit("identification.csv", ("u [px]", "u [mm]")), "unit 'mm' is not a unit of pixel"),
     "normal of a board": (
         append("[targets.board]\nnormal = [0, 0, 1]\n"),
-        "is said to be a plane, and was measured as a frame",
+        "is given as a plane, and was measured as a frame",
     ),
 }
 

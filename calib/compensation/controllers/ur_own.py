@@ -47,7 +47,7 @@ def with_ur_kinematics(nominal: Urdf, text: str, where: str = "kinematics") -> b
         raise RobotError(f"{nominal.where}: is no arm of Universal Robots with base_link, tool0 and its six joints.")
     arm = load_robot(nominal, f"{prefix}tool0", f"{prefix}base_link")
     if [reading.name for reading in arm.readings] != [f"{prefix}{joint}" for joint in ur.JOINTS]:
-        raise RobotError(f"{nominal.where}: moves other joints between base_link and tool0 than arms of this maker.")
+        raise RobotError(f"{nominal.where}: its joints between base_link and tool0 are not those of this maker's arms.")
     zero = ur.at_zero(arm)
     tool = arm.tips(np.zeros((1, 6)))[0]
     wrist = load_robot(nominal, nominal.joint(f"{prefix}{ur.JOINTS[-1]}").child, f"{prefix}base_link")

@@ -189,8 +189,8 @@ def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
         needed = data.absent if model.robot.weights is not None else model.robot.driving(links) if data.absent else ()
         if missing := [name for name in data.absent if name in needed]:
             raise MeasurementError(
-                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which matters to "
-                f"{'what hangs on joints that give way' if model.robot.weights is not None else 'its targets'}."
+                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
+                f"{'loads on joints that give way' if model.robot.weights is not None else 'the places of targets'}."
             )
 
 
@@ -202,8 +202,8 @@ def _refuse_unfollowed_payloads(model: ErrorModel, sets: Sequence[Measurements])
     told = joined([(len(data), end.conditions) for data in sets for end in data.ends]).payload
     if told is not None and not np.array_equal(told, np.broadcast_to(told[0], told.shape), equal_nan=True):
         raise JobError(
-            f"{blind.key}: the payload is not the same in all rows, which masses that nobody states do not follow; "
-            "give every <link> of the URDF an <inertial>, and free terms of stated masses, such as elastic."
+            f"{blind.key}: the payload is not the same in all rows, and terms of unknown masses need one payload; give "
+            "every <link> of the URDF an <inertial>, and free terms of stated masses, such as elastic."
         )
 
 

@@ -131,7 +131,9 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         )
     if not ways:
         if by is not None:
-            raise MeasurementError(f"{first.where}, {second.where}: {shown(by)} does not name rows of both, each once.")
+            raise MeasurementError(
+                f"{first.where}, {second.where}: {shown(by)} does not name each row of both tables exactly once."
+            )
         return _in_order(first, second)
     a, b = ways[0]
     pairs = _partners(first, a, second, b)
@@ -150,7 +152,8 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
 def _in_order(first: Sheet, second: Sheet) -> Sheet:
     if len(first.rows) != len(second.rows):
         raise MeasurementError(
-            f"{first.where} has {len(first.rows)} rows and {second.where} {len(second.rows)}, and no column names them."
+            f"{first.where} has {len(first.rows)} rows and {second.where} {len(second.rows)}, and no column tells "
+            "which rows belong together."
         )
     rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
     said = f"{len(rows)} rows joined in their order"

@@ -48,13 +48,13 @@ def streamed(
         raise TypeError("rows of a stream have times")
     refuse_no_stream(data.times, data.where)
     if data.other is not None:
-        raise JobError(f"{data.where}: a pair_distance has two ends, and a row of a stream is of one moment.")
+        raise JobError(f"{data.where}: a pair_distance has two ends, and a row of a stream only one moment.")
     if clock.of is not None:
         return _in_order(_of_one_clock(data, joints, clock, robot, clock.of), ordered)
     if clock.latency and clock.kind == "free":
         raise JobError(
-            "latency: is free, and so is the clock, whose offset it would be part of: nothing tells them apart; write "
-            'clock = "given" or, where another stream has the same clock, clock_of; or leave it out.'
+            "latency: is free, and the clock is free too: the data cannot tell the latency from the clock's offset; "
+            'write clock = "given", or clock_of if another stream has the same clock, or leave latency out.'
         )
     middle = float(0.5 * (data.times[0] + data.times[-1]))
     stream = Stream(joints, read_only(data.times - middle), middle)
@@ -148,8 +148,8 @@ def _moving(data: Measurements, joints: JointStream, robot: Robot) -> tuple[Seen
     """Return what was seen, and how the nominal tip moved. Raises JobError for a kind that shows no clock."""
     if data.position is None or data.times is None:
         raise JobError(
-            f"{data.where}: a {data.kind} does not show by itself when it was measured; clocks are found from "
-            'positions and poses; write clock = "given", or measure these.'
+            f"{data.where}: a {data.kind} alone does not show when it was measured, and a free clock is found from "
+            'positions and poses only; write clock = "given", or measure positions or poses.'
         )
     view = robot.with_tip(data.tip or robot.tip)
 

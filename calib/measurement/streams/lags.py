@@ -92,8 +92,8 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     for where, span in ((seen.where, seen.times[-1] - seen.times[0]), (moved.where, moved.end - moved.start)):
         if span > _LONGEST:
             raise MeasurementError(
-                f"{where}: its times span {span:.4g} s; a free clock is sought in {_LONGEST:g} s at the most: give a "
-                "part, or look at the unit of 'time'."
+                f"{where}: its times span {span:.4g} s, and a free clock is searched in {_LONGEST:g} s at the most; "
+                "give a part of the rows, or correct the unit of 'time'."
             )
     measured = _speeds(seen.times, seen.points, gap)
     if not measured.known.any():
@@ -111,8 +111,8 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
         fastest = float(np.quantile(speeds.values[speeds.known], 0.95)) if speeds.known.any() else 0.0
         if fastest < _SLOWEST:
             raise MeasurementError(
-                f"{where}: {what} hardly moves, by {fastest / MM:.2g} mm/s; clocks are told apart by motion, from "
-                f"{_SLOWEST / MM:g} mm/s on."
+                f"{where}: {what} hardly moves, at {fastest / MM:.2g} mm/s; a free clock is found from motion, and "
+                f"{_SLOWEST / MM:g} mm/s or more are needed."
             )
     peaks = _peaks(measured, nominal, seen.where, moved.where)
     starts = _lines(peaks._replace(times=peaks.times - middle), seen.where)
@@ -121,21 +121,22 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     found = _by_what_they_leave([one for one in fitted if abs(one.lag.skew) < MOST_SKEW])
     if not found:
         raise MeasurementError(
-            f"{seen.where}: its points move as the nominal tip of {moved.where} only where one clock goes faster than "
-            f"the other by {MOST_SKEW:g} s in a second, which none does: do the two recordings overlap, and are they "
-            "of this robot?"
+            f"{seen.where}: its points move as the nominal tip of {moved.where} only if one clock gains {MOST_SKEW:g} "
+            "s in a second on the other, and no real clock does; do the two recordings overlap, and are they of this "
+            "robot?"
         )
     best, others = found[0], [one for one in found[1:] if abs(one.lag.offset - found[0].lag.offset) > _APART]
     spread = float(np.sqrt(np.mean((seen.points - seen.points.mean(axis=0)) ** 2)))
     if best.left > _EXPLAINED * spread:
         raise MeasurementError(
-            f"{seen.where}: at no time of {moved.where} the nominal tip moves as its points do ({best.left / MM:.3g} "
-            f"of {spread / MM:.3g} mm remain): do the two recordings overlap, and are they of this robot?"
+            f"{seen.where}: its points do not move as the nominal tip does at any time of {moved.where} "
+            f"({best.left / MM:.3g} of {spread / MM:.3g} mm remain); do the two recordings overlap, and are they of "
+            "this robot?"
         )
     if others and others[0].left < max(best.left, _ROUNDING) / _AS_WELL:
         raise MeasurementError(
-            f"{seen.where}: its motion fits that of {moved.where} at two lags alike, {best.lag.offset:.2f} and "
-            f"{others[0].lag.offset:.2f} s; a motion that does not repeat itself tells the clocks apart."
+            f"{seen.where}: its motion fits that of {moved.where} equally well at two lags, {best.lag.offset:.2f} and "
+            f"{others[0].lag.offset:.2f} s; record a motion that does not repeat itself."
         )
     return best.lag
 
@@ -256,8 +257,8 @@ def _lines(peaks: _Peaks, where: str) -> list[Lag]:
     if not found:
         spread = ", ".join(f"{lag:.2f}" for lag in peaks.lags[:5])
         raise MeasurementError(
-            f"{where}: by its speed the clocks are apart by {spread} s in turn, which no clock does; was one of the "
-            "recordings interrupted?"
+            f"{where}: by its speed, the clocks are {spread} s apart, one after the other, and real clocks do not "
+            "jump; was one of the recordings interrupted?"
         )
     found.sort(key=lambda one: -one[0])
     lines: list[Lag] = []

@@ -36,13 +36,14 @@ def at_rest(data: Measurements, least: float = 0.5, still: float = STILL) -> Mea
     Raises MeasurementError when there are no times or no rests, JobError for other kinds.
     """
     if data.kind not in ("position", "pose") or data.position is None:
-        raise JobError(f"{data.where}: means are of positions and poses, not of a {data.kind}.")
+        raise JobError(f"{data.where}: only positions and poses can be averaged, not a {data.kind}.")
     if data.times is None:
         raise MeasurementError(f"{data.where}: there is no column 'time', which says how long the arm rested.")
     rests = _rests(data, data.times, least, still)
     if not rests:
         raise MeasurementError(
-            f"{data.where}: at no time all joints rest for {least:g} s, within {still:g} rad or m; stop for longer."
+            f"{data.where}: all joints never rest together for {least:g} s, within {still:g} rad or m; let the arm "
+            "stop for longer."
         )
     first = np.array([rows[0] for rows in rests], dtype=np.intp)
     residual = [_apart(data, rows) for rows in rests]

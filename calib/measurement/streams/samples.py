@@ -58,8 +58,8 @@ def joint_stream(
     if len(doubled) and np.any(values[doubled] != values[doubled - 1]):
         row = int(doubled[np.any(values[doubled] != values[doubled - 1], axis=1)][0])
         raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: has the time of the row before and other readings; a joint is in one "
-            "place at a time."
+            f"{table.where}:{table.lines[row]}: has the same time as the row before, but other readings; give each row "
+            "its own time."
         )
     asked = stacked(table, {f"{COMMANDED}{name}": dimension for name, dimension in told.items()})
     times, values, asked = times[keep], values[keep], asked[keep]
