@@ -7,8 +7,8 @@ geometry being fitted again. Each fold goes its own way without having seen the 
 Tibshirani, J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how
 many steps all rows then take.
 
-Terms must not harm, so that they are judged twice: by poses held out at random, and, as neighbours in joint space would
-vouch for each other, by whole neighbourhoods. No more steps are taken than neighbourhoods bear out, and none that
+Terms must not harm, so that they are judged twice: by poses held out at random, and, as neighbours in joint space have
+much the same errors, by whole neighbourhoods. No step is taken that does not hold for neighbourhoods, and none that
 makes the 95 % quantile or the largest error larger. Where the fit with them does not converge, half of them are taken
 back, until one does.
 

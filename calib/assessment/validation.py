@@ -213,7 +213,7 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     """Return the neighbourhoods of rows, given their groups (N,): at most ``count``.
 
     Groups whose poses are near to each other are in one (k-means). Where poses lie in three places or more with nothing
-    between them, such as small cubes, no place is divided: its halves would vouch for each other.
+    between them, such as small cubes, no place is divided: its halves have much the same errors.
     """
     readings = np.concatenate([_both_ends(data) for data in measurements])
     cells = _ONE_POSE * np.round(readings / _ONE_POSE)

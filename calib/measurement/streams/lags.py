@@ -116,7 +116,7 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
             )
     peaks = _peaks(measured, nominal, seen.where, moved.where)
     starts = _lines(peaks._replace(times=peaks.times - middle), seen.where)
-    # Recordings of two motions fit best where a clock is bent as far as it may be.
+    # Recordings of two different motions fit best at the largest skew that is allowed.
     fitted = [refined(seen, moved, middle, start) for start in starts]
     found = _by_what_they_leave([one for one in fitted if abs(one.lag.skew) < MOST_SKEW])
     if not found:
