@@ -41,7 +41,8 @@ TOO_LARGE = (
 
 # How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
 _DEEPEST, _MOST_OFFERED = 12, 5000
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
+# Nothing more can be written then, whatever file it is.
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
 # Others are unpacked whole, however little is asked for.
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError)
@@ -256,7 +257,7 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
             if not place.exists():
                 shutil.copyfile(folder / _MESHES / best, place)
         except OSError as e:
-            if e.errno in _FULL:
+            if e.errno in _UNWRITABLE:
                 raise OutputError(f"{ROBOT}: meshes cannot be written ({e.strerror}).") from e
             lost.append(uri)
     return f"{ROBOT}/{robot}", [*lost, *every[_MOST_FILES:]]

@@ -135,8 +135,8 @@ def split_of(
         if data.times is not None:
             # How rows in time err together is judged by what is common.
             free[own[(own >= 0) & ~of_target[own]]] = False
-    together = _Together.of(seen, width, free, things)
-    tried = [_split(owner, together.blocks(widest)) for widest in _WIDEST]
+    incidence = _Incidence.of(seen, width, free, things)
+    tried = [_split(owner, incidence.blocks(widest)) for widest in _WIDEST]
     best = min(tried, key=lambda split: _operations(split, rows))
     return best if _operations(best, rows) < _WORTH_IT * least else found
 
@@ -159,7 +159,7 @@ def _operations(split: Split, rows: int) -> float:
     return float(rows * (a * (a + c) + c**2) + _SOLVED * (m * a**2 * (a + c) + c**3))
 
 
-class _Together(NamedTuple):
+class _Incidence(NamedTuple):
     """Which things rows are about at once: a matrix (u, t) with 1 where one of u different rows is about a thing.
 
     ``width`` (t,): how many unknowns things have. ``free`` (t,): which may be eliminated. ``family`` (t,): of each.
@@ -171,7 +171,7 @@ class _Together(NamedTuple):
     family: IntArray
 
     @classmethod
-    def of(cls, seen: Sequence[IntArray], width: IntArray, free: BoolArray, things: Things) -> "_Together":
+    def of(cls, seen: Sequence[IntArray], width: IntArray, free: BoolArray, things: Things) -> "_Incidence":
         rows, columns, start = [], [], 0
         for own in seen:
             different = np.unique(np.where(free[own] & (own >= 0), own, -1), axis=0)
