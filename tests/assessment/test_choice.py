@@ -20,6 +20,7 @@ from tests.support.loops import four_bar_urdf
 
 Array = np.ndarray
 SIGMA = 5e-5
+PANDA = ("example:panda_description/urdf/panda.urdf", "panda_link8")
 
 
 def measured(
@@ -259,6 +260,25 @@ def test_few_poses_are_given_few_coefficients(rows: int) -> None:
     entered = [len(step.added.terms) for step in choice.steps[1:] if step.added is not None]
     assert sum(entered) <= rows // 2
     assert len(choice.terms) <= rows // 2
+
+
+@pytest.mark.parametrize(("size", "least"), [(0.0, 0), (5e-4, 0), (3e-3, 2)])
+def test_forty_rows_of_a_panda_are_given_few_coefficients(size: float, least: int) -> None:
+    """All orders of all its joints would be more than five hundred."""
+    urdf, tip = PANDA
+    rng, plain, robot = np.random.default_rng([40, 7]), machines.arm(urdf, tip), machines.load(urdf, tip)
+
+    def extra(u: Array) -> Array:
+        return np.asarray(size * np.column_stack([np.cos(k * u[:, j]) for j, k in enumerate((1, 2, 3, 1, 2, 5, 1))]))
+
+    arm = geared(plain.moved(rng), extra)
+    true = machines.Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, plain.draw(rng, 40), "position", rng=rng, sigma=SIGMA)
+    choice = choose_terms(calib.error_model(robot, offsets="all", placements="all"), data)
+    assert choice.offered > 7 * len(OFFERED)
+    assert least <= len(choice.terms) <= 20
+    unseen = plain.draw(rng, 400)
+    assert machines.miss(choice.fit, true, unseen) <= machines.miss(choice.geometric, true, unseen)
 
 
 def test_a_choice_ends_where_chance_begins() -> None:
