@@ -12,12 +12,13 @@ import numpy as np
 
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, stretches, timing, wandering
+from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.stretches import stretches
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine

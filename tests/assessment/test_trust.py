@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_rows
-from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, stretches, timing, wandering
+from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
+from calib.assessment.stretches import stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
 from calib.machine.calibrated import machine_of

@@ -7,8 +7,9 @@ import pytest
 
 import calib
 from calib.assessment.checks import of_rows
-from calib.assessment.effects import Stretch, delay, stretches
+from calib.assessment.effects import delay
 from calib.assessment.influence import Residue
+from calib.assessment.stretches import Stretch, stretches
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.assessment.blame import Blame
-from calib.assessment.effects import Stretch
 from calib.assessment.judged import NOTHING, Check, JudgedSet
+from calib.assessment.stretches import Stretch
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.linear import triangle
 from calib.foundations.units import MM
