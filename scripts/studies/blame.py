@@ -10,9 +10,9 @@ By the mathematics of scripts/simulate/photographs.py: a UR5 with errors of 0.1 
 that is given and free, and one thing wrong: the lens that is given (1.5 % of its focal length, no distortion), the
 print 1.5 % too large, the print bent by millimetres, a joint's zero by 5 mrad, or corners that are found badly. A
 quarter of the photographs is held out. Corners are simulated, found to 0.05 px, or badly to 0.7 px; or, with
-``--rendered``, photographs are rendered and corners are found in them. What blur and noise do to corners that are found
-at all is a tenth of a pixel, less than an arm that is off by 0.1 mm does, or a print by 0.1 %: where corners are planted
-in rendered photographs, all else is as it was given.
+``--rendered``, photographs are rendered and corners are found in them. What blur and noise do to corners that are
+found at all is a tenth of a pixel, less than an arm that is off by 0.1 mm does, or a print by 0.1 %: where corners are
+planted in rendered photographs, all else is as it was given.
 """
 
 import argparse
