@@ -25,7 +25,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.assessment.entering import Blocks, Products, filled
-from calib.assessment.places import STEADIER, LearnedWidths, learned_widths, with_learned_geometry
 from calib.assessment.validation import (
     HeldOut,
     folds,
@@ -72,9 +71,10 @@ _GROUPS_EACH = 2
 _BY_CHANCE = 2.0
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
-# What shows where it was measured makes errors of poses held out this much smaller; what does not must make predictions
-# between places steadier.
+# What shows where it was measured makes errors of poses held out this much smaller, ...
 _SHOWS = 0.87
+# ... and what does not must make predictions between places scatter this much less.
+_STEADIER = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +153,6 @@ class Choice:
     ``geometric``: the fit without terms from which they start; ``fit``: with those that are taken. ``rows``: how many
     of its rows the choice looked at, and ``offered`` how many candidates. ``taken_back``: how many steps more the data
     allow, with which no fit converged. ``weighed``: how measured torques stood against masses, where rows have torques.
-    ``widths``: how learned widths of geometry stood against none, where poses are in a few places apart; ``geometric``
-    has them where they are taken.
     """
 
     __repr__ = brief
@@ -167,7 +165,6 @@ class Choice:
     offered: int
     taken_back: int = 0
     weighed: Weighed | None = None
-    widths: LearnedWidths | None = None
 
     @property
     def model(self) -> ErrorModel:
@@ -229,31 +226,21 @@ def choose_terms(
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
     and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
     measurements with these options, where it is known already. Where poses are in a few places with nothing between
-    them, the widths of chosen terms are learned, unless a prior is stated; and those of geometry, where nobody has
-    stated one and they win by places held out.
+    them, the widths of chosen terms are learned, unless a prior is stated.
     """
-
-    def find(model: ErrorModel) -> Fit:
-        return identify(model, measurements, model_sigmas=model_sigmas, losses=losses)
-
     with one_thread():
         if geometric is None:
             progress("choosing joint terms: fitting geometry")
-            geometric = find(with_terms(model, ()))
+            geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
         sets = geometric.measurements
         group = row_groups(sets)
         looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
-        widths = None
-        if near.apart:
-            progress("choosing joint terms: judging geometry by places")
-            widths = learned_widths(geometric.model, sets, looked_at, place, model_sigmas=model_sigmas, losses=losses)
-        if widths is not None and widths.taken:
-            geometric = find(with_learned_geometry(geometric.model))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
         system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart))
         progress("choosing joint terms: linearising")
-        products = system.products(fold := folds(group, count))
+        fold = folds(group, count)
+        products = system.products(fold)
         largest = (int(group.max()) + 1) // _GROUPS_EACH
 
         def selected(among: Sequence[int]) -> _Selected:
@@ -262,8 +249,9 @@ def choose_terms(
             return _Selected(tuple(among), order, figures, rms)
 
         ways = [selected(among) for among in _ways_to_wind_up(chosen_from)]
-        least = [way.figures[smallest_unharmed(way.figures)] for way in ways]
-        weighed = Weighed(*least) if len(ways) > 1 else None
+        weighed = None
+        if len(ways) > 1:
+            weighed = Weighed(*(way.figures[smallest_unharmed(way.figures)] for way in ways))
         among, entered, figures, rms = ways[-1 if weighed is not None and weighed.by_torques else 0]
         most, away = smallest_unharmed(figures), list[HeldOut]()
         if most:
@@ -278,36 +266,27 @@ def choose_terms(
             if near.apart and most and figures[most].rms > _SHOWS * figures[0].rms:
                 whole = system.way(products, among, steps=most).values
                 scatter = system.scatter(poses_between(sets, looked_at, place), whole, values[:, : most + 1])
-                most = most if scatter[most] < STEADIER * scatter[0] else 0
-    steps = _steps([chosen_from[k] for k in entered], figures, rms, away)
-    begun = _with_learned_widths(geometric.model) if near.apart else geometric.model
+                most = most if scatter[most] < _STEADIER * scatter[0] else 0
+    steps = tuple(
+        Step(
+            None if k == 0 else chosen_from[entered[k - 1]],
+            figure,
+            {name: float(v[k]) for name, v in rms.items()},
+            away[k] if k < len(away) else None,
+        )
+        for k, figure in enumerate(figures)
+    )
     taken, fit = most, geometric
+    begun = _with_learned_widths(geometric.model) if near.apart else geometric.model
     while taken:
         progress(f"choosing joint terms: fitting {taken} of them")
-        fit = find(with_terms(begun, _terms(geometric, steps, taken)))
+        chosen = with_terms(begun, _terms(geometric, steps, taken))
+        fit = identify(chosen, measurements, model_sigmas=model_sigmas, losses=losses)
         if fit.converged:
             break
         taken //= 2
     return Choice(
-        steps,
-        taken,
-        geometric,
-        fit if taken else geometric,
-        len(group),
-        len(chosen_from),
-        most - taken,
-        weighed,
-        widths,
-    )
-
-
-def _steps(
-    entered: Sequence[Candidate], figures: Sequence[HeldOut], rms: Mapping[str, Array], away: Sequence[HeldOut]
-) -> tuple[Step, ...]:
-    """Return geometry alone and the steps after it, with what rows and neighbourhoods held out say of each."""
-    return tuple(
-        Step(added, figure, {name: float(v[k]) for name, v in rms.items()}, away[k] if k < len(away) else None)
-        for k, (added, figure) in enumerate(zip((None, *entered), figures, strict=True))
+        steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken, weighed
     )
 
 

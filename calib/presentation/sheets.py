@@ -87,8 +87,6 @@ def choice_sheet(choice: Choice) -> Sheet:
         some += f"; {choice.taken_back} more are taken back, as no fit with them converges"
     if choice.weighed is not None:
         some += f"; {choice.weighed.sentence}"
-    if choice.widths is not None:
-        some += f"; {choice.widths.sentence}"
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)

@@ -276,7 +276,6 @@ def result(found: Calibration) -> dict[str, Any]:
         ],
         "choice": None if found.choice is None else found.choice.records(),
         "wind_up": None if found.choice is None or found.choice.weighed is None else found.choice.weighed.record(),
-        "widths": None if found.choice is None or found.choice.widths is None else found.choice.widths.record(),
         "cameras": {
             one.camera: {
                 "on": one.parent,

@@ -90,9 +90,7 @@ def count(seeds: range, unmodelled: float, *, known: bool) -> None:
     for seed in seeds:
         data, machine, elsewhere, waves = simulated(seed, unmodelled)
         choice = choose_terms(model, data)
-        alone = p95(
-            choice.geometric if choice.model.priors.length is None else calib.identify(model, data), machine, elsewhere
-        )
+        alone = p95(choice.geometric, machine, elsewhere)
         if choice.taken:
             taken += 1
             chosen[seed] = p95(choice.fit, machine, elsewhere) / alone

@@ -6,12 +6,12 @@ UR10s with uneven gears as in scripts/studies/clusters.py, measured in a few pla
 joint space; "cubes": cubes of space, in each of which the tool keeps its orientation; "fixed": the same, and one
 orientation for all places but for quarter turns about the vertical, so that nothing tells tool from base. Judged by
 95 % quantiles of errors in random cubes of joint space elsewhere, base and tool as they were found, and found anew: of
-geometry with learned widths relative to geometry without priors, of all machines, and of those where the choice takes
-learned widths.
+geometry with learned widths relative to geometry without priors.
 """
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.places import learned_widths, with_learned_geometry
 from calib.assessment.validation import neighbourhoods, row_groups
 from scripts.studies.clusters import SIGMA, p95, simulated
 from tests.support import machines
@@ -84,14 +83,11 @@ def anew(fit: calib.Fit, machine: machines.Machine, readings: Array) -> float:
     return p95(moved, machine, readings)
 
 
-def told(name: str, ratios: list[tuple[float, float]]) -> None:
+def told(ratios: list[tuple[float, float]]) -> None:
     """Print how many are larger, and by how much."""
-    if not ratios:
-        print(f"{name}: none")
-        return
     for what, found in zip(("as found", "anew"), np.array(ratios).T, strict=True):
         print(
-            f"{name}, base and tool {what}: {np.sum(found > WORSE)} of {len(found)} larger by more than 2 %, "
+            f"learned widths, base and tool {what}: {np.sum(found > WORSE)} of {len(found)} larger by more than 2 %, "
             f"{np.exp(np.mean(np.log(found))):.3f} on average, {found.min():.3f} to {found.max():.3f}",
             flush=True,
         )
@@ -106,26 +102,21 @@ def main() -> None:
     chosen = parser.parse_args()
     robot = machines.load(*UR10)
     model = calib.error_model(robot, offsets="all", placements="all")
+    held = replace(model, priors=calib.Priors("learned", "learned"))
     every: list[tuple[float, float]] = []
-    taken: list[tuple[float, float]] = []
     for seed in range(chosen.first, chosen.first + chosen.machines):
         data, machine, elsewhere, _ = simulated(seed, 0.0)
         rng = np.random.default_rng([seed, 9])
         if chosen.kind != "joints":
             data = machine.measure(robot, in_cubes(rng, chosen.kind), "position", rng=rng, sigma=SIGMA)
-        near = neighbourhoods([data], row_groups([data]))
-        if not near.apart:
+        if not neighbourhoods([data], row_groups([data])).apart:
             continue
-        widths = learned_widths(model, [data], np.ones(len(data), dtype=bool), near.number)
-        fits = calib.identify(model, data), calib.identify(with_learned_geometry(model), data)
+        fits = calib.identify(model, data), calib.identify(held, data)
         some = elsewhere[:: max(len(elsewhere) // 100, 1)]
         without, learned = ((p95(fit, machine, elsewhere), anew(fit, machine, some)) for fit in fits)
         every.append((learned[0] / without[0], learned[1] / without[1]))
-        wins = widths is not None and widths.taken
-        taken += every[-1:] * wins
-        print(f"machine {seed}: {every[-1][0]:.3f}, anew {every[-1][1]:.3f}{', taken' * wins}", flush=True)
-    told("learned widths always", every)
-    told("where the choice takes them", taken)
+        print(f"machine {seed}: {every[-1][0]:.3f}, anew {every[-1][1]:.3f}", flush=True)
+    told(every)
 
 
 if __name__ == "__main__":
