@@ -173,3 +173,15 @@ def test_compensate_as_json_names_the_rows_that_are_not_reached(folder: Path) ->
     assert missed["row"] == 2
     assert missed["reason"]
     assert missed["reason"] in (folder / "corrected.csv").read_text(encoding="utf-8")
+
+
+def test_a_file_that_ends_too_soon_is_no_wish_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As compiled code of Python that a full disk cut off: click takes the end of a file for that of a terminal."""
+
+    def cut_off(*_: object, **__: object) -> None:
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr("calib.job.board.board_toml", cut_off)
+    with pytest.raises(EOFError, match="marshal data too short"):
+        run("board", "-o", tmp_path / "board")
+    assert list(tmp_path.iterdir()) == []

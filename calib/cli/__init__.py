@@ -65,8 +65,12 @@ def main() -> None:
         _say(f"standard output: cannot be written ({error.strerror}).")
         sys.exit(BAD_INPUT)
     except SystemExit as ending:
+        cause = getattr(ending.__context__, "__cause__", None)
+        # A library that met the end of a file, or Python in compiled code that a full disk cut off, is no wish to end.
+        if isinstance(cause, EOFError):
+            raise cause from None
         # A command that has more to say of its interruption has said it.
-        if ending.code == INTERRUPTED and isinstance(getattr(ending.__context__, "__cause__", None), KeyboardInterrupt):
+        if ending.code == INTERRUPTED and isinstance(cause, KeyboardInterrupt):
             _say("interrupted.")
         raise
 
