@@ -204,6 +204,12 @@ class Arrow:
         p = J.shape[1]
         return cls(Split.none(p), np.zeros((0, 0, p + 1)), np.pad(J, ((0, 0), (0, 1))))
 
+    @classmethod
+    def empty(cls, split: Split) -> "Arrow":
+        """Return no rows at all."""
+        (m, a), c = split.blocks.shape, len(split.common)
+        return cls(split, np.zeros((m, 0, a + c + 1)), np.zeros((0, c + 1)))
+
     @property
     def a(self) -> int:
         """The number of columns of a block."""

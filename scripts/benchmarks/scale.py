@@ -36,8 +36,9 @@ SIZES = (1_000, 10_000, 100_000, 1_000_000)
 ANCHORS, LENGTHS = (10, 100, 300, 1_000, 10_000), 8
 # Set-ups, each with so many positions, and boards, each in so many photographs of so many marks.
 SETUPS, POSITIONS = (10, 100, 300, 1_000), 9
-BOARDS, PHOTOGRAPHS, MARKS, APART = (10, 30, 100), 4, (4, 3), 0.04
-PIXEL = 0.1
+BOARDS, PHOTOGRAPHS, MARKS, APART = (10, 30, 100, 300), 4, (4, 3), 0.04
+# What every mark errs by itself, in px, and what an arm does not repeat in every photograph, in m and rad.
+PIXEL, REPEATS = 0.1, (0.1e-3, 0.3e-3)
 SIGMA = 0.05e-3
 LIMIT_MIB, LIMIT_SECONDS = 2048.0, 120.0
 # Lengths that nothing but noise disturbs scatter by less than so many times the noise that is stated.
@@ -187,10 +188,17 @@ def from_boards(boards: int, _: str) -> Cost:
         rng.uniform((-0.1, -0.1, 0.5), (0.1, 0.1, 0.9), (boards, 3)),
     )
     places = (robot.tips(middle, deviations) @ tool @ ahead)[board]
-    seen = rigid.inverse(robot.tips(readings, deviations) @ tool) @ places
-    points = np.einsum("nij,mj->nmi", seen[:, :3, :3], marks) + seen[:, None, :3, 3]
-    pixels = 1200.0 * points[:, :, :2] / points[:, :, 2:] + np.array([640.0, 512.0])
+    exact = rigid.inverse(robot.tips(readings, deviations) @ tool) @ places
+    twists = rng.normal(size=(len(board), 6)) * np.repeat(REPEATS, 3)
+    off = rigid.placement(rigid.exp3(twists[:, 3:]), twists[:, :3])
+
+    def pictures(seen: np.ndarray) -> np.ndarray:
+        points = np.einsum("nij,mj->nmi", seen[:, :3, :3], marks) + seen[:, None, :3, 3]
+        return np.asarray(1200.0 * points[:, :, :2] / points[:, :, 2:] + np.array([640.0, 512.0]))
+
+    pixels = pictures(rigid.inverse(off) @ exact)
     pixels += rng.normal(scale=PIXEL, size=pixels.shape)
+    errs = float(np.sqrt(np.mean((pixels - pictures(exact)) ** 2)))
     many, n = np.repeat(readings, len(marks), axis=0), len(board)
     table: dict[str, object] = {f"{r.name} [rad]": many[:, k] for k, r in enumerate(robot.readings)}
     table |= {f"{name} [px]": pixels[:, :, k].ravel() for k, name in enumerate("uv")}
@@ -200,8 +208,10 @@ def from_boards(boards: int, _: str) -> Cost:
     loaded, start = peak(), time.process_time()
     fit = calib.identify(model, data)
     seconds = time.process_time() - start
-    if not fit.converged or np.sqrt(np.mean(fit.residuals[0] ** 2)) > EXPLAINED * PIXEL:
+    if not fit.converged or np.sqrt(np.mean(fit.residuals[0] ** 2)) > EXPLAINED * errs:
         raise SystemExit(f"{boards} boards did not converge")
+    if not fit.together or fit.together[0] is None:
+        raise SystemExit(f"with {boards} boards nothing was said of what the arm does not repeat")
     return Cost(f"{boards:,} boards", n, seconds, loaded, peak())
 
 
