@@ -170,7 +170,7 @@ class Views:
         noise = next(noise for noise in fit.noise if noise.measurements == k)
         alone = noise.total if together is None else np.hypot(noise.instrument, np.sqrt(together.variance))
         sigma = np.full(data.sigma.shape, share * alone)
-        J = rows.J / sigma[:, :, None]
+        J = np.asarray(rows.J / sigma[:, :, None])
         if together is None:
             return J
         here = Together.of(together.length, together.angle, together.variance, number, rows.by_twist, sigma)

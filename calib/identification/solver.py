@@ -19,7 +19,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
-from calib.identification.identifiability import Directions
+from calib.identification.identifiability import Directions, Spectrum
 from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
@@ -57,7 +57,8 @@ class Solution(NamedTuple):
     """A least-squares solution.
 
     ``x`` (p,): values in SI units; ``spread``: their covariance. ``directions``: what the data determine at x, priors
-    left out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
+    left out, and ``spectrum``: how well.
+    ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
     own rows are too few for them, ``alone`` (p,) says it. ``start``: the data's rows at the start point, whitened with
     the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
     scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least. ``freed``:
@@ -67,6 +68,7 @@ class Solution(NamedTuple):
     x: Array
     spread: Covariance
     directions: Directions
+    spectrum: Spectrum
     null_basis: Array
     alone: BoolArray
     start: Arrow
@@ -458,6 +460,7 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
         z * s,
         told.covariance.scaled(s),
         told.directions,
+        told.spectrum,
         told.null_basis,
         told.alone,
         first.reweighted(factors).rows.whole,
@@ -522,6 +525,7 @@ class _Told(NamedTuple):
     """What the data tell at the solution, scaled: as a :class:`Solution` has it."""
 
     directions: Directions
+    spectrum: Spectrum
     null_basis: Array
     alone: BoolArray
     covariance: Covariance
@@ -530,7 +534,8 @@ class _Told(NamedTuple):
     def of(cls, problem: LeastSquares, data: Arrow, prior: _Prior) -> "_Told":
         """Tell it of the rows of the data at the solution."""
         split = data.split
-        rows = prior.stated_beside(data).reduced(identifiability.RANK_TOLERANCE)
+        beside = prior.stated_beside(data)
+        rows = beside.reduced(identifiability.RANK_TOLERANCE)
         directions = identifiability.directions_of(rows)
         common = directions.null_basis(directions.common_rank(identifiability.NUMERICAL_TOLERANCE))
         # Inner constraints close the null space: full rank by construction.
@@ -540,16 +545,10 @@ class _Told(NamedTuple):
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
         spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
         spread = spread[:, : len(rows.rest)]
-        # Of directions of a block that its own rows do not show: which entries they move.
-        weak = rows.singular_values <= identifiability.NUMERICAL_TOLERANCE
-        vectors = rows.vectors * weak[:, None]
-        alone = split.whole(
-            np.zeros(len(split.common), dtype=np.bool_), np.linalg.norm(vectors, axis=2) > identifiability.MOVED
-        )
-        null_basis = split.whole(common, rows.follow @ common)
+        null_basis, alone = identifiability.undetermined(beside, problem.targets_apart)
         of_data = identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE))
         covariance = Covariance(split, spread @ spread.T, rows.follow, rows.root)
-        return cls(of_data, null_basis, alone.astype(np.bool_), covariance)
+        return cls(of_data, Spectrum(data, problem.targets_apart), null_basis, alone, covariance)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:

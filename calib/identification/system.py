@@ -127,14 +127,22 @@ class Problem:
         """
         return self._made.once("split", self._split)
 
+    @property
+    def targets_apart(self) -> Split:
+        """The unknowns of every target that no relation joins to others, apart from all others."""
+        return self._made.once("targets apart", lambda: self._by_what_is_known(targets_alone=True))
+
     def _split(self) -> Split:
         if any(parameter.group is not None for parameter in self.parameters):
             return Split.none(len(self.parameters))
+        return self._by_what_is_known(targets_alone=self.motions is not None)
+
+    def _by_what_is_known(self, *, targets_alone: bool) -> Split:
         names = self.measurements[0].targets if self.measurements else ()
         related = {name for relation in self.relations for name in relation.targets}
         joined = {t for t, name in enumerate(names) if name in related}
         layout = Layout.of(self.model.robot, self.reference)
-        return split_of(self.parameters, layout, self.measurements, joined, targets_alone=self.motions is not None)
+        return split_of(self.parameters, layout, self.measurements, joined, targets_alone=targets_alone)
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""

@@ -31,7 +31,7 @@ _RARELY = 1e-6
 # Where the search for a and b begins, in m and rad, and within which factors of that it looks.
 _LENGTH, _ANGLE, _RANGE = 1e-4, 3e-4, 1e3
 # Costs are the same within rounding, where a search ends; or where it is level.
-_SAME, _LEVEL = 1e-14, 1e-5
+_SAME, _LEVEL, _MOST_STEPS = 1e-14, 1e-5, 300
 # What nothing tells is held by this share of what rows tell; singular values below that share of the largest are
 # rounding.
 _RIDGE = 1e-6
@@ -217,8 +217,8 @@ def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | 
         np.array(start),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(-limit, limit)] * 2,
-        options={"ftol": _SAME, "gtol": _LEVEL},
+        bounds=np.array([(-limit, limit)] * 2),
+        options={"maxiter": _MOST_STEPS, "ftol": _SAME, "gtol": _LEVEL},
     )
     if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(chdtri(2.0, _RARELY)):
         return None
