@@ -126,9 +126,14 @@ class Fit:
 
     @property
     def told_together(self) -> IntArray:
-        """The parameters whose covariances are told, by number: all, of very many those that are not a target's."""
-        many = len(self.parameters) > _MOST_CORRELATED
-        own = [k for k, parameter in enumerate(self.parameters) if not many or parameter.kind != "target"]
+        """The parameters whose covariances are told, by number: all, or of very many as many kinds as are not too many.
+
+        Targets are left out first, then set-ups and tools.
+        """
+        own = list(range(len(self.parameters)))
+        for kinds in (("target",), ("target", "base", "tool")):
+            if len(own) > _MOST_CORRELATED:
+                own = [k for k, parameter in enumerate(self.parameters) if parameter.kind not in kinds]
         return np.array(own, dtype=np.intp)
 
     @property

@@ -178,6 +178,21 @@ def _beyond(rows: Array, first: int, least: float) -> Array:
     return np.asarray(U[:, np.count_nonzero(s > least) :].T @ rows[:, first:])
 
 
+@dataclass(frozen=True, eq=False)
+class Undetermined:
+    """What :func:`undetermined` finds of ``rows``, when it is asked for."""
+
+    __repr__ = brief
+
+    rows: Arrow
+    of_targets: Split
+
+    @cached_property
+    def found(self) -> tuple[Array, BoolArray]:
+        """The basis (p, k), and what (p,) targets' own rows leave open."""
+        return undetermined(self.rows, self.of_targets)
+
+
 def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:
     """Return a basis (p, k) of what rows do not determine well enough, and what (p,) targets' own rows leave open.
 

@@ -19,7 +19,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
-from calib.identification.identifiability import Directions, Spectrum
+from calib.identification.identifiability import Directions, Spectrum, Undetermined
 from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
@@ -57,9 +57,8 @@ class Solution(NamedTuple):
     """A least-squares solution.
 
     ``x`` (p,): values in SI units; ``spread``: their covariance. ``directions``: what the data determine at x, priors
-    left out, and ``spectrum``: how well.
-    ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
-    own rows are too few for them, ``alone`` (p,) says it. ``start``: the data's rows at the start point, whitened with
+    left out, and ``spectrum``: how well. ``undetermined``: what neither data nor stated priors determine well enough.
+    ``start``: the data's rows at the start point, whitened with
     the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
     scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least. ``freed``:
     whether parameters that have a wider prior for that needed it.
@@ -69,8 +68,7 @@ class Solution(NamedTuple):
     spread: Covariance
     directions: Directions
     spectrum: Spectrum
-    null_basis: Array
-    alone: BoolArray
+    undetermined: Undetermined
     start: Arrow
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
@@ -79,6 +77,17 @@ class Solution(NamedTuple):
     converged: bool
     narrowed: float = 1.0
     freed: bool = False
+
+    @property
+    def null_basis(self) -> Array:
+        """A basis (p, k), scaled, of what neither data nor stated priors determine well enough."""
+        return self.undetermined.found[0]
+
+    @property
+    def unidentifiable(self) -> BoolArray:
+        """Which parameters (p,) that moves, or are of targets whose own rows are too few."""
+        basis, alone = self.undetermined.found
+        return identifiability.unidentifiable(basis) | alone
 
     @property
     def covariance(self) -> Array:
@@ -461,8 +470,7 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
         told.covariance.scaled(s),
         told.directions,
         told.spectrum,
-        told.null_basis,
-        told.alone,
+        told.undetermined,
         first.reweighted(factors).rows.whole,
         noise.variances,
         noise.redundancies,
@@ -526,8 +534,7 @@ class _Told(NamedTuple):
 
     directions: Directions
     spectrum: Spectrum
-    null_basis: Array
-    alone: BoolArray
+    undetermined: Undetermined
     covariance: Covariance
 
     @classmethod
@@ -545,10 +552,10 @@ class _Told(NamedTuple):
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
         spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
         spread = spread[:, : len(rows.rest)]
-        null_basis, alone = identifiability.undetermined(beside, problem.targets_apart)
+        apart = problem.targets_apart
         of_data = identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE))
         covariance = Covariance(split, spread @ spread.T, rows.follow, rows.root)
-        return cls(of_data, Spectrum(data, problem.targets_apart), null_basis, alone, covariance)
+        return cls(of_data, Spectrum(data, apart), Undetermined(beside, apart), covariance)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:

@@ -212,12 +212,16 @@ def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | 
     criterion = _Criterion.of(heads, known)
     limit = float(np.log(_RANGE))
     start = min((criterion(np.array(at))[0], at) for at in ((-5.0, -5.0), (-2.0, -2.0), (0.0, 0.0), (1.0, 1.0)))[1]
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        return criterion(theta)
+
     best = minimize(
-        criterion,
-        np.array(start),
+        cost,
+        np.array(start, dtype=np.float64),
         jac=True,
         method="L-BFGS-B",
-        bounds=np.array([(-limit, limit)] * 2),
+        bounds=[(-limit, limit)] * 2,
         options={"maxiter": _MOST_STEPS, "ftol": _SAME, "gtol": _LEVEL},
     )
     if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(chdtri(2.0, _RARELY)):

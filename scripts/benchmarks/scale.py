@@ -304,9 +304,10 @@ Every set-up and board has six unknowns, and all of them are found. Every run is
 where residuals are not what the noise explains. What only some rows are about is eliminated block by block
 ([theory](theory.md)). The last column is the exponent with which seconds grow, from the row before: 1 is linear.
 
-A job may have 100 set-ups: this limit is lifted here, as what is said of each set-up afterwards (its share in the
-machine's uncertainty) is not eliminated. How photographs err together is judged by all unknowns at once: so boards grow
-faster than set-ups.
+The camera's arm does not repeat: in every photograph it is off by {length:g} mm and {angle:g} mrad, standard
+deviations in every direction. How large that is, is found too, and every photograph is weighed by it. A job may have
+100 set-ups: this limit is lifted here, because it is one of the whole run. What is said of the machine's uncertainty
+afterwards, and what `uncertainty.json` holds of it, grow with the square of their number and more.
 
 """
 
@@ -320,7 +321,12 @@ def of_setups(costs: list[Cost]) -> str:
             more = f"{np.log(cost.seconds / before.seconds) / np.log(cost.poses / before.poses):.2f}"
         lines.append(f"| {' | '.join((*cells(cost), more))} |")
     page = SET_UPS.format(
-        machine=machine_name(), positions=POSITIONS, photographs=PHOTOGRAPHS, marks=MARKS[0] * MARKS[1]
+        machine=machine_name(),
+        positions=POSITIONS,
+        photographs=PHOTOGRAPHS,
+        marks=MARKS[0] * MARKS[1],
+        length=1e3 * REPEATS[0],
+        angle=1e3 * REPEATS[1],
     )
     return page + "\n".join([*lines, ""])
 
