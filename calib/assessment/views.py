@@ -164,16 +164,16 @@ class Views:
         Where marks of one photograph err together there, they do here: more marks do not make an arm repeat better.
         """
         fit, problem = self.fit, self._problem(data)
-        J, by_twist, _ = with_twists(problem, problem.machine(self._values), data, scales(fit.parameters))
+        rows = with_twists(problem, problem.machine(self._values), data, scales(fit.parameters))
         k = next(i for i, own in enumerate(fit.measurements) if own is like)
         together = fit.together[k] if fit.together else None
         noise = next(noise for noise in fit.noise if noise.measurements == k)
         alone = noise.total if together is None else np.hypot(noise.instrument, np.sqrt(together.variance))
         sigma = np.full(data.sigma.shape, share * alone)
-        J /= sigma[:, :, None]
+        J = np.asarray(rows.J / sigma[:, :, None])
         if together is None:
             return J
-        here = Together.of(together.length, together.angle, together.variance, number, by_twist, sigma)
+        here = Together.of(together.length, together.angle, together.variance, number, rows.by_twist, sigma)
         return here.less(J)
 
     def _seen(self, data: Measurements) -> tuple[Array, Array]:

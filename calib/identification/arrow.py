@@ -49,7 +49,7 @@ class Split:
         """Which columns of blocks (m, a) are parameters."""
         return np.asarray(self.blocks >= 0)
 
-    @property
+    @cached_property
     def block_of(self) -> IntArray:
         """The block (p,) of every parameter, -1 for common ones."""
         found = np.full(self.size, -1, dtype=np.intp)
@@ -204,6 +204,12 @@ class Arrow:
         p = J.shape[1]
         return cls(Split.none(p), np.zeros((0, 0, p + 1)), np.pad(J, ((0, 0), (0, 1))))
 
+    @classmethod
+    def empty(cls, split: Split) -> "Arrow":
+        """Return no rows at all."""
+        (m, a), c = split.blocks.shape, len(split.common)
+        return cls(split, np.zeros((m, 0, a + c + 1)), np.zeros((0, c + 1)))
+
     @property
     def a(self) -> int:
         """The number of columns of a block."""
@@ -217,6 +223,19 @@ class Arrow:
     def after(self, step: Array, share: float = 1.0) -> float:
         """Return the sum of squares of ``J step + share r``."""
         return _after(self.heads, self.rest, *self.split.parts(step), share)
+
+    def moved(self, directions: Array) -> Array:
+        """Return rows (q, k) with the sums of squares and products of ``J directions``, of directions (p, k)."""
+        (common, own), a = self.split.parts(directions), self.a
+        of_blocks = self.heads[:, :, :a] @ own + self.heads[:, :, a:-1] @ common
+        return np.concatenate([*of_blocks, self.rest[:, :-1] @ common])
+
+    def columns(self, parameters: IntArray) -> Array:
+        """Return the columns (q, k) of some parameters, which are common ones, or of one block."""
+        block, column = self.split.block_of[parameters], self.split.columns[parameters]
+        if block[0] >= 0:
+            return np.asarray(self.heads[block[0]][:, column - len(self.split.common)])
+        return np.concatenate([self.heads[:, :, self.a + column].reshape(-1, len(column)), self.rest[:, column]])
 
     @property
     def lengths(self) -> Array:
@@ -353,6 +372,12 @@ class Covariance:
             [np.concatenate([common, np.swapaxes(across, -1, -2)], axis=2), np.concatenate([across, own], axis=2)],
             axis=1,
         )
+
+    def times(self, values: Array) -> Array:
+        """Return the covariance times ``values`` (p, k)."""
+        common, own = self.split.parts(values)
+        found = self.common @ (common + np.einsum("mac,mak->ck", self.follow, own, optimize=True))
+        return self.split.whole(found, self.follow @ found + self.root @ (np.swapaxes(self.root, -1, -2) @ own))
 
     def scaled(self, s: Array) -> "Covariance":
         """Return that of parameters in other units, each of which is 1 / s (p,) of its own."""

@@ -11,7 +11,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import NullDirection
+from calib.identification.identifiability import NullDirection, Spectrum
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
@@ -36,9 +36,8 @@ class Fit:
     space, the values are a choice among equal fits (``policy``), the covariance is that of the chosen frame, and
     :attr:`sigmas` are nan.
     ``rank``: the formal rank, of all parameter combinations that the data determine, priors left out;
-    ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``singular_values`` (descending) of
-    the whitened, scaled Jacobian: of what every target's own rows say of it, and of the other parameters with targets
-    where they follow best; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that policy
+    ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``spectrum``: its
+    :attr:`singular_values`; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that policy
     "minimal" kept at their nominal values. ``null_basis`` (p, k): a basis of the null space of these other parameters,
     orthonormal in their scales, with the targets that follow, priors counted as data.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
@@ -59,7 +58,7 @@ class Fit:
     spread_alone: Covariance
     rank: int
     numerical_rank: int
-    singular_values: Array
+    spectrum: Spectrum
     null_space: tuple[NullDirection, ...]
     unidentifiable: BoolArray
     null_basis: Array
@@ -78,6 +77,14 @@ class Fit:
     narrowed: float = 1.0
     memories: tuple[Memory, ...] = ()
     together: tuple[Together | None, ...] = ()
+
+    @property
+    def singular_values(self) -> Array:
+        """Singular values (p,), descending, of the whitened, scaled Jacobian.
+
+        Of what every target's own rows say of it, and of all other parameters, with targets where they follow best.
+        """
+        return self.spectrum.values
 
     @property
     def variances(self) -> list[float]:
@@ -119,9 +126,14 @@ class Fit:
 
     @property
     def told_together(self) -> IntArray:
-        """The parameters whose covariances are told, by number: all, of very many those that are not a target's."""
-        many = len(self.parameters) > _MOST_CORRELATED
-        own = [k for k, parameter in enumerate(self.parameters) if not many or parameter.kind != "target"]
+        """The parameters whose covariances are told, by number: all, or of very many as many kinds as are not too many.
+
+        Targets are left out first, then set-ups and tools.
+        """
+        own = list(range(len(self.parameters)))
+        for kinds in (("target",), ("target", "base", "tool")):
+            if len(own) > _MOST_CORRELATED:
+                own = [k for k, parameter in enumerate(self.parameters) if parameter.kind not in kinds]
         return np.array(own, dtype=np.intp)
 
     @property

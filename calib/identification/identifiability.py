@@ -11,12 +11,15 @@ well.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+from calib.foundations.brief import brief
+from calib.foundations.linear import triangle
 from calib.foundations.units import MM, MRAD
-from calib.identification.arrow import Arrow, Reduced
+from calib.identification.arrow import Arrow, Inverse, Reduced, Split
 from calib.identification.parameters import Parameter
 
 RANK_TOLERANCE = 1e-9
@@ -24,6 +27,11 @@ NUMERICAL_TOLERANCE = 0.1
 # A parameter is not identifiable when a unit direction of the null space moves it by more than this. Shares of
 # identifiable parameters stay below 0.02 (second-order effects of deviations up to 10 mm), those of others above 0.1.
 MOVED = 0.02
+# Directions that are determined up to so many times better than those of the null space help to find these; by so weak
+# a prior, in as many steps. What moves what counts by less than this share does not move it.
+_AROUND, _SHIFT, _ITERATIONS, _SHORT = 10.0, 1e-2, 6, 1e-8
+# Singular values below this share of the largest are rounding.
+_SINGULAR = 1e-14
 # A column is small below so many times the last singular value that counts, times the share that is asked of it.
 _SMALL = 10.0
 # Smaller shares of a direction of the null space are not told.
@@ -73,10 +81,10 @@ class Directions:
         return max(threshold, RANK_TOLERANCE * largest)
 
 
-def singular_directions(triangle: Array) -> Directions:
+def singular_directions(rows: Array) -> Directions:
     """Return the directions of a whitened, scaled Jacobian or its triangle (q, p)."""
-    p = triangle.shape[1]
-    _, values, Vt = np.linalg.svd(triangle, full_matrices=len(triangle) < p)
+    p = rows.shape[1]
+    _, values, Vt = np.linalg.svd(rows, full_matrices=len(rows) < p)
     return Directions(Vt.T, np.concatenate([values, np.zeros(p - len(values))]))
 
 
@@ -114,6 +122,136 @@ def unidentifiable(null_basis: Array) -> BoolArray:
     return np.asarray(np.linalg.norm(null_basis, axis=1) > MOVED)
 
 
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Singular values of ``rows``, found when they are asked for: of targets by themselves, and of all others.
+
+    ``of_targets``: as in :func:`undetermined`. The others count with targets where they follow best, whichever of them
+    ``rows`` have eliminated.
+    """
+
+    __repr__ = brief
+
+    rows: Arrow
+    of_targets: Split
+
+    @cached_property
+    def values(self) -> Array:
+        """The singular values (p,), the largest first."""
+        if np.array_equal(self.rows.split.common, self.of_targets.common):
+            return read_only(directions_of(self.rows.reduced(RANK_TOLERANCE)).singular_values)
+        alone = [
+            np.linalg.svd(triangle(self.rows.columns(own[own >= 0])), compute_uv=False)
+            for own in self.of_targets.blocks
+        ]
+        largest = max((float(own.max(initial=0.0)) for own in alone), default=0.0)
+        others = np.linalg.svd(self._without_targets(RANK_TOLERANCE * largest), compute_uv=False)
+        found = np.sort(np.concatenate([*alone, others]))[::-1]
+        return read_only(np.append(found, np.zeros(self.rows.split.size - len(found))))
+
+    def _without_targets(self, least: float) -> Array:
+        """Return rows (q, c) about all that is no target's, with what is seen of targets at ``least`` eliminated."""
+        rows, a = self.rows, self.rows.a
+        split, is_target = rows.split, self.of_targets.block_of >= 0
+        left = split.blocks[split.real & ~is_target[split.blocks]]
+        # Targets that are common come first, so that they can be turned out of all rows at once.
+        kept = np.concatenate([split.common[is_target[split.common]], split.common[~is_target[split.common]], left])
+        place = np.full(split.size, -1, dtype=np.intp)
+        place[kept] = np.arange(len(kept))
+        found = [np.zeros((len(rows.rest), len(kept)))]
+        found[0][:, place[split.common]] = rows.rest[:, :-1]
+        for own, real, heads in zip(split.blocks, split.real, rows.heads, strict=True):
+            order = np.flatnonzero(real)[np.argsort(~is_target[own[real]], kind="stable")]
+            targets = int(np.count_nonzero(is_target[own[real]]))
+            turned = _beyond(heads[:, [*order, *range(a, heads.shape[1] - 1)]], targets, least)
+            more = np.zeros((len(turned), len(kept)))
+            more[:, place[np.concatenate([own[order[targets:]], split.common])]] = turned
+            found.append(more)
+        whole = triangle(np.concatenate(found))
+        targets = int(np.count_nonzero(is_target[split.common]))
+        return _beyond(whole, targets, least)
+
+
+def _beyond(rows: Array, first: int, least: float) -> Array:
+    """Return what rows (q, n) say of all but the first columns, wherever these are."""
+    U, s, _ = np.linalg.svd(rows[:, :first], full_matrices=True)
+    return np.asarray(U[:, np.count_nonzero(s > least) :].T @ rows[:, first:])
+
+
+@dataclass(frozen=True, eq=False)
+class Undetermined:
+    """What :func:`undetermined` finds of ``rows``, when it is asked for."""
+
+    __repr__ = brief
+
+    rows: Arrow
+    of_targets: Split
+
+    @cached_property
+    def found(self) -> tuple[Array, BoolArray]:
+        """The basis (p, k), and what (p,) targets' own rows leave open."""
+        return undetermined(self.rows, self.of_targets)
+
+
+def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:
+    """Return a basis (p, k) of what rows do not determine well enough, and what (p,) targets' own rows leave open.
+
+    ``of_targets``: of the unknowns of every target by itself, the others being common. Directions are of length one in
+    the scales of these others, with targets where they follow best: so which parameters they move depends neither on
+    how many targets move with them, nor on which unknowns ``rows`` have eliminated beside targets.
+    """
+    reduced = rows.reduced(RANK_TOLERANCE)
+    found = directions_of(reduced)
+    if np.array_equal(rows.split.common, of_targets.common):
+        common = found.null_basis(found.common_rank(NUMERICAL_TOLERANCE))
+        hardly = reduced.vectors * (reduced.singular_values <= NUMERICAL_TOLERANCE)[:, None]
+        moved = rows.split.whole(np.zeros(len(rows.split.common)), np.linalg.norm(hardly, axis=2))
+        return rows.split.whole(common, reduced.follow @ common), moved > MOVED
+    alone = np.zeros(rows.split.size, dtype=np.bool_)
+    for own in of_targets.blocks:
+        of_target = own[own >= 0]
+        _, s, Vt = np.linalg.svd(triangle(rows.columns(of_target)), full_matrices=True)
+        weak = np.append(s, np.zeros(len(of_target) - len(s))) <= NUMERICAL_TOLERANCE
+        alone[of_target] = np.linalg.norm(Vt[weak], axis=0) > MOVED
+    return _undetermined(rows, reduced, found, of_targets.common), alone
+
+
+def _undetermined(rows: Arrow, reduced: Reduced, found: Directions, counted: IntArray) -> Array:
+    """Return a basis (p, k) of what rows do not determine, of length one in the ``counted`` unknowns.
+
+    Of weak directions of common unknowns, and of blocks by themselves, inverse iteration makes those of all unknowns
+    (K.-J. Bathe, E. L. Wilson, *Solution methods for eigenvalue problems in structural mechanics*, 1973).
+    """
+    largest = max(float(found.of_common.max(initial=0.0)), float(found.of_blocks.max(initial=0.0)))
+    least = max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * largest)
+    split, p = rows.split, rows.split.size
+    common = found.vectors[:, found.of_common <= _AROUND * least]
+    block, column = np.nonzero(reduced.singular_values <= _AROUND * least)
+    own = np.zeros((*split.blocks.shape, len(block)))
+    own[block, :, np.arange(len(block))] = reduced.vectors[block, :, column]
+    none = np.zeros((len(split.common), len(block)))
+    V = np.hstack([split.whole(common, reduced.follow @ common), split.whole(none, own)])
+    if not V.shape[1]:
+        return V
+    counts = np.zeros(p)
+    counts[counted] = 1.0
+    # As a prior, so weak that it changes no direction, it leaves nothing open but what does not count.
+    held = Inverse.of(rows.held(_SHIFT * least * counts, np.zeros(p)), _SINGULAR).covariance
+    for _ in range(_ITERATIONS):
+        V = held.times(counts[:, None] * _of_length_one(V, counts))
+    V = _of_length_one(V, counts)
+    _, s, Wt = np.linalg.svd(triangle(rows.moved(V)), full_matrices=True)
+    s = np.append(s, np.zeros(len(Wt) - len(s)))
+    return np.asarray(V @ Wt[s <= least].T)
+
+
+def _of_length_one(V: Array, counts: Array) -> Array:
+    """Return directions (p, k) of the same space, orthonormal in what counts, without those that move none of it."""
+    _, s, Wt = np.linalg.svd(triangle(counts[:, None] * V / np.linalg.norm(V, axis=0)), full_matrices=False)
+    kept = s > _SHORT * s.max(initial=0.0)
+    return np.asarray((V / np.linalg.norm(V, axis=0)) @ (Wt[kept].T / s[kept]))
+
+
 def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
     """Return the order in which a minimal set prefers parameters.
 
@@ -123,18 +261,18 @@ def preference(parameters: Sequence[Parameter]) -> tuple[int, ...]:
     return tuple(sorted(range(len(parameters)), key=lambda k: (rank[parameters[k].kind], k)))
 
 
-def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, ...]:
+def minimal_set(rows: Array, rank: int, order: Sequence[int]) -> tuple[int, ...]:
     """Return the indices of ``rank`` parameters that together determine all that the data determine.
 
     In ascending order, and chosen greedily in the given order of preference: a parameter is taken when its column (of
-    ``triangle`` (q, p)) lies clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow
+    ``rows`` (q, p)) lies clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow
     rounding, the choice depends on the order alone. Columns that are nearly in that span, or small beside the last
     direction that counts as determined, are considered only when rank is still missing.
     """
     if rank == 0:
         return ()
-    least = singular_directions(triangle).singular_values[rank - 1]
-    basis = np.zeros((triangle.shape[0], 0))
+    least = singular_directions(rows).singular_values[rank - 1]
+    basis = np.zeros((rows.shape[0], 0))
     taken: list[int] = []
     for share in (3e-2, 1e-3, 1e-5, 1e-7, RANK_TOLERANCE):
         for k in order:
@@ -142,11 +280,11 @@ def minimal_set(triangle: Array, rank: int, order: Sequence[int]) -> tuple[int, 
                 return tuple(sorted(taken))
             if k in taken:
                 continue
-            column = triangle[:, k]
+            column = rows[:, k]
             for _ in range(2):  # twice is enough for orthogonality to rounding
                 column = column - basis @ (basis.T @ column)
             remainder = np.linalg.norm(column)
-            if remainder > share * max(np.linalg.norm(triangle[:, k]), _SMALL * least):
+            if remainder > share * max(np.linalg.norm(rows[:, k]), _SMALL * least):
                 basis = np.column_stack([basis, column / remainder])
                 taken.append(k)
     return tuple(sorted(taken))

@@ -13,6 +13,7 @@ from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
 from calib.identification import identifiability, weights
+from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.anchors import anchors_anew
@@ -156,9 +157,9 @@ def _identify(
         spread_alone=found.spread,
         rank=rank,
         numerical_rank=found.directions.numerical_rank,
-        singular_values=read_only(found.directions.singular_values),
+        spectrum=found.spectrum,
         null_space=directions,
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
+        unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
@@ -227,21 +228,21 @@ def _together(problem: Problem, found: Solution) -> tuple[Together | None, ...]:
     hold = np.array([p.hold for p in problem.parameters])
     centre = np.array([0.0 if p.centre is None else p.centre for p in problem.parameters])
     centre = np.where([p.of_robot or p.centre is not None for p in problem.parameters], centre, found.x)
-    prior = np.column_stack([np.diag(hold), hold * (found.x - centre) / units])
-    return tuple(_of_set(problem, data, at, units, prior) for data in problem.measurements)
+    known = Arrow.empty(problem.split).held(hold, hold * (found.x - centre) / units)
+    return tuple(_of_set(problem, data, at, units, known) for data in problem.measurements)
 
 
-def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, prior: Array) -> Together | None:
+def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, known: Arrow) -> Together | None:
     if data.board is None or data.times is not None:
         return None
     number = photograph_numbers(data)
     if int(number.max(initial=-1)) + 1 < FEWEST:
         return None
-    J, by_twist, r = with_twists(problem, at, data, units)
-    told = likeliest(number, by_twist, J, r, data.sigma, prior)
+    rows = with_twists(problem, at, data, units, problem.split)
+    told = likeliest(number, rows, data.sigma, known)
     if told is None:
         return None
-    return Together.of(*told, number, by_twist, np.sqrt(data.sigma**2 + told[2]))
+    return Together.of(*told, number, rows.by_twist, np.sqrt(data.sigma**2 + told[2]))
 
 
 def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
@@ -363,8 +364,8 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         memories=(),
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
-        singular_values=read_only(found.directions.singular_values),
-        unidentifiable=read_only_view(identifiability.unidentifiable(found.null_basis) | found.alone),
+        spectrum=found.spectrum,
+        unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
         noise=_noise(problem, found, after),
         machine=machine,

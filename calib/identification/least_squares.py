@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from calib.foundations.arrays import Array
+from calib.identification.arrow import Split
 from calib.identification.losses import Loss
 from calib.identification.parameters import Parameter
 from calib.identification.system import Component, Evaluation
@@ -39,6 +40,10 @@ class LeastSquares(Protocol):
     @property
     def robust(self) -> bool:
         """Whether rows that lie off weigh less."""
+
+    @property
+    def targets_apart(self) -> Split:
+        """The unknowns of every target by itself, apart from all others."""
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return the residuals (N, d) of every set at parameter values x (p,)."""

@@ -80,7 +80,7 @@ def observability(model: ErrorModel, measurements: Sequence[Measurements]) -> Ob
     directions = identifiability.directions_of(rows.reduced(identifiability.RANK_TOLERANCE))
     rank = directions.rank
     _, undetermined = identifiability.told(rows, directions.common_rank(0.0), parameters)
-    seen = directions.singular_values[:rank]
+    seen = identifiability.Spectrum(rows, problem.targets_apart).values[:rank]
     return Observability(
         parameters,
         sum(data.sigma.size for data in sets),

@@ -19,7 +19,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
-from calib.identification.identifiability import Directions
+from calib.identification.identifiability import Directions, Spectrum, Undetermined
 from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
@@ -57,8 +57,8 @@ class Solution(NamedTuple):
     """A least-squares solution.
 
     ``x`` (p,): values in SI units; ``spread``: their covariance. ``directions``: what the data determine at x, priors
-    left out. ``null_basis`` (p, k), scaled: what neither data nor stated priors determine well enough; of targets whose
-    own rows are too few for them, ``alone`` (p,) says it. ``start``: the data's rows at the start point, whitened with
+    left out, and ``spectrum``: how well. ``undetermined``: what neither data nor stated priors determine well enough.
+    ``start``: the data's rows at the start point, whitened with
     the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
     scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least. ``freed``:
     whether parameters that have a wider prior for that needed it.
@@ -67,8 +67,8 @@ class Solution(NamedTuple):
     x: Array
     spread: Covariance
     directions: Directions
-    null_basis: Array
-    alone: BoolArray
+    spectrum: Spectrum
+    undetermined: Undetermined
     start: Arrow
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
@@ -77,6 +77,17 @@ class Solution(NamedTuple):
     converged: bool
     narrowed: float = 1.0
     freed: bool = False
+
+    @property
+    def null_basis(self) -> Array:
+        """A basis (p, k), scaled, of what neither data nor stated priors determine well enough."""
+        return self.undetermined.found[0]
+
+    @property
+    def unidentifiable(self) -> BoolArray:
+        """Which parameters (p,) that moves, or are of targets whose own rows are too few."""
+        basis, alone = self.undetermined.found
+        return identifiability.unidentifiable(basis) | alone
 
     @property
     def covariance(self) -> Array:
@@ -458,8 +469,8 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
         z * s,
         told.covariance.scaled(s),
         told.directions,
-        told.null_basis,
-        told.alone,
+        told.spectrum,
+        told.undetermined,
         first.reweighted(factors).rows.whole,
         noise.variances,
         noise.redundancies,
@@ -522,15 +533,16 @@ class _Told(NamedTuple):
     """What the data tell at the solution, scaled: as a :class:`Solution` has it."""
 
     directions: Directions
-    null_basis: Array
-    alone: BoolArray
+    spectrum: Spectrum
+    undetermined: Undetermined
     covariance: Covariance
 
     @classmethod
     def of(cls, problem: LeastSquares, data: Arrow, prior: _Prior) -> "_Told":
         """Tell it of the rows of the data at the solution."""
         split = data.split
-        rows = prior.stated_beside(data).reduced(identifiability.RANK_TOLERANCE)
+        beside = prior.stated_beside(data)
+        rows = beside.reduced(identifiability.RANK_TOLERANCE)
         directions = identifiability.directions_of(rows)
         common = directions.null_basis(directions.common_rank(identifiability.NUMERICAL_TOLERANCE))
         # Inner constraints close the null space: full rank by construction.
@@ -540,16 +552,10 @@ class _Told(NamedTuple):
         weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
         spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
         spread = spread[:, : len(rows.rest)]
-        # Of directions of a block that its own rows do not show: which entries they move.
-        weak = rows.singular_values <= identifiability.NUMERICAL_TOLERANCE
-        vectors = rows.vectors * weak[:, None]
-        alone = split.whole(
-            np.zeros(len(split.common), dtype=np.bool_), np.linalg.norm(vectors, axis=2) > identifiability.MOVED
-        )
-        null_basis = split.whole(common, rows.follow @ common)
+        apart = problem.targets_apart
         of_data = identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE))
         covariance = Covariance(split, spread @ spread.T, rows.follow, rows.root)
-        return cls(of_data, null_basis, alone.astype(np.bool_), covariance)
+        return cls(of_data, Spectrum(data, apart), Undetermined(beside, apart), covariance)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:

@@ -26,7 +26,7 @@ from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation, relate
 from calib.identification.set_up_motions import Motions, SetUpMotions, TargetsFollowed, motions, taken_out
-from calib.identification.together import Together
+from calib.identification.together import PhotographRows, Together
 from calib.measurement.kinds import QUANTITIES, WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
@@ -127,14 +127,22 @@ class Problem:
         """
         return self._made.once("split", self._split)
 
+    @property
+    def targets_apart(self) -> Split:
+        """The unknowns of every target that no relation joins to others, apart from all others."""
+        return self._made.once("targets apart", lambda: self._by_what_is_known(targets_alone=True))
+
     def _split(self) -> Split:
         if any(parameter.group is not None for parameter in self.parameters):
             return Split.none(len(self.parameters))
+        return self._by_what_is_known(targets_alone=self.motions is not None)
+
+    def _by_what_is_known(self, *, targets_alone: bool) -> Split:
         names = self.measurements[0].targets if self.measurements else ()
         related = {name for relation in self.relations for name in relation.targets}
         joined = {t for t, name in enumerate(names) if name in related}
         layout = Layout.of(self.model.robot, self.reference)
-        return split_of(self.parameters, layout, self.measurements, joined, targets_alone=self.motions is not None)
+        return split_of(self.parameters, layout, self.measurements, joined, targets_alone=targets_alone)
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,)."""
@@ -305,14 +313,20 @@ def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:
     return tuple(found)
 
 
-def with_twists(problem: Problem, at: Machine, data: Measurements, units: Array) -> tuple[Array, Array, Array]:
-    """Return J (N, d, p) of one set for ``units`` (p,), derivatives (N, d, 6) by the tool's twist, and residuals."""
-    J = np.empty((*data.sigma.shape, len(units)))
+def with_twists(
+    problem: Problem, at: Machine, data: Measurements, units: Array, split: Split | None = None
+) -> PhotographRows:
+    """Return the rows of one set for ``units`` (p,), unknowns and the tool's twist; without a split all are common."""
+    split = Split.none(len(units)) if split is None else split
+    c, a = len(split.common), split.blocks.shape[1]
+    J, own, block = np.empty((*data.sigma.shape, c)), np.zeros((*data.sigma.shape, a)), np.full(len(data), -1)
     by_twist, r = np.empty((*data.sigma.shape, 6)), np.empty(data.sigma.shape)
-    for block in Rates(problem, at, units).blocks(data):
-        J[block.rows], r[block.rows] = block.J, block.observed.residual
-        by_twist[block.rows] = np.concatenate(block.moved[0].by_motion, axis=2)
-    return J, by_twist, r
+    for part in Rates(problem, at, units, split).blocks(data):
+        J[part.rows], r[part.rows] = part.J, part.observed.residual
+        by_twist[part.rows] = np.concatenate(part.moved[0].by_motion, axis=2)
+        if part.own is not None and part.block is not None:
+            own[part.rows], block[part.rows] = part.own, part.block
+    return PhotographRows(J, own, block, by_twist, r)
 
 
 def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:

@@ -24,11 +24,18 @@ from scipy.special import chdtri
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.linear import triangle
+from calib.identification.arrow import Arrow, Collected, Heads, Inverse, Part, Split, gathered
 
 # That much likelier by chance: not once in as many fits as anybody makes.
 _RARELY = 1e-6
 # Where the search for a and b begins, in m and rad, and within which factors of that it looks.
 _LENGTH, _ANGLE, _RANGE = 1e-4, 3e-4, 1e3
+# Costs are the same within rounding, where a search ends; or where it is level.
+_SAME, _LEVEL, _MOST_STEPS = 1e-14, 1e-5, 300
+# What nothing tells is held by this share of what rows tell; singular values below that share of the largest are
+# rounding.
+_RIDGE = 1e-6
+_SINGULAR = 1e-14
 # Sets of fewer photographs tell nothing of it.
 FEWEST = 6
 
@@ -105,31 +112,53 @@ def _photographs(number: IntArray) -> Iterator[tuple[int, IntArray]]:
     yield from zip(kinds.tolist(), np.split(order, starts[1:]), strict=True)
 
 
-class _Heads(NamedTuple):
-    """Of all photographs the rows that a twist moves: ``R`` (m, 6, 6) by it, ``B`` (m, 6, p + 1) ``[J r]``; the rest.
+class PhotographRows(NamedTuple):
+    """Rows of one set: derivatives ``J`` (N, d, c) by common parameters, scaled, and by the tool's twist (N, d, 6).
 
-    ``rest`` (q, p + 1): a triangle of what no twist moves.
+    ``own`` (N, d, a): derivatives by the parameters of the row's ``block`` (N,), -1 for none. ``residual`` (N, d).
+    """
+
+    J: Array
+    own: Array
+    block: IntArray
+    by_twist: Array
+    residual: Array
+
+
+class _Heads(NamedTuple):
+    """Of all photographs the rows that a twist moves, and the rest.
+
+    ``R`` (m, 6, 6) by the twist; ``rows`` (m, 6, a + c + 1) ``[B C r]``, and the ``block`` (m,) that each is about.
+    ``rest``: what no twist moves.
     """
 
     R: Array
-    B: Array
-    rest: Array
+    rows: Array
+    block: IntArray
+    rest: Part
+
+    def part(self, rows: Array) -> Part:
+        """Return some rows (m, k, a + c + 1) of the photographs, not reduced."""
+        a, seen = self.rest.split.blocks.shape[1], self.block >= 0
+        left = rows[~seen, :, a:]
+        return Part(self.rest.split, Heads(self.block[seen], rows[seen]), left.reshape(-1, left.shape[2]))
 
 
 def likeliest(
-    number: IntArray, by_twist: Array, J: Array, r: Array, instrument: Array, known: Array
+    number: IntArray, rows: PhotographRows, instrument: Array, known: Arrow
 ) -> tuple[float, float, float] | None:
     """Return a in m, b in rad and the variance of rows beyond the instrument's, None where nothing errs together.
 
-    ``J`` (N, d, p), scaled, ``r`` (N, d), at a solution, and ``instrument`` (N, d) of the rows; ``known`` (l, p + 1):
-    ``[J r]`` of all that is known beside them, whitened.
+    ``rows`` at a solution, of photographs by ``number`` (N,), with the sigmas of the ``instrument`` (N, d); ``known``:
+    all that is known beside them, whitened. All of one photograph are about one block at most. What takes time and
+    memory grows with rows and blocks, not with all that is unknown.
     """
     variance = 0.0
     for _ in range(3):
         sigma = np.sqrt(instrument**2 + variance)
         if not np.all(sigma > 0.0):
-            sigma = np.full_like(sigma, float(np.sqrt(np.mean(r**2))) or 1.0)
-        heads, count = _heads(number, by_twist, J, r, sigma)
+            sigma = np.full_like(sigma, float(np.sqrt(np.mean(rows.residual**2))) or 1.0)
+        heads, count = _heads(number, rows, sigma, known.split)
         if not count:  # no photograph has more numbers than a twist
             return None
         found = _widths(heads, known)
@@ -141,58 +170,125 @@ def likeliest(
             return None
         # Of what no twist moves: as large as its own degrees of freedom.
         factor = left / freedom
-        variance = max(float(np.mean(sigma**2)) * factor - float(np.mean(instrument**2)), 0.0)
+        before, variance = variance, max(float(np.mean(sigma**2)) * factor - float(np.mean(instrument**2)), 0.0)
+        if variance == before:
+            break
     return a, b, variance
 
 
-def _heads(number: IntArray, by_twist: Array, J: Array, r: Array, sigma: Array) -> tuple[_Heads, int]:
-    Rs, Bs, rest, count = [], [], np.zeros((0, J.shape[2] + 1)), 0
-    for _, rows in _photographs(number):
-        s = sigma[rows][:, :, None]
-        U = (by_twist[rows] / s).reshape(-1, 6)
-        of = np.concatenate([J[rows], r[rows][:, :, None]], axis=2) / s
-        of = of.reshape(len(U), -1)
+def _heads(number: IntArray, rows: PhotographRows, sigma: Array, split: Split) -> tuple[_Heads, int]:
+    """Return the heads of photographs with more numbers than a twist, and how many numbers no twist moves."""
+    Rs, heads, blocks, rest = [], [], [], []
+    for _, own in _photographs(number):
+        s = sigma[own][:, :, None]
+        U = (rows.by_twist[own] / s).reshape(-1, 6)
         if len(U) <= 6:
             continue
+        of = np.concatenate([rows.own[own], rows.J[own], rows.residual[own][:, :, None]], axis=2) / s
         Q, R = np.linalg.qr(U, mode="complete")
-        turned = Q.T @ of
+        turned = Q.T @ of.reshape(len(U), -1)
         Rs.append(R[:6])
-        Bs.append(turned[:6])
-        rest = triangle(np.concatenate([rest, turned[6:]]))
-        count += len(U) - 6
-    return _Heads(np.array(Rs), np.array(Bs), rest), count
+        heads.append(turned[:6])
+        blocks.append(rows.block[own[0]])
+        rest.append(turned[6:])
+    block = np.array(blocks, dtype=np.intp)
+    if not Rs:
+        return _Heads(np.zeros((0, 6, 6)), np.zeros((0, 6, 0)), block, _reduced(split, [], block)), 0
+    return _Heads(np.array(Rs), np.array(heads), block, _reduced(split, rest, block)), sum(map(len, rest))
 
 
-def _widths(heads: _Heads, known: Array) -> tuple[float, float, float, float] | None:
+def _reduced(split: Split, rows: Sequence[Array], block: IntArray) -> Part:
+    """Return rows (n, a + c + 1) of photographs, each about its block, reduced."""
+    (m, a), c = split.blocks.shape, len(split.common)
+    found = Collected(np.arange(m), m, a, c)
+    if len(rows):
+        whole = np.concatenate(rows)[:, None]
+        found.add(whole[:, :, a:], whole[:, :, :a] if m else None, np.repeat(block, [len(own) for own in rows]))
+    return Part(split, found.heads, found.rest)
+
+
+def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | None:
     """Return the likeliest a and b, the square of what is left of the rest there, and how much of it is used up."""
-    p = known.shape[1] - 1
-    fixed = heads.rest.T @ heads.rest + known.T @ known
-    ridge = 1e-12 * np.trace(fixed[:p, :p]) / max(p, 1)
-
-    def system(a: float, b: float) -> tuple[float, Array, Array]:
-        widths = np.repeat([a, b], 3)
-        moved = heads.R * widths
-        lower = np.linalg.cholesky(np.eye(6) + moved @ np.swapaxes(moved, 1, 2))
-        whitened = np.linalg.solve(lower, heads.B).reshape(-1, p + 1)
-        gram = fixed + whitened.T @ whitened
-        H = gram[:p, :p] + ridge * np.eye(p)
-        x = -np.linalg.solve(H, gram[:p, p])
-        logs = 2.0 * float(np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)))) + float(np.linalg.slogdet(H)[1])
-        return logs + float(gram[p, p] + gram[:p, p] @ x), H, x
-
-    def cost(theta: Array) -> float:
-        return system(_LENGTH * float(np.exp(theta[0])), _ANGLE * float(np.exp(theta[1])))[0]
-
+    criterion = _Criterion.of(heads, known)
     limit = float(np.log(_RANGE))
-    start = min((cost(np.array(at)), at) for at in ((-5.0, -5.0), (-2.0, -2.0), (0.0, 0.0), (1.0, 1.0)))[1]
-    best = minimize(cost, np.array(start), method="L-BFGS-B", bounds=[(-limit, limit)] * 2)
-    if cost(np.array([-30.0, -30.0])) - float(best.fun) < float(chdtri(2.0, _RARELY)):
+    start = min((criterion(np.array(at))[0], at) for at in ((-5.0, -5.0), (-2.0, -2.0), (0.0, 0.0), (1.0, 1.0)))[1]
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        return criterion(theta)
+
+    best = minimize(
+        cost,
+        np.array(start, dtype=np.float64),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-limit, limit)] * 2,
+        options={"maxiter": _MOST_STEPS, "ftol": _SAME, "gtol": _LEVEL},
+    )
+    if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(chdtri(2.0, _RARELY)):
         return None
-    a, b = _LENGTH * float(np.exp(best.x[0])), _ANGLE * float(np.exp(best.x[1]))
-    _, H, x = system(a, b)
-    left = heads.rest @ np.append(x, 1.0)
-    used = float(np.trace(np.linalg.solve(H, heads.rest[:, :p].T @ heads.rest[:, :p])))
-    return a, b, float(left @ left), used
+    a, b = _sizes(best.x)
+    inverse = criterion.at(a, b)[0]
+    return a, b, heads.rest.after(inverse.step), inverse.used(heads.rest)
+
+
+def _sizes(theta: Array) -> tuple[float, float]:
+    return _LENGTH * float(np.exp(theta[0])), _ANGLE * float(np.exp(theta[1]))
+
+
+class _Criterion(NamedTuple):
+    """Twice the negative logarithm of the restricted likelihood of a and b, but for a constant, with its gradient.
+
+    ``fixed``: what no twist moves, with all that is known, and a ridge that keeps what nothing tells finite.
+    """
+
+    heads: _Heads
+    fixed: Arrow
+
+    @classmethod
+    def of(cls, heads: _Heads, known: Arrow) -> "_Criterion":
+        """Return it with a ridge that is negligible beside the rows."""
+        split = known.split
+        fixed = _with(known, heads.rest)
+        ridge = np.full(split.size, _RIDGE * float(np.sqrt(np.mean(fixed.lengths**2))) if split.size else 0.0)
+        held = Arrow.empty(split).held(ridge, np.zeros(split.size))
+        fixed = _with(fixed, Part(split, Heads(np.arange(len(held.heads)), held.heads), held.rest))
+        return cls(heads, Arrow(split, fixed.heads, triangle(fixed.rest)))
+
+    def __call__(self, theta: Array) -> tuple[float, Array]:
+        """Return the criterion and its gradient (2,) by logarithms of a and b, in the sizes that searches begin at."""
+        a, b = _sizes(theta)
+        inverse, whitened, moved, logs = self.at(a, b)
+        # Of V = I + R diag(a^2, b^2) R^T, whitened by its triangle L: dV = 2 a^2 R E R^T dlog(a).
+        by_twist = np.swapaxes(moved, 1, 2) @ whitened
+        slope = []
+        for size, axes in ((a, slice(0, 3)), (b, slice(3, 6))):
+            part = self.heads.part(by_twist[:, axes])
+            taken = inverse.used(part) + part.after(inverse.step)
+            slope.append(2.0 * size**2 * (float(np.sum(moved[:, :, axes] ** 2)) - taken))
+        reduced, c = inverse.reduced, len(inverse.split.common)
+        rest = triangle(reduced.rest)
+        own = reduced.singular_values[np.isfinite(reduced.singular_values)]
+        logs += 2.0 * float(np.sum(np.log(own)) + np.sum(np.log(np.abs(np.diag(rest[:, :c])))))
+        left = rest @ np.append(inverse.step[inverse.split.common], 1.0)
+        return logs + float(left @ left), np.array(slope)
+
+    def at(self, a: float, b: float) -> tuple[Inverse, Array, Array, float]:
+        """Return the solution with photographs weighed by a and b; their rows, and R, so whitened; and log det V."""
+        widths = np.repeat([a, b], 3)
+        R, rows = self.heads.R, self.heads.rows
+        of_twists = R * widths
+        lower = np.linalg.cholesky(np.eye(6) + of_twists @ np.swapaxes(of_twists, 1, 2))
+        both = np.linalg.solve(lower, np.concatenate([R, rows], axis=2))
+        moved, whitened = both[:, :, :6], both[:, :, 6:]
+        whole = _with(self.fixed, _reduced(self.fixed.split, list(whitened), self.heads.block))
+        logs = 2.0 * float(np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2))))
+        return Inverse.of(whole, _SINGULAR), whitened, moved, logs
+
+
+def _with(rows: Arrow, more: Part) -> Arrow:
+    """Return rows, as many of each block as it has columns, with more of them."""
+    heads = [Heads(np.arange(len(rows.heads)), rows.heads), more.heads]
+    return gathered(rows.split, heads, [rows.rest, more.rest])
 
 
 def variances_of(models: Sequence[float], sets: Sequence[int], found: Sequence["Together | None"]) -> list[float]:

@@ -17,6 +17,7 @@ from calib.foundations import linear
 from calib.foundations.arrays import Array
 from calib.foundations.chance import bound
 from calib.foundations.errors import PoseError
+from calib.identification.arrow import Split
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Component, Evaluation
@@ -123,6 +124,10 @@ class Curve:
         steps = 1e-30 * np.abs(b)
         return -np.column_stack([self._curve(b + 1j * h, *self._x).imag / h.sum() for h in np.diag(steps)])
 
+    @property
+    def targets_apart(self) -> Split:
+        return Split.none(len(self.parameters))
+
     def evaluate(self, sigmas: Sequence[Array], b: Array) -> Evaluation:
         J = self.jacobian(b) * [parameter.scale for parameter in self.parameters]
         (r,) = self.residuals(b)
@@ -168,6 +173,10 @@ class Walled(Curve):
         right = np.array(DATA[name]["values"])
         self._middle, self._most = right, share * np.abs(np.array(start) - right)
         self.refused = 0
+
+    @property
+    def targets_apart(self) -> Split:
+        return Split.none(len(self.parameters))
 
     def evaluate(self, sigmas: Sequence[Array], b: Array) -> Evaluation:
         if np.any(np.abs(b - self._middle) > self._most):

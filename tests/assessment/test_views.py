@@ -91,11 +91,11 @@ def test_marks_of_a_photograph_that_err_together_bring_less(fit: calib.Fit, cand
     frames = fit.machine.frames
     problem = Problem(fit.model, fit.parameters, frames, (data,), held=fit.deviations)
     at = problem.machine(values_at(ROBOT, fit.parameters, frames, fit.deviations))
-    J, by_twist, _ = with_twists(problem, at, data, scales(fit.parameters))
-    U = by_twist.reshape(-1, 6) * np.repeat([2e-4, 5e-4], 3)
+    rows = with_twists(problem, at, data, scales(fit.parameters))
+    U = rows.by_twist.reshape(-1, 6) * np.repeat([2e-4, 5e-4], 3)
     marks = len(np.unique(fit.measurements[0].value[:, 2:], axis=0))
     C = (SIGMA**2 + 0.1**2) * count / marks * np.eye(2 * count) + U @ U.T
-    flat = J.reshape(2 * count, -1)
+    flat = rows.J.reshape(2 * count, -1)
     np.testing.assert_allclose(found.T @ found, flat.T @ np.linalg.solve(C, flat), rtol=1e-6, atol=1e-9)
     assert np.linalg.norm(found) < np.linalg.norm(alone)
 

@@ -1,6 +1,6 @@
 """Unknowns of some rows only, whatever they are: eliminated block by block, with the answers of the whole Jacobian."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +14,12 @@ from calib.identification.arrow import Inverse, Split
 from calib.identification.identifiability import RANK_TOLERANCE, directions_of
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
+from calib.identification.observability import observability
 from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.system import Problem, evaluate
-from tests.support import machines
+from tests.support import cameras, machines
 from tests.support.machines import Array, Rng, anywhere, pose
 
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
@@ -293,6 +294,77 @@ def test_rows_groups_and_jumps_are_judged_as_with_nothing_eliminated(monkeypatch
         )
         assert group.gain == pytest.approx(same.gain, rel=1e-4)
         assert group.differs_gain == pytest.approx(same.differs_gain, rel=1e-4)
+
+
+def thirty_tools(seed: int) -> tuple[calib.ErrorModel, list[calib.Measurements]]:
+    """Thirty tools, measured from five set-ups, crossed, and of one tool too few rows."""
+    cell = Cell(seed)
+    tool = ints(np.repeat(np.arange(30), 8))
+    return cell.model(), [cell.positions([*ints(cell.rng.integers(0, 5, len(tool))), 0], [*tool, 30])]
+
+
+def boards(seed: int) -> tuple[calib.ErrorModel, list[calib.Measurements]]:
+    """Boards seen by a camera on an arm, of which a tracker measured another tool from many places."""
+    cell = Cell(seed)
+    model, data = photographs(cell.rng, 4, 4)
+    setup = ints(np.repeat(np.arange(20), 8))
+    return model, [data, cell.positions(setup, [0] * len(setup))]
+
+
+@pytest.mark.usefixtures("all_that_can_be")
+@pytest.mark.parametrize("make", [*CASES.values(), thirty_tools, boards], ids=lambda make: str(make.__name__))
+def test_what_is_identifiable_and_how_well_does_not_depend_on_what_is_eliminated(
+    make: Callable[[int], tuple[calib.ErrorModel, list[calib.Measurements]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, sets = make(7)
+    fit, seen = calib.identify(model, sets), observability(model, sets)
+    monkeypatch.setattr(Problem, "split", property(lambda problem: problem.targets_apart))
+    plain, plainly = calib.identify(model, sets), observability(model, sets)
+    assert len(fit.spread.split.common) < len(plain.spread.split.common)
+    np.testing.assert_array_equal(fit.unidentifiable, plain.unidentifiable)
+    assert 0 < np.count_nonzero(fit.unidentifiable) < len(fit.parameters)
+    assert (fit.rank, fit.numerical_rank) == (plain.rank, plain.numerical_rank)
+    assert len(fit.null_space) == len(plain.null_space)
+    assert fit.null_basis.shape == plain.null_basis.shape
+    projections = [own.null_basis @ own.null_basis.T for own in (fit, plain)]
+    np.testing.assert_allclose(*projections, atol=1e-7)
+    np.testing.assert_allclose(fit.singular_values[: fit.rank], plain.singular_values[: fit.rank], rtol=1e-6)
+    assert seen.condition == pytest.approx(plainly.condition, rel=1e-6)
+    assert seen.indices == pytest.approx(plainly.indices, rel=1e-6)
+
+
+def photographs(rng: Rng, boards: int, each: int) -> tuple[calib.ErrorModel, calib.Measurements]:
+    """Photographs of boards by a camera on the tip of an arm that does not repeat."""
+    robot = machines.load(*UR5)
+    true = cameras.scene(rng, machines.arm(*UR5).moved(rng, length=0.3e-3, angle=0.5e-3, zero=2e-3), "tip", sigma=0.05)
+    columns: dict[str, list[object]] = {}
+    for k in range(boards):
+        there = replace(true, target=true.target @ pose(rng.uniform(-0.2, 0.2, 3), rng.uniform(-0.3, 0.3, 3)))
+        off = np.array([pose(rng.normal(scale=2e-4, size=3), rng.normal(scale=5e-4, size=3)) for _ in range(each)])
+        own = there.columns(there.draw(rng, each), rng, 0.05, off)
+        own |= {"target": [f"b{k}"] * (each * len(cameras.BOARD)), "setup": ["s0"] * (each * len(cameras.BOARD))}
+        for name, values in own.items():
+            columns.setdefault(name, []).extend(np.asarray(values).tolist())
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose")
+    return model, calib.read_measurements(columns, robot, "pixels", instrument=true.camera)
+
+
+def test_photographs_that_err_together_are_weighed_as_with_nothing_eliminated(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data = photographs(np.random.default_rng(3), 6, 6)
+    fit = calib.identify(model, data)
+    assert len(fit.spread.split.blocks) == 6
+    monkeypatch.setattr(Problem, "split", property(lambda problem: Split.none(len(problem.parameters))))
+    whole = calib.identify(model, data)
+    (own,), (same,) = fit.together, whole.together
+    assert own is not None
+    assert same is not None
+    assert own.length == pytest.approx(2e-4, rel=0.3)
+    assert own.angle == pytest.approx(5e-4, rel=0.3)
+    assert (own.length, own.angle, own.variance) == pytest.approx((same.length, same.angle, same.variance), rel=1e-6)
+    seen = ~whole.unidentifiable
+    sigmas = np.sqrt(np.diag(whole.covariance))
+    np.testing.assert_allclose(fit.values[seen], whole.values[seen], atol=1e-9)
+    np.testing.assert_allclose(fit.sigmas[seen], sigmas[seen], rtol=1e-5)
 
 
 def test_a_stream_keeps_its_set_ups_common() -> None:
