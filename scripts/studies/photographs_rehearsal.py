@@ -256,15 +256,19 @@ def _command(folder: Path, *words: str) -> str:
     return done.stdout
 
 
+def held_out(photographs: list[int], case: Case, number: int) -> set[int]:
+    """Return which photographs a split holds out: 8 of 24, or as large a share; half where there are fewer."""
+    count = min(HELD_OUT, len(photographs) // 3) if case.images >= IMAGES else len(photographs) // 2
+    return set(np.random.default_rng([number, 8]).permutation(photographs)[:count].tolist())
+
+
 def split(table: Path, job: Path, case: Case, number: int) -> Path:
     """Write tables and the job of one split of whole photographs: 16 of 24 identify, or as large a share."""
     with table.open() as source:
         titles, *rows = list(csv.reader(source))
     group = titles.index("group")
     names = list(dict.fromkeys(row[group] for row in rows))
-    held = set(np.random.default_rng([number, 8]).permutation(names)[: min(HELD_OUT, len(names) // 3)])
-    if case.images < IMAGES:
-        held = set(np.random.default_rng([number, 8]).permutation(names)[: len(names) // 2])
+    held = {names[k] for k in held_out(list(range(len(names))), case, number)}
     text = job.read_text()
     for old, new in case.job:
         text = text.replace(old, new)
