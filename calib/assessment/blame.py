@@ -126,7 +126,7 @@ def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
             name,
             _gain(whole, alone.get(name)),
             _gain(beside.get(name), left),
-            None if name in held or name not in free else _share(fit, tool, _of(fit, name)),
+            _share(fit, tool, _of(fit, name)) if _of(fit, name).any() else None,
         )
         for name in _CAUSES
     )

@@ -9,10 +9,11 @@ from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.identification.fit import Fit
+from calib.identification.machine import POSE
 from calib.identification.observations.pixels import marks_seen
 from calib.measurement.instruments import Camera
 from calib.measurement.lens import Lens
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import ONLY_TOOL, Measurements
 from calib.measurement.optics import lens_at, lens_scalars
 from calib.measurement.projection import project
 
@@ -21,7 +22,9 @@ from calib.measurement.projection import project
 class HandEye:
     """Where a camera is: its pose (4, 4) in the link ``parent``, and how it sees.
 
-    ``on_tip``: whether it is a tool; cameras on other links, and beside the arm, see boards that are. ``lens``: with
+    ``pose_sigmas`` (6,): standard deviations of its position along the axes of ``parent``, in m, and of its turn about
+    its own, in rad; zero of what was given, and where the base is free too. ``on_tip``: whether it is a tool; cameras
+    on other links, and beside the arm, see boards that are. ``lens``: with
     ``sigmas`` (12,) of its numbers, zero of those that were given. ``distance``: of the marks, their median, in m.
     ``pixels``: two-dimensional rms of the residuals held out, or of those identified from, in px; ``across``: the same
     where the marks are, across the line of sight, in m.
@@ -30,6 +33,7 @@ class HandEye:
     camera: str
     parent: str
     pose: Array
+    pose_sigmas: Array
     on_tip: bool
     lens: Lens
     sigmas: Array
@@ -79,6 +83,7 @@ def _hand_eye(fit: Fit, own: Sequence[JudgedSet]) -> HandEye:
         camera.name,
         (data.tip or fit.robot.tip) if on_tip else link or fit.robot.base,
         read_only(pose),
+        read_only(_pose_sigmas(fit, _name(data), pose, on_tip=on_tip)),
         on_tip,
         lens,
         read_only(sigmas),
@@ -87,6 +92,22 @@ def _hand_eye(fit: Fit, own: Sequence[JudgedSet]) -> HandEye:
         float(np.sqrt(np.mean(r2))),
         float(np.sqrt(np.mean(r2 * (depth / lens.fx) ** 2))),
     )
+
+
+def _pose_sigmas(fit: Fit, name: str, pose: Array, *, on_tip: bool) -> Array:
+    """Return standard deviations (6,) of a camera's pose: along the axes that it is told in, and about its own."""
+    kind = "tool" if on_tip else "target"
+    prefix = kind if on_tip and name == ONLY_TOOL else f"{kind}.{name}"
+    names = {p.name: k for k, p in enumerate(fit.parameters) if p.kind == kind}
+    free = [names.get(f"{prefix}.{component}") for component in POSE]
+    found = [(i, k) for i, k in enumerate(free) if k is not None]
+    if not found or (not on_tip and any(p.kind == "base" for p in fit.parameters)):
+        return np.zeros(6)
+    covariance, (at, of) = np.zeros((6, 6)), np.transpose(found)
+    covariance[np.ix_(at, at)] = fit.covariance[np.ix_(of, of)]
+    if not on_tip:  # a target's are along its own axes
+        covariance[:3, :3] = pose[:3, :3] @ covariance[:3, :3] @ pose[:3, :3].T
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def lens_of(fit: Fit, camera: Camera) -> tuple[Lens, Array]:

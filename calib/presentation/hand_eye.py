@@ -8,7 +8,7 @@ import numpy as np
 from calib.assessment.blame import Blame
 from calib.assessment.hand_eye import HandEye
 from calib.foundations import rigid
-from calib.foundations.units import MM
+from calib.foundations.units import MM, MRAD
 from calib.identification.optics_choice import OpticsChoice
 from calib.measurement.lens import RATIONAL
 from calib.presentation.report.document import Prose, Row, Section, Sheet
@@ -73,14 +73,15 @@ def blame_section(found: Blame) -> Section:
         tuple(rows),
         f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; photographs by "
         f"themselves, without the arm, leave {found.corners:.3f} px. The tool's doubt, in all "
-        f"{found.tool / MM:.3f} mm, is what would go if the cause were known; what is held counts for nothing there",
+        f"{found.tool / MM:.3f} mm, is what would go if the cause were known; what is held counts for nothing there. A "
+        "lens that nobody gave is no cause: it has the tool's doubt alone",
         brief=True,
     )
     return Section("blame", "Which is to blame", (Prose((found.sentence, found.advice), brief=True), sheet))
 
 
 _CAUSES = {
-    "lens": "lens, as given",
+    "lens": "lens",
     "scale": "size of the print",
     "shape": "shape of the print",
     "arm": "arm",
@@ -90,10 +91,20 @@ _CAUSES = {
 def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
     x, y, z = one.pose[:3, 3]
     w, i, j, k = rigid.quaternion_of(one.pose[:3, :3])
+    along, about = one.pose_sigmas[:3] / MM, one.pose_sigmas[3:] / MRAD
+    sure = [
+        Row((f"{what}, +- one sigma", f"{', '.join(f'{a:.3f}' for a in sigmas)} {unit}"))
+        for what, sigmas, unit in (
+            ("position x, y, z", along, "mm"),
+            ("turn about the camera's x, y, z", about, "mrad"),
+        )
+        if sigmas.any()
+    ]
     rows = [
         Row(("position x, y, z", f"{x / MM:.3f}, {y / MM:.3f}, {z / MM:.3f} mm")),
         Row(("quaternion x, y, z, w", f"{i:.7f}, {j:.7f}, {k:.7f}, {w:.7f}")),
         Row(("roll, pitch, yaw", ", ".join(f"{a:.7f}" for a in rigid.rpy_of(one.pose[:3, :3])) + " rad")),
+        *sure,
         Row(("distance of the marks", f"{one.distance / MM:.0f} mm")),
         Row(("error in the image", f"{one.pixels:.3f} px rms"), strong=True),
         Row(("error where the marks are", f"{one.across / MM:.3f} mm rms, across the line of sight"), strong=True),
@@ -105,10 +116,15 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
     ]
     title = f"{one.camera} in {one.parent}"
     return (
-        Sheet(title, ("what", "value"), frozenset(), tuple(rows), "z of the camera looks forward, x to the right"),
+        Sheet(title, ("what", "value"), frozenset(), tuple(rows), _told(one)),
         Prose(("The same for others: a matrix, ROS 2, a URDF, and ROS's camera_info.",)),
         Prose(tuple(line for text in others(one) for line in text.split("\n")), "code"),
     )
+
+
+def _told(one: HandEye) -> str:
+    told = "z of the camera looks forward, x to the right"
+    return f"{told}; the pose goes with the calibrated arm, not with the nominal one" if one.on_tip else told
 
 
 def others(one: HandEye) -> tuple[str, ...]:

@@ -280,6 +280,7 @@ def result(found: Calibration) -> dict[str, Any]:
             one.camera: {
                 "on": one.parent,
                 "pose": PoseEntry.of(one.pose).model_dump(),
+                "pose_sigmas": {"position": one.pose_sigmas[:3].tolist(), "turn": one.pose_sigmas[3:].tolist()},
                 "lens": one.lens._asdict(),
                 "sigmas": dict(zip(one.lens._fields, one.sigmas.tolist(), strict=True)),
                 "distance": one.distance,

@@ -13,7 +13,8 @@ truth.json), scale, twist, zero, blur, or none.
 import argparse
 import csv
 import json
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -325,6 +326,46 @@ def session(seed: int, images: int = 24, cause: str = "none") -> Session:
     return Session(arm, lens, sheet, look, camera, board, np.array(found))
 
 
+# Of what :func:`changed` changes: steps of differences.
+STEPS = np.array([1e-6] * 48 + [1e-3] * 4 + [1e-5] * 5 + [1e-6] * 3 + [1e-4] * 3)
+
+
+def changed(some: Session, x: Array) -> Session:
+    """What would be there if all that is not known were off by x (63,).
+
+    Twists of the frames of six joints, of camera and board; fx, fy, cx, cy and five of distortion; the print's scale,
+    aspect, shear and three of its bend.
+    """
+    arm, lens, sheet = copy(some.arm), some.lens, some.sheet
+    arm.errors = {
+        name: some.arm.errors[name] @ pose(*x[6 * k : 6 * k + 6].reshape(2, 3)) for k, name in enumerate(arm.names)
+    }
+    camera, board = (T @ pose(*d.reshape(2, 3)) for T, d in ((some.camera, x[36:42]), (some.board, x[42:48])))
+    fx, fy, cx, cy = np.array([lens.fx, lens.fy, lens.cx, lens.cy]) + x[48:52]
+    bent = replace(
+        sheet,
+        scale=sheet.scale + x[57],
+        aspect=sheet.aspect + x[58],
+        shear=sheet.shear + x[59],
+        bend=tuple(np.array(sheet.bend) + x[60:]),
+    )
+    lens = replace(lens, fx=fx, fy=fy, cx=cx, cy=cy, k=tuple(np.array(lens.k) + x[52:57]))
+    return replace(some, arm=arm, camera=camera, board=board, lens=lens, sheet=bent)
+
+
+def corners_of(some: Session) -> Array:
+    """Where all corners truly are in the photographs (m, n, 2), in px."""
+    places = some.sheet.place(some.sheet.corners())
+    return np.stack([some.lens.see(places @ T[:3, :3].T + T[:3, 3]) for T in before_camera(some)])
+
+
+def by_unknowns(some: Session) -> Array:
+    """Derivatives of the corners by what :func:`changed` changes (m, 2n, 63), by differences."""
+    m = len(some.readings)
+    ways = [(corners_of(changed(some, d)) - corners_of(changed(some, -d))) / (2.0 * d.max()) for d in np.diag(STEPS)]
+    return np.stack([way.reshape(m, -1) for way in ways], axis=-1)
+
+
 def before_camera(some: Session) -> list[Array]:
     """Where the middle of the sheet is in the camera (4, 4), photograph by photograph."""
     return [np.linalg.inv(some.arm.tip(q) @ some.camera) @ some.board for q in some.readings]
@@ -332,11 +373,11 @@ def before_camera(some: Session) -> list[Array]:
 
 def corners_seen(some: Session, sigma: float, rng: np.random.Generator) -> dict[str, object]:
     """The table of pixels of a session whose corners are found to sigma, in px, without any image."""
-    drawn, at = some.sheet.corners(), before_camera(some)
-    uv = np.concatenate([some.lens.see(some.sheet.place(drawn) @ T[:3, :3].T + T[:3, 3]) for T in at])
+    uv = corners_of(some)
+    m, n = uv.shape[:2]
+    uv = uv.reshape(-1, 2)
     uv = uv + rng.normal(scale=sigma, size=uv.shape)
-    n = len(some.readings)
-    return _columns(some, np.repeat(np.arange(n), len(drawn)), np.tile(np.arange(len(drawn)), n), uv)
+    return _columns(some, np.repeat(np.arange(m), n), np.tile(np.arange(n), m), uv)
 
 
 def corners_found(some: Session, rng: np.random.Generator) -> dict[str, object]:

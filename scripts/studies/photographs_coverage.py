@@ -6,9 +6,9 @@
 Every job is one line of the store; what is there already is not simulated again. A job is as ``calib import images``
 writes it: a UR5, everything free with priors of 1 mm and 1 mrad, lens and scale and shape of the board unknown. Its
 truth is drawn anew: the arm by these priors, the print's scale to 0.5 %, its shape, the lens, where camera and board
-are, 16 to 30 poses, and corners that are found to 0.05 to 0.5 px, which is stated. With ``--rendered``, photographs are
-rendered, with blur of 0.5 to 1.5 px and noise of 1 to 6 grey values, and corners are found in them, with sigmas of
-their own. The simulation shares no mathematics with the toolkit.
+are, 16 to 30 poses, and corners that are found to 0.05 to 0.5 px, which is stated. With ``--rendered``, photographs of
+640 x 360 pixels are rendered, with blur of 0.5 to 1 px and noise of 1 to 6 grey values, and corners are found in them,
+with sigmas of their own. The simulation shares no mathematics with the toolkit.
 """
 
 import argparse
@@ -47,6 +47,9 @@ def job(seed: int, *, rendered: bool = False) -> dict[str, list[bool]]:
     k = tuple(np.array(some.lens.k) * rng.uniform(0.0, 2.0, 5))
     f = some.lens.fx * rng.uniform(0.97, 1.03)
     lens = replace(some.lens, fx=f, fy=f * rng.uniform(0.995, 1.005), cx=640 + rng.normal(scale=8.0), k=k)
+    if rendered:  # by a quarter of the pixels, of the same view
+        half = {"fx": 0.5 * lens.fx, "fy": 0.5 * lens.fy, "cx": 0.5 * lens.cx - 0.25, "cy": 0.5 * lens.cy - 0.25}
+        lens = replace(lens, **half, size=(lens.size[0] // 2, lens.size[1] // 2))
     sheet = replace(
         some.sheet,
         scale=rng.normal(scale=0.005),
@@ -58,7 +61,7 @@ def job(seed: int, *, rendered: bool = False) -> dict[str, list[bool]]:
     some = replace(some, arm=arm, lens=lens, sheet=sheet, readings=some.readings[:-40])
     robot = calib.load_robot(simulation.UR5, simulation.TIP)
     if rendered:
-        look = replace(some.look, blur=rng.uniform(0.5, 1.5), noise=rng.uniform(1.0, 6.0))
+        look = replace(some.look, blur=rng.uniform(0.5, 1.0), noise=rng.uniform(1.0, 6.0))
         columns = simulation.corners_found(replace(some, look=look), rng)
     else:
         columns = simulation.corners_seen(some, sigma, rng)
@@ -70,7 +73,10 @@ def job(seed: int, *, rendered: bool = False) -> dict[str, list[bool]]:
         robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors(1e-3, 1e-3)
     )
     fit = calib.identify(model, data)
-    names, true = [p.name for p in fit.parameters], dict(zip(NAMES, (f, lens.fy, lens.cx, lens.cy, *k), strict=False))
+    names, true = (
+        [p.name for p in fit.parameters],
+        dict(zip(NAMES, (lens.fx, lens.fy, lens.cx, lens.cy, *k), strict=False)),
+    )
     sigmas = dict(zip(names, np.sqrt(np.diag(fit.covariance)), strict=True))
 
     def holds(name: str, value: float) -> bool:

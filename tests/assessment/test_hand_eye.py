@@ -85,6 +85,31 @@ def test_the_camera_is_where_it_is_and_its_errors_are_told_in_pixels_and_metres(
     assert not one.sigmas[9:].any()
 
 
+def test_how_sure_the_pose_is_is_told_along_the_axes_that_it_is_told_in(found: tuple[HandEye, Scene]) -> None:
+    one, true = found
+    pose = true.tool if one.on_tip else true.target
+    turn = Rotation.from_matrix(one.pose[:3, :3].T @ pose[:3, :3]).as_rotvec()
+    off = np.concatenate([one.pose[:3, 3] - pose[:3, 3], turn])
+    assert np.all((one.pose_sigmas > 0.0) & (one.pose_sigmas < 2e-3))
+    assert np.all(np.abs(off) < 4.0 * one.pose_sigmas)
+    said = [row.cells for row in hand_eye_section((one,)).blocks[0].rows if "one sigma" in row.cells[0]]
+    assert [float(x) for x in said[0][1].removesuffix(" mm").split(", ")] == pytest.approx(
+        1e3 * one.pose_sigmas[:3], abs=6e-4
+    )
+    assert said[1][1].endswith(" mrad")
+
+
+def test_a_camera_beside_the_arm_is_as_sure_along_the_axes_of_the_base_as_along_its_own() -> None:
+    true = scene(np.random.default_rng(3), NOMINAL, "floor", sigma=SIGMA)
+    fit, sets = judged(true, calib.error_model(ROBOT, base="fixed", tool="pose"), eye("floor", SIGMA), Board())
+    own = fit.covariance[np.ix_(*[[k for k, p in enumerate(fit.parameters) if p.kind == "target"]] * 2)]
+    (one,) = hand_eyes(fit, sets)
+    R = true.target[:3, :3]
+    np.testing.assert_allclose(one.pose_sigmas[:3] ** 2, np.diag(R @ own[:3, :3] @ R.T), rtol=0.02)
+    np.testing.assert_allclose(one.pose_sigmas[3:] ** 2, np.diag(own)[3:], rtol=1e-9)
+    assert np.abs(one.pose_sigmas[:3] ** 2 / np.diag(own)[:3] - 1.0).max() > 0.1
+
+
 def test_all_words_say_the_same_pose(found: tuple[HandEye, Scene]) -> None:
     one, _ = found
     np.testing.assert_allclose(np.array(matrix(one).split(), dtype=float).reshape(4, 4), one.pose, atol=1e-8)
@@ -139,6 +164,19 @@ def test_the_planted_cause_is_named(cause: str) -> None:
     assert [row.strong for row in section.blocks[1].rows].count(True) == (cause != "corners")
     shares = {one.name: one.tool for one in found.causes}
     assert max(shares.values()) <= found.tool
+
+
+def test_a_lens_that_nobody_gave_is_no_cause_and_yet_leaves_the_tool_in_doubt() -> None:
+    true = scene(np.random.default_rng(6), NOMINAL, "tip", sigma=SIGMA)
+    camera = calib.measuring.Camera("tip", free=NAMES[:9], size=(1280, 1024), sigma=SIGMA)
+    board = Board(marks=BOARD, shape="quadratic")
+    found = blame(*judged(true, calib.error_model(ROBOT, base="fixed", tool="pose"), camera, board))
+    assert found is not None and not found.lens_held
+    lens = next(one for one in found.causes if one.name == "lens")
+    assert lens.alone is None and lens.tool is not None and 0.0 < lens.tool < found.tool
+    cells = [row.cells for row in blame_section(found).blocks[1].rows]
+    assert "held" not in next(row for row in cells if row[0] == "lens")
+    assert next(row for row in cells if row[0] == "arm")[3] == "held"
 
 
 def test_without_a_board_nobody_is_blamed() -> None:
