@@ -71,6 +71,11 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir()):
             raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
         if not older and path.is_dir() and any(path.iterdir()):
+            # It may be of a run that was killed when it was whole, and nobody else comes to clean up.
+            with contextlib.suppress(OSError), opened_folder(path.parent) as above:
+                place = _Place(path, above)
+                with _locked(place, fcntl.LOCK_EX):
+                    _clean(place)
             refuse_taken(path)
         with _made(path.parent), opened_folder(path.parent) as above:
             _write(_Place(path, above), files, older)

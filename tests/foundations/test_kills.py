@@ -207,6 +207,15 @@ def test_a_folder_killed_at_every_operation(tmp_path: Path) -> None:
     assert counted["old"] + counted["new"] == operations
 
 
+def test_what_a_whole_folder_was_left_with_goes_where_it_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path / "out", {"a": "new"})
+    (tmp_path / ".out.0123abcd.calib").mkdir(mode=0o700)
+    with pytest.raises(OutputError, match="already exists"):
+        write_folder(tmp_path / "out", {"a": "newer"})
+    assert names(tmp_path) == ["out"]
+    assert (tmp_path / "out" / "a").read_text() == "new"
+
+
 # Two at once. -----------------------------------------------------------------------------------------------------
 
 
