@@ -11,70 +11,29 @@ blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. We
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.influence import Residue
+from calib.assessment.stretches import Stretch
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
-from calib.identification.parameters import scales
-from calib.identification.system import Problem, Rates
-from calib.identification.together import Together
 from calib.measurement.checks import resolutions
-from calib.measurement.kinds import WITH_TARGET
-from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
 _LEAST_BLOCKS = 8
 # A correlation below this is none.
 _FORGOTTEN = 0.1
-# Of larger data so many rows are taken, in runs of neighbours.
-_MOST_ROWS, _RUN = 6000, 100
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
 _MOST_SPLITS = 60
-# Rows with times that are no farther apart, in s, are a motion.
-_STREAM = 1.0
 # Rows of a stream that are farther apart, in steps, are no neighbours.
 _GAP = 2.5
-# A scatter of a nanometre is rounding.
-_ROUNDING = 1e-9
 # Rows on either side of a jump.
 _LEAST_ROWS = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
-    """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
-
-    Of photographs that err together all is less what rows have in common: an arm that does not come back is no other.
-    ``columns`` (k,): the fit's parameters by which J is, by number.
-    ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
-    motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
-    change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
-    ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up. ``least``: variance of r
-    that is rounding. ``together``: how its photographs err, where their rows err together.
-    """
-
-    r: Array
-    J: Array
-    columns: IntArray
-    joints: tuple[str, ...]
-    by_joint: Array
-    by_base: Array
-    by_tool: Array
-    values: Array
-    rates: Array
-    row: Array
-    step: float
-    data: Measurements
-    used: float
-    least: float
-    together: Together | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,120 +70,6 @@ class Step:
 
 
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
-
-
-def stretches(residue: Residue) -> tuple[Stretch, ...]:
-    """Return the rows of every set of a fit, with what they would do if base, tool or a joint were elsewhere."""
-    fit = residue.fit
-    robot = fit.model.robot
-    read = tuple(robot.chain[i].name for j, i in enumerate(robot.moving) if j not in robot.passive)
-    wide = replace(fit.model, offsets=read, placements=(), terms=(), base="pose", tool="pose", setups={})
-    names_of = fit.measurements[0]
-    parameters = wide.parameters(names_of.tools, names_of.setups)
-    kinds = np.array([parameter.kind for parameter in parameters])
-    names = [parameter.name.removesuffix(".offset") for parameter in parameters if parameter.kind == "offset"]
-    readings = [reading.name for reading in robot.readings]
-    # A joint that another drives has no reading of its own.
-    own = [k for k, name in enumerate(names) if name in readings]
-    column = [readings.index(names[k]) for k in own]
-    units = np.ones(len(parameters))
-    judged = tuple(fit.parameters[k] for k in residue.judged)
-    found = []
-    for i, data in enumerate(fit.measurements):
-        rows = _chosen(data, residue)
-        if not len(rows):
-            continue
-        part = data.subset(rows)
-        sigma, w = residue.sigma[i][rows][:, :, None], np.sqrt(residue.w[i][rows])[:, None, None]
-        together = fit.together[i] if fit.together else None
-        together = together and together.drawn(rows, np.zeros_like(rows))
-        less = _as_it_is if together is None else together.less
-        at = Problem(wide, parameters, fit.machine.frames, (part,))
-        W = less(np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w)
-        mine = replace(residue.problem, measurements=(part,), parameters=judged)
-        blocks = list(Rates(mine, fit.machine, scales(judged)).blocks(part))
-        J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
-        r = less(np.concatenate([b.observed.residual for b in blocks])[:, :, None] / sigma * w)[:, :, 0]
-        tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
-        rates, step = _rates(data, fit.machine.frames.scalars)
-        found.append(
-            Stretch(
-                r,
-                J,
-                residue.judged,
-                tuple(names[k] for k in own),
-                W[:, :, kinds == "offset"][:, :, own],
-                W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
-                tool,
-                part.readings[:, column],
-                rates[rows][:, column],
-                rows.astype(np.float64),
-                step,
-                data,
-                float(np.sum((J @ residue.C) * J)),
-                (_ROUNDING / float(residue.sigma[i].min())) ** 2,
-                together,
-            )
-        )
-    return tuple(found)
-
-
-def by_photograph(part: Stretch) -> Stretch:
-    """Return six numbers of every photograph in place of its rows, where these err together: what they have in common.
-
-    Whatever differs from photograph to photograph is in these; the rest of the rows would only dilute it.
-    """
-    together = part.together
-    if together is None:
-        return part
-    _, first = np.unique(together.number, return_index=True)
-    return replace(
-        part,
-        r=together.by_photograph(part.r[:, :, None])[:, :, 0],
-        J=together.by_photograph(part.J),
-        by_joint=together.by_photograph(part.by_joint),
-        by_base=together.by_photograph(part.by_base),
-        by_tool=together.by_photograph(part.by_tool),
-        values=part.values[first],
-        rates=part.rates[first],
-        row=part.row[first],
-        together=None,
-    )
-
-
-def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
-    """Return how fast the readings (N, k) change, in a second, and the seconds between rows; or from row to row."""
-    if data.stream is not None and data.times is not None:
-        return data.stream.rates(data.shifts(scalars)), float(np.median(np.diff(data.times)))
-    if len(data) < 2:
-        return np.zeros_like(data.readings), float("nan")
-    if data.times is not None:
-        steps = np.diff(data.times)
-        if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
-            return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
-    return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
-
-
-def _as_it_is(rows: Array) -> Array:
-    return rows
-
-
-def _chosen(data: Measurements, residue: Residue) -> IntArray:
-    """Return the rows to look at: all, or of very many runs of neighbours, spread evenly.
-
-    Of very many targets all rows of those that are judged.
-    """
-    rows, left_out = np.arange(len(data)), len(residue.fit.parameters) - len(residue.judged)
-    if left_out and data.kind in WITH_TARGET:
-        names = {residue.fit.parameters[k].name.rpartition(".")[0] for k in residue.judged}
-        unknown = {parameter.name.rpartition(".")[0] for parameter in residue.fit.parameters}
-        whole = np.array([f"target.{name}" in names or f"target.{name}" not in unknown for name in data.targets])
-        rows = rows[whole[data.target]]
-    n = len(rows)
-    if n <= _MOST_ROWS:
-        return rows
-    starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
-    return rows[np.unique(starts[:, None] + np.arange(_RUN))]
 
 
 def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:

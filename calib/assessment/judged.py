@@ -1,10 +1,13 @@
 """What a verdict is made of: the judged tables, and one check."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from calib.foundations.arrays import Array
 from calib.measurement.measurements import Measurements
+
+# The statistic, or the threshold, of a check that had nothing to judge.
+NOTHING = float("nan")
 
 Use = Literal["identification", "validation"]
 # Checks that a user may answer for: that it is so, and right.
@@ -35,3 +38,14 @@ class Check:
     passed: bool
     sentence: str
     least: bool = False
+
+    @classmethod
+    def of(
+        cls, name: str, statistic: float, threshold: float, passed: object, sentence: str, *, least: bool = False
+    ) -> "Check":
+        """Return a check of plain numbers, also where NumPy's are given."""
+        return cls(name, float(statistic), float(threshold), bool(passed), sentence, least)
+
+    def answered(self) -> "Check":
+        """Return the check as passed, since the user has answered for it."""
+        return replace(self, passed=True, sentence=f"{self.sentence} The job accepts this.")

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.effects import Stretch, by_photograph, per_metre, score_test
+from calib.assessment.effects import per_metre, score_test
+from calib.assessment.stretches import Stretch, by_photograph
 from calib.foundations.arrays import Array
 
 # Of more rows so many are looked at, spread evenly.

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.assessment import checks
-from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, stretches, timing, wandering
+from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
+from calib.assessment.checks.shown_range import shown_range
+from calib.assessment.effects import apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.stretches import stretches
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -53,37 +55,37 @@ def verdict(
         parts = stretches(residue)
         C = residue.C
         by_row = (
-            checks.jump(steps(parts, C), found),
-            checks.drift(wandering(parts, C), fit),
-            checks.late(*delay(parts, C)),
-            checks.timing(timing(parts, C)),
-            checks.gear(gains(parts, C), fit),
-            checks.axes(strains(parts, C)),
-            checks.resolution(rounding(parts, fit.model.robot), fit),
+            of_rows.jump(steps(parts, C), found),
+            of_rows.drift(wandering(parts, C), fit),
+            of_rows.late(*delay(parts, C)),
+            of_rows.timing(timing(parts, C)),
+            of_rows.gear(gains(parts, C), fit),
+            of_rows.axes(strains(parts, C)),
+            of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
         told = (
-            checks.convergence(fit),
-            checks.explained(fit, decisive),
-            checks.improvement(fit, decisive),
-            checks.prediction(fit, machine, held_out),
-            checks.stated_sigma(fit),
-            checks.independent_rows(own, held_out),
-            checks.copies(own, held_out),
-            checks.redundancy(fit),
+            of_fit.convergence(fit),
+            of_errors.explained(fit, decisive),
+            of_errors.improvement(fit, decisive),
+            of_errors.prediction(fit, machine, held_out),
+            of_fit.stated_sigma(fit),
+            of_errors.independent_rows(own, held_out),
+            of_errors.copies(own, held_out),
+            of_fit.redundancy(fit),
             *by_row,
-            checks.groups(found, apart(parts, C), fit),
-            checks.set_ups(moved),
-            checks.one_machine(mixed_machines(parts), fit),
-            checks.outliers(fit, own),
-            checks.frozen(own),
-            checks.in_line(own),
-            checks.joints(fit, own),
-            checks.lengths(fit, parts),
-            checks.tool_and_base(fit),
-            checks.lens(fit),
-            checks.warnings(findings),
+            of_rows.groups(found, apart(parts, C), fit),
+            of_rows.set_ups(moved),
+            of_rows.one_machine(mixed_machines(parts), fit),
+            of_rows.outliers(fit, own),
+            of_rows.frozen(own),
+            of_rows.in_line(own),
+            of_arm.joints(fit, own),
+            of_arm.lengths(fit, parts),
+            of_arm.tool_and_base(fit),
+            of_arm.lens(fit),
+            of_arm.warnings(findings),
         )
-    return Verdict(told, checks.shown(fit, own, held_out))
+    return Verdict(told, shown_range(fit, own, held_out))
 
 
 def remarks(fit: Fit) -> tuple[Finding, ...]:
@@ -91,8 +93,8 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
     found = []
     for noise in fit.noise:
         share = float(np.sqrt(noise.chi_square))
-        told = noise.degrees_of_freedom >= checks.ENOUGH and share * noise.instrument > checks.ROUNDING
-        if told and share < 1.0 / checks.TOO_LARGE:
+        told = noise.degrees_of_freedom >= of_fit.ENOUGH and share * noise.instrument > of_fit.ROUNDING
+        if told and share < 1.0 / of_fit.TOO_LARGE:
             times = 1.0 / share
             found.append(
                 Finding(

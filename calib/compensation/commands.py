@@ -1,99 +1,27 @@
-"""Commands out: the joint targets with which a calibrated machine goes where it should.
-
-Damped Newton steps on all rows at once, with the exact derivative of the calibrated machine's tip by its readings; the
-residual grid shifts the predicted position and changes too slowly to be differentiated. Redundant arms, and arms of
-which positions alone are asked, take the readings that change least from where they start; 1 mm counts as 1 mrad.
-"""
+"""Commands out: the joint targets with which a calibrated machine goes where it should."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import cast
 
 import numpy as np
 
+from calib.compensation.corrections import Corrections, better
+from calib.compensation.inverse import Asked, Effort, How, limits, rowwise, solve
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
-from calib.foundations.brief import brief
+from calib.foundations.arrays import Array
 from calib.foundations.choices import PoseFrame, What
-from calib.foundations.errors import JobError, PoseError
-from calib.foundations.linear import one_thread
-from calib.foundations.units import DEG, MM, MRAD
+from calib.foundations.errors import JobError
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import NO_CONDITIONS, Conditions
-from calib.robot.robot import Reading, TipModel
+from calib.robot.robot import TipModel
 from calib.robot.transmission import lacking
 
-_MOST_STEPS = 60
-_MOST_REFINEMENTS = 40
-# Steps that are longer, in rad or m, tell little about the next one.
-_TELLING = 0.5
-_MOST_SECANTS = 4
-_ALIKE = 1e-12
-# Least eigenvalue of J J^T, as a share of their sum, for which an inverse by it has ten digits.
-_SOUND = 1e-5
-# How often the machine may be looked at for N targets: a row of positions without a start needs some twenty looks, of a
-# few microseconds each; one that cannot be reached, several hundreds.
-_LOOKS, _LOOKS_PER_ROW = 500_000, 24
-# Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
-_GOAL = 1e-3
-# Longest step of a reading, in rad or m, so that the linear prediction means something.
-_LONGEST_STEP = 0.5
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
-# Singular values below this share of the largest one are rounding, and no motion.
-_NOTHING = 1e-12
-# Below this smallest singular value, in m or rad at the tip per rad or m, a machine is called singular.
-_SINGULAR = 1e-2
-# Limits are written in degrees with few digits; this is what rounding takes.
-_LIMIT_SLACK = 1e-9
-# Far above what anybody would call reached, in m or rad.
-_LARGEST_TOLERANCE = 10.0
-# Null motion left, in rad or m, where a redundant arm is as near to its start as it gets.
-_NEAREST = 1e-9
-# Two answers whose distances from the start differ by less are equally near.
-_NO_NEARER = 1e-7
 # A reading that changes by more (rad or m) than any calibration error asks is worth a remark.
 _REMARKABLE = 0.1
 _STARTS = 12
 # Links that bend and errors of positions make an arm longer by less than this share.
 _SPARE = 0.05
-# A search that comes nearer by less than this share so often in a row ends: there is nothing nearer.
-_HARDLY_NEARER, _IN_A_ROW = 1e-3, 5
-_BLOCK = 4096
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Corrections:
-    """Commands for N targets of a calibrated machine; every array is read-only and SI.
-
-    ``readings`` (N, nr): the corrected ones, NaN in rows that are not ``reached`` (N). ``change`` (N, nr): corrected
-    readings minus those at the start. ``position_error`` (N) in m and ``orientation_error`` (N) in rad: the remaining
-    errors that the model predicts; in rows not reached, those of the nearest allowed readings found, NaN if there are
-    none; orientation errors are NaN if only positions are to be reached. ``reasons``: N texts: why a row is not
-    reached; for a reached row a remark, or nothing. ``steps`` (N): Newton steps taken.
-    """
-
-    __repr__ = brief
-
-    readings: Array
-    change: Array
-    reached: BoolArray
-    position_error: Array
-    orientation_error: Array
-    reasons: tuple[str, ...]
-    steps: IntArray
-
-    def __len__(self) -> int:
-        return len(self.reached)
-
-    def contents(self) -> dict[str, Any]:
-        """Return how many there are, and which rows are not reached and why, as plain data."""
-        missed = np.flatnonzero(~self.reached).tolist()
-        return {
-            "targets": len(self),
-            "not_reached": [{"row": row + 1, "reason": self.reasons[row]} for row in missed],
-        }
 
 
 @checked
@@ -121,10 +49,10 @@ def for_joint_targets(
     _refuse_unknown_conditions(model, conditions)
     tools = _tools(model, tool, len(readings))
     nominal = TipModel(model.robot)
-    tips, why = _rowwise(nominal.tips, readings, (4, 4))
+    tips, why = rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
-    how = _How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
-    return _solve(model, _Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
+    how = How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
+    return solve(model, Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
 
 
 @checked
@@ -162,7 +90,7 @@ def for_poses(
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses
-    n, how = len(poses), _How(what, model.residual_model, clamp, tolerance, np.inf)
+    n, how = len(poses), How(what, model.residual_model, clamp, tolerance, np.inf)
     tools = _tools(model, tool, n)
     if start is not None:
         start = _start(model, start)
@@ -170,20 +98,30 @@ def for_poses(
             raise JobError(
                 f"there are {len(start)} rows of readings to start from and {n} poses; there must be as many."
             )
-        return _solve(model, _Asked(poses, tools, start, ("",) * n, conditions), how)
+        return solve(model, Asked(poses, tools, start, ("",) * n, conditions), how)
     found: Corrections | None = None
     refused = _out_of_reach(model, poses, tools)
-    effort = _Effort(n)
+    effort = Effort(n)
     for row in _starting_places(model):
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached & [not text for text in refused])
         if found is not None and not len(left):
             break
-        asked = _Asked(poses, tools, np.broadcast_to(row, (n, len(row))), refused, conditions)
-        more = _solve(model, asked.subset(left), how, effort)
-        found = more if found is None else _better(found, more, left)
+        asked = Asked(poses, tools, np.broadcast_to(row, (n, len(row))), refused, conditions)
+        more = solve(model, asked.subset(left), how, effort)
+        found = more if found is None else better(found, more, left)
         if found.reached.all():
             break
     return cast(Corrections, found)
+
+
+def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
+    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
+    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
+    tips = {model.of(name).robot.tip: name for name in names}
+    if len(tips) > 1:
+        one, other = list(tips.values())[:2]
+        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
+    return model.of(names[0]) if names else model
 
 
 # ---- arguments
@@ -203,16 +141,6 @@ def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions)
     names = [reading.name for reading in model.robot.readings]
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
-
-
-def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
-    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
-    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
-    tips = {model.of(name).robot.tip: name for name in names}
-    if len(tips) > 1:
-        one, other = list(tips.values())[:2]
-        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
-    return model.of(names[0]) if names else model
 
 
 def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:
@@ -240,409 +168,10 @@ def _out_of_reach(model: CalibratedMachine, poses: Array, tools: Array) -> tuple
 
 def _starting_places(model: CalibratedMachine) -> Array:
     """Return readings (12, nr) within the limits: the middle, then others spread at random, always the same."""
-    low, high = _limits(model.robot.readings)
+    low, high = limits(model.robot.readings)
     size = np.array([np.pi if reading.dimension == "angle" else 1.0 for reading in model.robot.readings])
     low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - size, -size))
     high = np.where(np.isfinite(high), high, low + 2.0 * size)
     share = np.random.default_rng(0).uniform(0.1, 0.9, (_STARTS, len(low)))
     share[0] = 0.5
     return np.asarray(low + share * (high - low))
-
-
-def _limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
-    low = [-np.inf if reading.lower is None else reading.lower for reading in readings]
-    high = [np.inf if reading.upper is None else reading.upper for reading in readings]
-    return np.array(low), np.array(high)
-
-
-def _better(found: Corrections, more: Corrections, rows: IntArray) -> Corrections:
-    """Return the corrections with those of some rows replaced where they are reached or nearer."""
-    nearer = np.nan_to_num(more.position_error, nan=np.inf) < np.nan_to_num(found.position_error[rows], nan=np.inf)
-    take = more.reached | nearer
-    index, mine = rows[take], np.flatnonzero(take)
-
-    def merged(old: Array, new: Array) -> Array:
-        out = old.copy()
-        out[index] = new[mine]
-        return read_only_view(out)
-
-    reasons = list(found.reasons)
-    for to, n in zip(index, mine, strict=True):
-        reasons[to] = more.reasons[n]
-    steps = found.steps.copy()
-    steps[rows] += more.steps
-    return Corrections(
-        merged(found.readings, more.readings),
-        merged(found.change, more.change),
-        read_only_view(merged(found.reached.astype(np.float64), more.reached.astype(np.float64)) > 0.5),
-        merged(found.position_error, more.position_error),
-        merged(found.orientation_error, more.orientation_error),
-        tuple(reasons),
-        read_only_view(steps),
-    )
-
-
-# ---- the machine as the solver sees it
-
-
-_CUT_SHORT = "; the search was cut short, as many targets took long: give readings to start from, or fewer targets"
-
-
-class _Calls(Protocol):
-    def __call__(self, readings: Array, /) -> Array: ...
-
-
-def _rowwise(calls: _Calls, readings: Array, shape: tuple[int, ...]) -> tuple[Array, list[str]]:
-    """Return values (N, *shape), and why a row has none: a row whose loop does not close spoils its block alone."""
-    values, why = np.full((len(readings), *shape), np.nan), [""] * len(readings)
-    rows = np.arange(len(readings))
-    while len(rows):
-        try:
-            values[rows] = calls(readings[rows])
-            break
-        except PoseError as e:
-            for row in rows[list(e.rows)]:
-                why[row] = e.reason
-            rows = np.delete(rows, e.rows)
-    return values, why
-
-
-class _Seen(NamedTuple):
-    """Gaps (N, m) to the targets in the tool's frame, in m and rad times its length; slopes (N, m, nr); why not."""
-
-    gap: Array
-    slope: Array
-    why: list[str]
-
-    @property
-    def cost(self) -> Array:
-        """Length of the gap; infinite where the machine cannot be."""
-        return np.asarray(np.where([not text for text in self.why], np.linalg.norm(self.gap, axis=1), np.inf))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
-    """What is asked of N rows: ``targets`` and ``tools`` (N, 4, 4), where to ``start`` (N, nr), why ``refused``."""
-
-    targets: Array
-    tools: Array
-    start: Array
-    refused: tuple[str, ...]
-    conditions: Conditions
-
-    def subset(self, rows: IntArray) -> "_Asked":
-        refused = tuple(self.refused[n] for n in rows)
-        return _Asked(self.targets[rows], self.tools[rows], self.start[rows], refused, self.conditions.subset(rows))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _How:
-    """How rows are to be reached; a reading that changes by more than ``remarkable`` earns a remark."""
-
-    what: What
-    residuals: ResidualModel | None
-    clamp: bool
-    tolerances: tuple[float, float]
-    remarkable: float
-
-
-class _Effort:
-    """Counts how often the machine is looked at for N targets, so that what cannot be reached ends in time.
-
-    ``left`` is what the rows of now may still take; ``reserve`` keeps their share for others that come after them.
-    """
-
-    def __init__(self, targets: int) -> None:
-        self._left, self._reserved = _LOOKS + _LOOKS_PER_ROW * targets, 0
-
-    def reserve(self, targets: int) -> None:
-        """Keep the share of so many targets for later."""
-        self._reserved = min(_LOOKS_PER_ROW * targets, self._left)
-
-    def spend(self, looks: int) -> None:
-        """Count some looks."""
-        self._left -= looks
-
-    @property
-    def spent(self) -> bool:
-        """Whether nothing is left for the rows of now."""
-        return self._left <= self._reserved
-
-
-class _Machine:
-    """The calibrated machine at N targets."""
-
-    def __init__(self, model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort) -> None:
-        self.effort = effort
-        self._tips, self._residuals = TipModel(model.robot, model.deviations), how.residuals
-        self._conditions, self._targets, self._tools = asked.conditions, asked.targets, asked.tools
-        self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))
-        length, angle = how.tolerances
-        self.size = 3 if how.what == "position" else 6
-        self._weights = np.repeat((1.0, length / angle), 3)[: self.size]
-        self._columns = len(model.robot.readings)
-
-    def look(self, rows: IntArray, q: Array) -> _Seen:
-        """Return what is seen of some rows (n) at readings (n, nr)."""
-        size = self._columns
-        self.effort.spend(len(rows))
-
-        def flat(numbered: Array) -> Array:
-            readings, own = numbered[:, :-1], rows[numbered[:, -1].astype(np.intp)]
-            tip, slope = self._tips.driven(readings, self._conditions.subset(own))
-            return np.concatenate([tip.reshape(-1, 16), slope.reshape(-1, 6 * size)], axis=1)
-
-        values, why = _rowwise(flat, np.column_stack([q, np.arange(len(q))]), (16 + 6 * size,))
-        tip, slope = values[:, :16].reshape(-1, 4, 4), values[:, 16:].reshape(-1, 6, size)
-        T, target = tip @ self._tools[rows], self._targets[rows]
-        position = T[:, :3, 3]
-        if self._residuals is not None:
-            vectors = self._residuals.at(q, clamp=True)
-            if self._residuals.frame == "tip":
-                vectors = (tip[:, :3, :3] @ vectors[:, :, None])[:, :, 0]
-            position = position + vectors
-        turned = np.swapaxes(T[:, :3, :3], 1, 2)
-        gap = (turned @ (target[:, :3, 3] - position)[:, :, None])[:, :, 0]
-        if self.size == 6:
-            gap = np.concatenate([gap, rigid.log3(turned @ target[:, :3, :3])], axis=1)
-        J = (self._to_tool[rows] @ slope)[:, : self.size]
-        return _Seen(gap * self._weights, J * self._weights[:, None], why)
-
-    def errors(self, gap: Array) -> tuple[Array, Array]:
-        """Return position errors (N) in m and orientation errors (N) in rad of gaps (N, m)."""
-        gap = gap / self._weights
-        position = np.linalg.norm(gap[:, :3], axis=1)
-        angle = np.linalg.norm(gap[:, 3:], axis=1) if self.size == 6 else np.full(len(gap), np.nan)
-        return position, angle
-
-
-# ---- the solver
-
-
-def _solve(model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort | None = None) -> Corrections:
-    """Return the corrections of all rows, within an effort, one of as many rows when None."""
-    effort = effort or _Effort(len(asked.start))
-    what, tolerances = how.what, how.tolerances
-    if what not in ("pose", "position"):
-        raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")
-    if not all(0.0 < value <= _LARGEST_TOLERANCE for value in tolerances):
-        raise JobError(
-            f"the tolerances are {tolerances[0]:g} and {tolerances[1]:g}; allowed are positive numbers up to "
-            f"{_LARGEST_TOLERANCE:g} (m and rad)."
-        )
-    with one_thread():
-        rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
-        blocks = []
-        for block in rows:
-            effort.reserve(len(asked.start) - int(block[-1]) - 1 if len(block) else 0)
-            blocks.append(_solve_block(model, asked.subset(block), how, effort))
-    reached = np.concatenate([block.reached for block in blocks])
-    steps = np.concatenate([block.steps for block in blocks])
-    return Corrections(
-        read_only(np.concatenate([block.readings for block in blocks])),
-        read_only(np.concatenate([block.change for block in blocks])),
-        read_only_view(reached),
-        read_only(np.concatenate([block.position_error for block in blocks])),
-        read_only(np.concatenate([block.orientation_error for block in blocks])),
-        tuple(text for block in blocks for text in block.reasons),
-        read_only_view(steps),
-    )
-
-
-def _solve_block(model: CalibratedMachine, asked: _Asked, how: _How, effort: _Effort) -> Corrections:
-    readings, start, tolerances = model.robot.readings, asked.start, how.tolerances
-    machine = _Machine(model, asked, how, effort)
-    low, high = _limits(readings)
-    why = list(asked.refused)
-    for n in map(int, np.flatnonzero(_outside(start, low, high).any(axis=1))):
-        why[n] = why[n] or _beyond(start[n], readings)
-    tried = np.flatnonzero([not text for text in why])
-    q, steps, free = start.copy(), np.zeros(len(start), dtype=np.intp), np.ones(start.shape)
-    rows, passed = tried, dict[int, str]()
-    # A joint that would pass its limit stays there, where the others can take its part.
-    for _ in range(1 + max(0, len(readings) - machine.size)):
-        q[rows], taken, hit = _newton(machine, rows, q[rows], start[rows], free[rows], tolerances[0])
-        steps[rows] += taken
-        beyond = _outside(q[rows], low, high)
-        passed |= {int(n): _beyond(q[n], readings) for n in rows[beyond.any(axis=1) & hit] if n not in passed}
-        again = beyond.any(axis=1) & ((free[rows] - beyond).sum(axis=1) >= machine.size)
-        rows, beyond = rows[again], beyond[again]
-        if not len(rows):
-            break
-        free[rows] = np.where(beyond, 0.0, free[rows])
-        q[rows] = np.where(free[rows] > 0.0, start[rows], np.clip(q[rows], low, high))
-    allowed = np.clip(q, low, high)
-    seen = machine.look(np.arange(len(q)), allowed)
-    position, angle = machine.errors(seen.gap)
-    near = (position <= tolerances[0]) & ~(angle > tolerances[1])
-    missed = ~near | _outside(q, low, high).any(axis=1) | np.array([bool(text) for text in seen.why], dtype=np.bool_)
-    short = _CUT_SHORT if effort.spent else ""
-    for n in map(int, tried[missed[tried]]):
-        if seen.why[n]:
-            why[n] = seen.why[n]
-        elif n in passed:
-            why[n] = f"the corrected {passed[n]}{short}"
-        else:
-            why[n] = f"{_far(position[n], angle[n], seen.slope[n])}{short}"
-    reached = np.array([not text for text in why], dtype=np.bool_) & near
-    if how.residuals is not None:
-        for n in map(int, np.flatnonzero(reached)):
-            (why[n],) = how.residuals.outside(q[n : n + 1])
-            if why[n] and how.clamp:
-                why[n] += f"; {how.residuals.when_clamped}"
-            reached[n] = how.clamp or not why[n]
-    change = q - start
-    for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > how.remarkable))):
-        j = int(np.argmax(np.abs(change[n])))
-        why[n] = "; ".join(filter(None, [why[n], f"{readings[j].name} changes by {_said(change[n, j], readings[j])}"]))
-    change[~reached] = q[~reached] = np.nan
-    return Corrections(q, change, reached, position, angle, tuple(why), steps)
-
-
-def _outside(q: Array, low: Array, high: Array) -> BoolArray:
-    """Return which readings (n, nr) are beyond their limits."""
-    return np.asarray((q < low - _LIMIT_SLACK) | (q > high + _LIMIT_SLACK))
-
-
-def _beyond(row: Array, readings: Sequence[Reading]) -> str:
-    for value, reading in zip(row, readings, strict=True):
-        low, high = (limits[0] for limits in _limits([reading]))
-        if not low - _LIMIT_SLACK <= value <= high + _LIMIT_SLACK:
-            return (
-                f"{reading.name} at {_said(value, reading)} is beyond its limits, "
-                f"{_said(low, reading)} and {_said(high, reading)}"
-            )
-    return ""
-
-
-def _said(value: float, reading: Reading) -> str:
-    return f"{value / DEG:.7g} deg" if reading.dimension == "angle" else f"{value / MM:.7g} mm"
-
-
-def _far(position: float, angle: float, slope: Array) -> str:
-    least = np.linalg.svd(slope, compute_uv=False)[-1] if slope.shape[1] >= slope.shape[0] else np.inf
-    turn = "" if np.isnan(angle) else f" and {angle / MRAD:.4g} mrad"
-    where = ", where the arm is singular" if least < _SINGULAR else ""
-    return f"no solution found: the nearest found is {position / MM:.4g} mm{turn} away{where}"
-
-
-def _newton(
-    machine: _Machine, rows: IntArray, q: Array, start: Array, free: Array, tolerance: float
-) -> tuple[Array, IntArray, BoolArray]:
-    """Return readings (n, nr) nearest to the targets of some rows, from q (n, nr), the steps taken, which are there.
-
-    Where ``free`` (n, nr) is 0 a reading stays. What the targets leave open ends nearest to ``start``.
-    """
-    q, goal = q.copy(), _GOAL * tolerance
-    steps, damping = np.zeros(len(q), dtype=np.intp), np.zeros(len(q))
-    hardly = np.zeros(len(q), dtype=np.intp)
-    seen = machine.look(rows, q)
-    gap, slope, cost = seen.gap.copy(), seen.slope.copy(), seen.cost
-    for _ in range(_MOST_STEPS):
-        open_ = np.flatnonzero((cost > goal) & np.isfinite(cost) & (damping < _MOST_DAMPING))
-        if not len(open_) or machine.effort.spent:
-            break
-        step = _step(slope[open_] * free[open_, None], gap[open_], damping[open_])[0]
-        trial = q[open_] + step
-        seen = machine.look(rows[open_], trial)
-        better = seen.cost < cost[open_]
-        hardly[open_] = np.where(seen.cost < (1.0 - _HARDLY_NEARER) * cost[open_], 0, hardly[open_] + 1)
-        to = open_[better]
-        q[to], gap[to], slope[to], cost[to] = trial[better], seen.gap[better], seen.slope[better], seen.cost[better]
-        steps[open_] += 1
-        damping[to] = np.where(damping[to] > _LEAST_DAMPING, damping[to] / 10.0, 0.0)
-        worse = open_[~better]
-        damping[worse] = np.maximum(damping[worse] * 10.0, 1e-6)
-        # Where not even rounding is left to gain, it is over.
-        damping[worse[np.abs(step[~better]).max(axis=1, initial=0.0) < 1e-13]] = _MOST_DAMPING
-        damping[hardly >= _IN_A_ROW] = _MOST_DAMPING
-    spare = free.sum(axis=1) > gap.shape[1]
-    open_ = np.flatnonzero(spare & (cost <= tolerance) & (np.abs(q - start).max(axis=1, initial=0.0) > 0.0))
-    first, hit = q.copy(), cost <= tolerance
-    secants = _Secants(q, gap.shape[1])
-    for _ in range(_MOST_REFINEMENTS):
-        if not len(open_) or machine.effort.spent:
-            break
-        J = slope[open_] * free[open_, None]
-        step, inverse = _step(J, gap[open_], np.zeros(len(open_)))
-        away = (q[open_] - start[open_]) * free[open_]
-        null = away - (inverse @ (J @ away[:, :, None]))[:, :, 0]
-        left = (np.abs(null).max(axis=1) > _NEAREST) | (cost[open_] > goal)
-        open_, step, null = open_[left], step[left], null[left]
-        trial = q[open_] + secants.shortened(open_, q[open_], step - _capped(null))
-        seen = machine.look(rows[open_], trial)
-        fine = np.isfinite(seen.cost)
-        open_ = open_[fine]
-        q[open_], gap[open_], slope[open_], cost[open_] = (
-            values[fine] for values in (trial, seen.gap, seen.slope, seen.cost)
-        )
-        steps[open_] += 1
-    # The way to the nearest readings is curved; where it was lost, the first ones stand.
-    lost = (cost > tolerance) | (np.linalg.norm(q - start, axis=1) > np.linalg.norm(first - start, axis=1) + _NO_NEARER)
-    hit = np.where(spare & lost, hit, cost <= tolerance)
-    q[spare & lost] = first[spare & lost]
-    return q, steps, hit
-
-
-class _Secants:
-    """What the last steps of a search tell about the next one, for every row by itself: Anderson's acceleration.
-
-    Along directions that the targets leave open the plain search is one of steepest descent, which takes tens of steps;
-    as many differences of points and of steps are kept as there are such directions. H. F. Walker, P. Ni, Anderson
-    acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49 (2011), algorithm AA and equation 2.2.
-    """
-
-    def __init__(self, q: Array, known: int) -> None:
-        n, k = q.shape
-        kept = min(max(k - known, 0), _MOST_SECANTS)
-        self._moved, self._changed = np.zeros((n, k, kept)), np.zeros((n, k, kept))
-        self._from, self._step = np.full((n, k), np.nan), np.zeros((n, k))
-
-    def shortened(self, rows: IntArray, q: Array, step: Array) -> Array:
-        """Return the steps (n, nr) to take from q (n, nr) in some rows (n), given the plain ones."""
-        moved, changed = q - self._from[rows], step - self._step[rows]
-        length = np.linalg.norm(step, axis=1)
-        # Where steps grow, or are long, what was learned does not hold.
-        holds = np.isfinite(moved[:, 0]) & (length < np.linalg.norm(self._step[rows], axis=1)) & (length < _TELLING)
-        for kept, new in ((self._moved, moved), (self._changed, changed)):
-            newest_first = np.concatenate([new[:, :, None], kept[rows][:, :, :-1]], axis=2)[:, :, : kept.shape[2]]
-            kept[rows] = np.where(holds[:, None, None], newest_first, 0.0)
-        self._from[rows], self._step[rows] = q, step
-        changes = self._changed[rows]
-        sizes = np.linalg.norm(changes, axis=1)[:, None]
-        sizes = np.where(sizes > 0.0, sizes, 1.0)
-        unit = changes / sizes
-        turned = np.swapaxes(unit, 1, 2)
-        # The small number keeps differences of one direction, and those that are not there, from being told apart.
-        shares = np.linalg.solve(turned @ unit + _ALIKE * np.eye(unit.shape[2]), turned @ step[:, :, None])
-        return _capped(step - (((self._moved[rows] + changes) / sizes) @ shares)[:, :, 0])
-
-
-def _step(J: Array, gap: Array, damping: Array) -> tuple[Array, Array]:
-    """Return damped least steps (n, nr) that close gaps (n, m) by slopes J (n, m, nr), and the inverses (n, nr, m)."""
-    inverse = _inverse(J, damping)
-    return _capped((inverse @ gap[:, :, None])[:, :, 0]), inverse
-
-
-def _inverse(J: Array, damping: Array) -> Array:
-    """Return damped inverses (n, nr, m) of slopes J (n, m, nr); ``damping`` (n) is relative to the largest slope."""
-    m, inverse = J.shape[1], np.empty((len(J), J.shape[2], J.shape[1]))
-    # By normal equations, at a third of the price, where these lose no digits that matter: of positive numbers with
-    # the sum 1 none is smaller than their product by what the others can be at most.
-    turned = np.swapaxes(J, 1, 2)
-    square = J @ turned
-    trace = np.maximum(np.trace(square, axis1=1, axis2=2), 1e-300)[:, None, None]
-    square = square / trace
-    sound = (np.linalg.det(square) * float(max(m - 1, 1)) ** (m - 1) > _SOUND) & (damping == 0.0)
-    inverse[sound] = np.swapaxes(np.linalg.solve(square[sound], J[sound]), 1, 2) / trace[sound]
-    U, s, Vt = np.linalg.svd(J[~sound], full_matrices=False)
-    largest = np.maximum(s[:, :1], 1e-300)
-    shares, damping = s / largest, damping[~sound, None]
-    damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping), 0.0) / largest
-    inverse[~sound] = np.swapaxes(Vt, 1, 2) @ (damped[:, :, None] * np.swapaxes(U, 1, 2))
-    return inverse
-
-
-def _capped(step: Array) -> Array:
-    longest = np.abs(step).max(axis=1, keepdims=True, initial=0.0)
-    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300)))

@@ -7,7 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from calib.compensation.commands import Corrections, at_tip, for_joint_targets, for_poses
+from calib.compensation.commands import at_tip, for_joint_targets, for_poses
+from calib.compensation.corrections import Corrections
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only

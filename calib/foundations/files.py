@@ -5,8 +5,10 @@ import hashlib
 import os
 import secrets
 import stat
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from calib.foundations.errors import CalibError, OutputError
 
@@ -116,9 +118,13 @@ def create(name: str, folder: int, data: bytes) -> None:
     """Write a new file in a folder and bring it to the disk; its permissions are those that the user's umask leaves."""
     handle = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666, dir_fd=folder)
     with os.fdopen(handle, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(handle)
+        _to_disk(file, data)
+
+
+def _to_disk(file: BinaryIO, data: bytes) -> None:
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def sha256(data: bytes) -> str:
@@ -168,15 +174,7 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> Non
             if found is not None and not stat.S_ISREG(found.st_mode):
                 kind = "a link" if stat.S_ISLNK(found.st_mode) else "not a regular file"
                 raise OutputError(f"{path}: is {kind}, and is not replaced; choose another name.")
-            temporary = f".{path.name}.{secrets.token_hex(4)}.part"
-            try:
-                create(temporary, folder, data)
-                if not (new and _linked(temporary, path, folder)):
-                    os.replace(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder)
-            except BaseException:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary, dir_fd=folder)
-                raise
+            _appear(path, data, folder, new=new)
             os.fsync(folder)
     except OSError as e:
         if isinstance(e, CalibError):
@@ -186,14 +184,57 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> Non
         raise OutputError(f"{str(path)!r}: is not the name of a file.") from e
 
 
-def _linked(temporary: str, path: Path, folder: int) -> bool:
-    """Give a file in a folder its name, which must be free, in one step; False where the disk has no hard links."""
+def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> None:
+    """Write a file without a name, and give it its name when it is whole: who is killed before leaves nothing.
+
+    A link takes the place of nothing, so that what is to replace another is for one moment called as a part, and so is
+    all that is written where files without a name are not known.
+    """
+    part = f".{path.name}.{secrets.token_hex(4)}.part"
+    with _unnamed(data, folder) as whole:
+        if new and whole is not None and _linked(whole, path, folder):
+            return
+        try:
+            if whole is None or not _linked(whole, path.with_name(part), folder):
+                create(part, folder, data)
+            if new and _linked(part, path, folder):
+                os.unlink(part, dir_fd=folder)
+            else:
+                os.replace(part, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(part, dir_fd=folder)
+            raise
+
+
+@contextlib.contextmanager
+def _unnamed(data: bytes, folder: int) -> Iterator[str | None]:
+    """Write a file that has no name and ends with this process; give what it can be linked by.
+
+    None where there are no such files: outside Linux, and on some file systems (NFS, FAT).
+    """
+    if sys.platform != "linux":
+        yield None
+        return
     try:
-        os.link(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
+        handle = os.open(".", os.O_WRONLY | os.O_TMPFILE | os.O_CLOEXEC, 0o666, dir_fd=folder)
+    except OSError:  # what else is wrong with the folder, writing a file with a name finds out
+        yield None
+        return
+    with os.fdopen(handle, "wb") as file:
+        _to_disk(file, data)
+        yield f"/proc/self/fd/{handle}"
+
+
+def _linked(file: str, path: Path, folder: int) -> bool:
+    """Give a file its name in a folder, which must be free, in one step; False where that is not possible."""
+    # Only what stands for an unnamed file is a link that is to be followed.
+    unnamed = file.startswith("/")
+    try:
+        os.link(file, path.name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=unnamed)
     except FileExistsError:
         refuse_taken(path)
         raise
-    except OSError:
+    except OSError:  # no hard links on this disk, no /proc
         return False
-    os.unlink(temporary, dir_fd=folder)
     return True

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.units import DEG
-from calib.presentation.mesh_counts import MOST_CORNERS, counts
+from calib.robot.mesh_counts import MOST_CORNERS, counts
 
 Rgb = tuple[float, float, float]
 

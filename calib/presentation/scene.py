@@ -18,7 +18,6 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
-from calib.presentation.mesh_counts import MOST_CORNERS
 from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
 from calib.presentation.page_files import page_file, template
 from calib.presentation.thin_meshes import thin_mesh
@@ -34,6 +33,7 @@ from calib.presentation.viewer import (
 )
 from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
 from calib.robot.links import Arm, link_placements
+from calib.robot.mesh_counts import MOST_CORNERS
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 

@@ -13,9 +13,10 @@ from calib.foundations import cache
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.json_text import NotJsonError, parse_json
-from calib.presentation import mesh_counts, meshes
-from calib.presentation.mesh_counts import MOST_CORNERS
+from calib.presentation import meshes
 from calib.presentation.meshes import Rgb, Triangles, creased, parse_mesh, simplified
+from calib.robot import mesh_counts
+from calib.robot.mesh_counts import MOST_CORNERS
 
 _LIBRARIES = ("trimesh", "pycollada", "fast-simplification", "numpy")
 

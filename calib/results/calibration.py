@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.assessment.blame import Blame
 from calib.assessment.checking import looks_wrong
-from calib.assessment.checks import answered, wrong_lens
+from calib.assessment.checks.of_arm import wrong_lens
 from calib.assessment.choice import Choice
 from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
@@ -107,7 +107,9 @@ class Calibration:
         """Return the calibration with some checks of the verdict accepted by the user, so that they count as passed."""
         if not names:
             return self
-        now = [(check, answered(check) if check.name in names and not check.passed else check) for check in self.checks]
+        now = [
+            (check, check.answered() if check.name in names and not check.passed else check) for check in self.checks
+        ]
         gone = {old.sentence for old, new in now if new.passed}
         doubts = tuple(doubt for doubt in self.doubts if doubt not in gone)
         return replace(self, doubts=doubts, checks=tuple(new for _, new in now))

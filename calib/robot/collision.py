@@ -22,12 +22,15 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.robot.links import arm_of, link_placements
+from calib.robot.mesh_counts import MOST_CORNERS, counts
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import LARGEST_NUMBER, Urdf, read_document
 
 _LARGEST_MESH = 200_000_000
+# Corners: the reader of meshes takes the square of them to make triangles of a polygon.
+_LARGEST_POLYGON = 255
 _FORMATS = {".dae", ".stl", ".obj", ".ply"}
 # Poses that are tried to find bodies that always touch; by chance alone none would in all of them.
 _SAMPLES = 200
@@ -273,16 +276,23 @@ def _mesh(attributes: Mapping[str, str], roots: Sequence[Path], meshes: _Meshes,
 def _read_mesh(path: Path, scale: Array, what: str) -> object:
     try:
         data = read_bytes(path, RobotError, _LARGEST_MESH)
+        suffix = path.suffix.lower()
+        data = _without_materials(data) if suffix == ".obj" else data
+        found = counts(data, suffix)
+        if not found.within(MOST_CORNERS + len(data)) or found.polygon > _LARGEST_POLYGON:
+            raise RobotError(f"{what}, which is too large to be judged.")
         # The reader opens files by name, and of an OBJ the materials that it names: it gets a copy that stands alone.
         with tempfile.TemporaryDirectory() as folder:
-            alone = Path(folder) / f"mesh{path.suffix.lower()}"
-            alone.write_bytes(_without_materials(data) if alone.suffix == ".obj" else data)
+            alone = Path(folder) / f"mesh{suffix}"
+            alone.write_bytes(data)
             mesh = coal.MeshLoader().load(str(alone), scale)
         # Corners may be anything, and what is compared with no number is never near.
         if not np.abs(mesh.vertices()).max(initial=0.0) <= LARGEST_NUMBER:
             raise ValueError
         return mesh
-    except (RobotError, RuntimeError, ValueError, OSError) as e:
+    except RobotError:
+        raise
+    except (RuntimeError, ValueError, OSError, MemoryError) as e:
         raise RobotError(f"{what}, which cannot be read, and is not judged.") from e
 
 

@@ -160,13 +160,16 @@ def _long_arm(folder: Path, size: int) -> None:
 # Of meshes. ------------------------------------------------------------------------------------------------------
 
 
-def _mesh(name: str, data: Callable[[int], bytes], times: int = 1) -> Hostile:
+def _mesh(name: str, data: Callable[[int], bytes], times: int = 1, *, judged: bool = False) -> Hostile:
+    """A mesh that is drawn, or judged for collisions, which another library reads."""
+    element = "collision" if judged else "visual"
+
     def write(folder: Path, size: int) -> None:
         (folder / name).write_bytes(data(size))
-        visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
-        _edited(folder / "arm_cmm.urdf", "</link>", visual * times + "</link>")
+        shape = f'<{element}><geometry><mesh filename="{name}"/></geometry></{element}>'
+        _edited(folder / "arm_cmm.urdf", "</link>", shape * times + "</link>")
 
-    return Hostile(write)
+    return Hostile(write, _PLAN) if judged else Hostile(write)
 
 
 _TRIANGLE = (
@@ -209,6 +212,24 @@ def _doubling_inline(size: int) -> bytes:
         min(size, 4000),
     )
     return _dae(_TRIANGLE.format(n=1, p="0 1 2"), nodes)
+
+
+def _doubling_by_name(size: int) -> bytes:
+    """Nodes that one reader finds by their ids alone, and another by their names."""
+    return _doubling(size).replace(b'<node id="', b'<node name="')
+
+
+def _dae_of_one_id(size: int) -> bytes:
+    """Geometries and nodes that share their ids, of which one reader takes the first and another the last."""
+    small = _TRIANGLE.format(n=1, p="0 1 2")
+    large = _TRIANGLE.format(n=size // 12, p="0 1 2 " * (size // 12))
+    return _dae(large + small, "<node>" + repeated(lambda _: _ONE, size // 2) + "</node>")
+
+
+def _dae_promise(size: int) -> bytes:
+    """Counts of numbers and triangles that are not there."""
+    promised = _TRIANGLE.format(n=10**9, p="0 1 2").replace('count="9"', 'count="900000000"')
+    return _dae(promised, f"<node>{_ONE}</node>" + "<!-- -->" * (size // 8))
 
 
 def _dae_instances(size: int) -> bytes:
@@ -335,6 +356,36 @@ def _ply(size: int) -> bytes:
 def _ply_promise(_: int) -> bytes:
     head = b"ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\n"
     return head + b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n" + bytes(48)
+
+
+def _ply_polygon(kind: str) -> Callable[[int], bytes]:
+    """One polygon of three points again and again, counted by a long number or line by line of text."""
+
+    def write(size: int) -> bytes:
+        text = kind == "ascii"
+        n = size // 2 if text else size
+        header = (
+            f"ply\nformat {kind} 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+            f"element face 1\nproperty list {'uchar' if text else 'uint'} uchar vertex_indices\nend_header\n"
+        ).encode()
+        if text:
+            return header + b"0 0 0\n1 0 0\n0 1 0\n" + f"{n} ".encode() + b"0 1 2 " * (n // 3) + b"\n"
+        corners = np.eye(3, dtype="<f4").tobytes()
+        return header + corners + struct.pack("<I", n) + b"\0\1\2" * (n // 3) + b"\0" * (n % 3)
+
+    return write
+
+
+def _dae_polygons(kind: str) -> Callable[[int], bytes]:
+    """A polygon of three points again and again, as COLLADA writes them."""
+
+    def write(size: int) -> bytes:
+        n = size // 2 // 3 * 3
+        counts = f"<vcount>{n}</vcount>" if kind == "polylist" else ""
+        geometry = _TRIANGLE.format(n=1, p="0 1 2 " * (n // 3)).replace("triangles", kind)
+        return _dae(geometry.replace("<p>", f"{counts}<p>"), f"<node>{_ONE}</node>")
+
+    return write
 
 
 def _off(size: int) -> bytes:
@@ -747,6 +798,42 @@ def _observed(kind: str) -> tuple[tuple[str, str], ...]:
     return (('observes = "position"', f'observes = "{kind}"'),)
 
 
+_MESHES_OF: dict[str, tuple[str, Callable[[int], bytes]]] = {
+    "dae doubling": ("m.dae", _doubling),
+    "dae doubling in the scene": ("m.dae", _doubling_inline),
+    "dae doubling by name": ("m.dae", _doubling_by_name),
+    "dae of one id": ("m.dae", _dae_of_one_id),
+    "dae promise": ("m.dae", _dae_promise),
+    "dae instances": ("m.dae", _dae_instances),
+    "dae nodes": ("m.dae", _dae_nodes),
+    "dae deep": ("m.dae", _dae_deep),
+    "dae triangles": ("m.dae", _dae_triangles),
+    "dae polygon": ("m.dae", _dae_polygon),
+    "dae geometries": ("m.dae", _dae_geometries),
+    "glb accessor": ("m.glb", _glb_accessor),
+    "glb accessors": ("m.glb", _glb_accessors),
+    "glb same points": ("m.glb", _glb_same_view),
+    "glb instances": ("m.glb", _glb_instances),
+    "glb chain": ("m.glb", _glb_chain),
+    "glb doubling": ("m.glb", _glb_doubling),
+    "obj triangles": ("m.obj", _obj(lambda _: "f 1 2 3\n")),
+    "obj objects": ("m.obj", _obj(lambda k: f"o o{k}\nf 1 2 3\n")),
+    "obj materials": ("m.obj", _obj(lambda k: f"usemtl m{k}\nf 1 2 3\n")),
+    "obj polygon": ("m.obj", lambda size: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * (size // 6)),
+    "obj points": ("m.obj", lambda size: repeated(lambda k: f"v {k} {k} 1\n", size).encode() + b"f 1 2 3\n"),
+    "dae polylist": ("m.dae", _dae_polygons("polylist")),
+    "dae polygons": ("m.dae", _dae_polygons("polygons")),
+    "dae fan": ("m.dae", _dae_polygons("trifans")),
+    "ply polygon": ("m.ply", _ply_polygon("binary_little_endian")),
+    "ply polygon as text": ("m.ply", _ply_polygon("ascii")),
+    "ply triangles": ("m.ply", _ply),
+    "ply promise": ("m.ply", _ply_promise),
+    "off triangles": ("m.off", _off),
+    "off promise": ("m.off", _off_promise),
+    "stl triangles": ("m.stl", _stl),
+    "stl solids": ("m.stl", _stl_ascii),
+}
+
 HOSTILE: dict[str, Hostile] = {
     "cycles of many poses": _cycles(lambda k: f"P{k // 2},0,0,{k % 2}\n"),
     "cycles of a hundred poses": _cycles(lambda k: f"P{k % 100},0,0,{k % 7}\n"),
@@ -802,31 +889,12 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "collision meshes of needles": Hostile(_needles, _PLAN),
     "collision shapes all over": Hostile(_crossing, _PLAN),
-    "dae doubling": _mesh("m.dae", _doubling),
-    "dae doubling in the scene": _mesh("m.dae", _doubling_inline),
-    "dae instances": _mesh("m.dae", _dae_instances),
-    "dae nodes": _mesh("m.dae", _dae_nodes),
-    "dae deep": _mesh("m.dae", _dae_deep),
-    "dae triangles": _mesh("m.dae", _dae_triangles),
-    "dae polygon": _mesh("m.dae", _dae_polygon),
-    "dae geometries": _mesh("m.dae", _dae_geometries),
-    "glb accessor": _mesh("m.glb", _glb_accessor),
-    "glb accessors": _mesh("m.glb", _glb_accessors),
-    "glb same points": _mesh("m.glb", _glb_same_view),
-    "glb instances": _mesh("m.glb", _glb_instances),
-    "glb chain": _mesh("m.glb", _glb_chain),
-    "glb doubling": _mesh("m.glb", _glb_doubling),
-    "obj triangles": _mesh("m.obj", _obj(lambda _: "f 1 2 3\n")),
-    "obj objects": _mesh("m.obj", _obj(lambda k: f"o o{k}\nf 1 2 3\n")),
-    "obj materials": _mesh("m.obj", _obj(lambda k: f"usemtl m{k}\nf 1 2 3\n")),
-    "obj polygon": _mesh("m.obj", lambda size: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * (size // 6)),
-    "obj points": _mesh("m.obj", lambda size: repeated(lambda k: f"v {k} {k} 1\n", size).encode() + b"f 1 2 3\n"),
-    "ply triangles": _mesh("m.ply", _ply),
-    "ply promise": _mesh("m.ply", _ply_promise),
-    "off triangles": _mesh("m.off", _off),
-    "off promise": _mesh("m.off", _off_promise),
-    "stl triangles": _mesh("m.stl", _stl),
-    "stl solids": _mesh("m.stl", _stl_ascii),
+    **{what: _mesh(*of) for what, of in _MESHES_OF.items()},
+    **{
+        f"{what}, judged": _mesh(*of, judged=True)
+        for what, of in _MESHES_OF.items()
+        if not of[0].endswith((".glb", ".off"))
+    },
     "one mesh often": _mesh("m.stl", _stl, 100),
     "one mesh very often": _mesh("m.stl", lambda _: _stl(20_000), 2000),
     "levels": _job(lambda k: f'[[levels]]\nname = "l{k}"\nfree = ["*"]\n'),

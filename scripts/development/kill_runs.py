@@ -9,11 +9,18 @@ Then the folder is looked at as it stands, read by ``calib.load_machine``, which
 right, and written by a run that nobody disturbs. A run passes when the folder was the old one or the new one, whole,
 inputs were untouched, and nothing is left beside it in the end. Full disks and read-only folders need root: they are
 small mounts. Exit code 1 when anything does not pass.
+
+Commands that write one file, or a folder of their own, are killed as often: at a random moment, in forks of this
+process, which has loaded what they need. A file of somebody else with the name of a part stands beside. A kill passes
+when the file is whole or not there, and the command, given again, writes it, or says that it is there already; then
+nothing is beside it.
 """
 
 import argparse
 import collections
+import contextlib
 import hashlib
+import io
 import os
 import random
 import shutil
@@ -22,9 +29,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import calib
+from calib.cli import main as main_of_calib
 from calib.foundations.files import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -132,6 +141,104 @@ def kills(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str, ...]], in
     return [(*key, str(n)) for key, n in sorted(counted.items())], passed
 
 
+def commands(case: Path, results: Path) -> dict[str, tuple[str, ...]]:
+    """Return commands that write what is called ``x`` in their folder."""
+    urdf, table, candidates = (str(case / name) for name in ("arm_cmm.urdf", "identification.csv", "positions.csv"))
+    rows = Path(table).read_text(encoding="utf-8").splitlines()
+    Path(candidates).write_text("x [mm],y [mm],z [mm]\n300,100,300\n250,150,350\n", encoding="utf-8")
+    (case / "short.csv").write_text("\n".join(rows[:12]) + "\n", encoding="utf-8")
+    return {
+        "export": ("export", str(results), "--to", "ros", "-o", "x.yaml"),
+        "compensate": ("compensate", str(results), candidates, "-o", "x.csv"),
+        "init": ("init", urdf, table, "--tip", "probe", "-y", "-o", "x.toml"),
+        "import": ("import", str(case / "short.csv"), "-o", "x.csv"),
+        "dh": ("dh", urdf, "--tip", "probe", "-o", "x.csv"),
+        "plan": ("plan", urdf, "--tip", "probe", "-n", "6", "--candidates", "40", "-o", "x.csv"),
+        "board": ("board", "-o", "x"),
+    }
+
+
+def forked(command: Sequence[str], folder: Path) -> int:
+    """Run a command in a fork of this process, within a folder; return the number of the process."""
+    pid = os.fork()
+    if pid == 0:
+        os.chdir(folder)
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):
+            os.dup2(null, stream)
+        code = 1
+        try:
+            code = called(command)
+        finally:
+            os._exit(code)
+    return pid
+
+
+def called(command: Sequence[str]) -> int:
+    """Run a command in this process; return its exit code."""
+    sys.argv = ["calib", *command]
+    try:
+        main_of_calib()
+    except SystemExit as e:
+        return e.code if isinstance(e.code, int) else 1
+    return 0
+
+
+def ended(pid: int) -> int:
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def killed_commands(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str, ...]], int]:
+    """Return the rows of the table, and how many kills passed."""
+    rng = random.Random(seed)
+    job, _ = case(folder / "commands")
+    results = folder / "results_of_commands"
+    calibrate(job, results)
+    counted: collections.Counter[tuple[str, str, str, str]] = collections.Counter()
+    passed = 0
+    for what, command in commands(folder / "commands", results).items():
+        place = folder / what
+        place.mkdir()
+        os.chdir(place)
+        with contextlib.redirect_stdout(io.StringIO()):
+            if (code := called(command)) != 0:  # here, so that all is loaded that the forks need
+                raise SystemExit(f"{what} ended with {code}.")
+        wanted = set(tree(place))
+        shutil.rmtree(place)
+        place.mkdir()
+        start = time.monotonic()
+        ended(forked(command, place))
+        took = time.monotonic() - start
+        theirs = f".{min(wanted).partition('/')[0]}.01234567.part"
+        done = 0
+        while done < runs:
+            shutil.rmtree(place)
+            place.mkdir()
+            (place / theirs).write_text("theirs", encoding="utf-8")
+            pid = forked(command, place)
+            # As often while it ends, which is when it writes, as at any moment.
+            time.sleep(took * (rng.uniform(0.0, 1.0) if done % 2 else rng.uniform(0.8, 1.1)))
+            os.kill(pid, signal.SIGKILL)
+            if ended(pid) != -signal.SIGKILL:
+                continue
+            done += 1
+            hidden = set(map(str, place.glob(".*"))) - {str(place / theirs)}
+            shown = {name for name in tree(place) if not name.startswith(".")}
+            stood = "whole" if shown == wanted else "not there" if not shown else "BROKEN"
+            again = ended(forked(command, place))
+            good = (
+                stood != "BROKEN"
+                and again in ((0, 1) if stood == "whole" else (0,))
+                and set(tree(place)) == {*wanted, theirs}
+                and set(place.glob(".*")) == {place / theirs}
+                and (place / theirs).read_text(encoding="utf-8") == "theirs"
+            )
+            passed += good
+            counted[what, stood, "yes" if hidden else "no", "whole" if good else "BROKEN"] += 1
+        print(f"{what}: {took:.2f} s, {done} kills", file=sys.stderr)
+    return [(*key, str(n)) for key, n in sorted(counted.items())], passed
+
+
 def mounted(folder: Path, options: str) -> None:
     subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], check=True)
 
@@ -165,7 +272,7 @@ def disks(folder: Path) -> list[tuple[str, str, str]]:
     return rows
 
 
-def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, ("---",) * len(header), *rows))
 
 
@@ -190,6 +297,11 @@ def main() -> None:
         head = ("killed", "folder as it stood", "left beside it", "read, then written anew", "kills")
         lines = [table(head, rows), "", f"{passed} of {arguments.runs} kills passed.", ""]
         good = passed == arguments.runs
+        rows, passed = killed_commands(folder, arguments.runs, arguments.seed)
+        number = sum(int(row[-1]) for row in rows)
+        head = ("command", "what it writes, as it stood", "left beside it", "given again", "kills")
+        lines += [table(head, rows), "", f"{passed} of {number} kills passed.", ""]
+        good = good and passed == number
         if os.geteuid() == 0:
             found = disks(folder)
             lines.append(table(("disk", "what is said", "old results"), found))

@@ -20,18 +20,24 @@ import cv2
 import numpy as np
 import yourdfpy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from calib.measurement.formats.images import LEAST_CORNERS, detector
+from calib.measurement.prints import Print
 from calib.robot.sources import resolve
 
 Array = NDArray[np.float64]
 UR5 = "example:ur_description/urdf/ur5_robot.urdf"
 TIP = "tool0"
-# As many rays a pixel, each way.
-RAYS = 4
-# As many rows of pixels at a time.
-STRIP = 16
+# As many rays each way through a pixel that an edge of the print crosses: with half as many, corners of sharp images
+# are moved by more than their noise moves them.
+RAYS = 8
+# Every so many pixels the ray is followed to the sheet; what is between is interpolated by cubic splines.
+STEP = 8
+# White paper around what is printed, in m.
+MARGIN = 0.025
 
 
 @dataclass(frozen=True)
@@ -54,9 +60,8 @@ class Lens:
             f = f / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         return x * f + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * f + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
 
-    def rays(self) -> tuple[Array, Array]:
-        """Where each pixel looks (h, w), X / Z and Y / Z, by a fixed point."""
-        v, u = np.mgrid[: self.size[1], : self.size[0]].astype(float)
+    def rays(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Where pixels look, X / Z and Y / Z, by a fixed point."""
         a, b = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         x, y = a.copy(), b.copy()
         for _ in range(60):
@@ -120,6 +125,15 @@ class Sheet:
         marker = cells[np.clip(which, 0, len(cells) - 1), cell[..., 1], cell[..., 0]]
         return np.where(black_square, 0.0, np.where(on & marked, marker, 1.0))
 
+    def lines(self) -> list[Array]:
+        """Where, across and down, something else may begin: between two of these all is alike."""
+        side = self.cells().shape[-1]
+        within = 0.5 * (self.square - self.marker) + self.marker * np.arange(side + 1) / side
+        starts = [self.square * np.arange(n + 1) for n in self.squares]
+        return [
+            np.sort(np.concatenate([[-MARGIN, x[-1] + MARGIN], x, (x[:-1, None] + within).ravel()])) for x in starts
+        ]
+
     def cells(self) -> Array:
         of = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         side = of.markerSize + 2
@@ -149,7 +163,12 @@ class Renderer:
     rays_each_way: int = RAYS
 
     def __post_init__(self) -> None:
-        self._rays = self.lens.rays()
+        self._lines = self.sheet.lines()
+        x, y = (np.concatenate([[n[0] - 1.0], 0.5 * (n[1:] + n[:-1]), [n[-1] + 1.0]]) for n in self._lines)
+        white = self.sheet.white(np.stack(np.meshgrid(x, y), axis=-1))
+        self._grey = np.full(white.shape, self.look.ground)
+        inside = (slice(1, -1), slice(1, -1))
+        self._grey[inside] = self.look.black + (self.look.white - self.look.black) * white[inside]
 
     def image(self, T: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The photograph of a sheet whose middle is at T (4, 4) in the camera."""
@@ -167,24 +186,48 @@ class Renderer:
         seen = self.lens.see(self.sheet.place(border) @ T[:3, :3].T + T[:3, 3])
         low = np.clip(np.floor(seen.min(axis=0)).astype(int) - 12, 0, (w - 1, h - 1))
         high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + 12, 1, (w, h))
+        patch = self._patch(T, low, high)
         grey = np.full((h, w), self.look.ground)
-        # Strip by strip: what is worked on stays near the processor.
-        for top in range(low[1], high[1], STRIP):
-            below = min(top + STRIP, high[1])
-            grey[top:below, low[0] : high[0]] = self._strip(T, np.array([low[0], top]), np.array([high[0], below]))
-        grey = gaussian_filter(grey, self.look.blur, mode="nearest") if self.look.blur else grey
-        v, u = np.mgrid[:h, :w]
-        return np.asarray(grey * (1 + self.look.falling[0] * (u / w - 0.5) + self.look.falling[1] * (v / h - 0.5)))
+        # There is nothing but ground within twelve pixels of the patch's sides: blur changes nothing beyond.
+        grey[low[1] : high[1], low[0] : high[0]] = (
+            gaussian_filter(patch, self.look.blur, mode="nearest") if self.look.blur else patch
+        )
+        across, down = np.arange(w) / w - 0.5, np.arange(h) / h - 0.5
+        return np.asarray(grey * (1 + self.look.falling[0] * across + self.look.falling[1] * down[:, None]))
 
-    def _strip(self, T: Array, low: NDArray[np.int_], high: NDArray[np.int_]) -> Array:
+    def _patch(self, T: Array, low: NDArray[np.int_], high: NDArray[np.int_]) -> Array:
         """The light on pixels from low to high, each (x, y), before it is blurred."""
-        edge = self.sheet.square * np.array(self.sheet.squares)
-        # The middles of rays within pixels, RAYS each way: where they look changes evenly from pixel to pixel.
-        each = self.rays_each_way
-        count = (high - low)[::-1] * each
-        at = [(np.arange(n) + 0.5) / each - 0.5 + o for n, o in zip(count, low[::-1], strict=True)]
-        grid = np.meshgrid(*at, indexing="ij")
-        x, y = (map_coordinates(ray, grid, order=1, mode="nearest") for ray in self._rays)
+        at = self._drawn(T, low, high)
+        by_u, by_v = np.gradient(at, axis=2), np.gradient(at, axis=1)
+        reach = 0.5 * (np.abs(by_u) + np.abs(by_v))
+        (x, right), (y, below) = (
+            (np.searchsorted(lines, of - far), np.searchsorted(lines, of + far))
+            for lines, of, far in zip(self._lines, at, reach, strict=True)
+        )
+        grey = self._grey[y, x]
+        # No line crosses these, or one on both sides of which is the same.
+        plain = (right - x <= 1) & (below - y <= 1)
+        for rows, columns in ((y, right), (below, x), (below, right)):
+            plain &= self._grey[rows, columns] == grey
+        mixed = np.flatnonzero(~plain)
+        at, by_u, by_v = (a.reshape(2, -1)[:, mixed] for a in (at, by_u, by_v))
+        # The middles of rays within a pixel: where they meet the sheet changes evenly over it.
+        each = (np.arange(self.rays_each_way) + 0.5) / self.rays_each_way - 0.5
+        total = np.zeros(len(mixed))
+        for dv in each:
+            for du in each:
+                x, y = (np.searchsorted(n, of) for n, of in zip(self._lines, at + du * by_u + dv * by_v, strict=True))
+                total += self._grey[y, x]
+        grey.flat[mixed] = total / len(each) ** 2
+        return np.asarray(grey)
+
+    def _drawn(self, T: Array, low: NDArray[np.int_], high: NDArray[np.int_]) -> Array:
+        """Where pixels from low to high, each (x, y), look on the sheet as it was drawn (2, h, w)."""
+        # At least four nodes each way.
+        u, v = (
+            STEP * np.arange(a // STEP - 1, -(-b // STEP) + 3).astype(float) for a, b in zip(low, high, strict=True)
+        )
+        x, y = self.lens.rays(*np.meshgrid(u, v))
         R, t = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
         d = np.stack([x, y, np.ones_like(x)], axis=-1) @ R.T
         z = np.zeros_like(x)
@@ -192,12 +235,9 @@ class Renderer:
             s = (z - t[2]) / d[..., 2]
             flat = t[:2] + s[..., None] * d[..., :2]
             z = self.sheet.height(flat)
-        drawn = flat @ np.linalg.inv(self.sheet.stretch()).T + self.sheet.middle
-        on = np.all((drawn > -0.025) & (drawn < edge + 0.025), axis=-1)
-        light = np.where(
-            on, self.look.black + (self.look.white - self.look.black) * self.sheet.white(drawn), self.look.ground
-        )
-        return np.asarray(light.reshape(count[0] // each, each, count[1] // each, each).mean(axis=(1, 3)))
+        nodes = flat @ np.linalg.inv(self.sheet.stretch()).T + self.sheet.middle
+        where = (np.arange(low[1], high[1]), np.arange(low[0], high[0]))
+        return np.stack([RectBivariateSpline(v, u, nodes[..., k])(*where) for k in (0, 1)])
 
     def corners(self, T: Array) -> Array:
         """Where the corners truly are (n, 2), in px."""
@@ -285,17 +325,44 @@ def session(seed: int, images: int = 24, cause: str = "none") -> Session:
     return Session(arm, lens, sheet, look, camera, board, np.array(found))
 
 
+def before_camera(some: Session) -> list[Array]:
+    """Where the middle of the sheet is in the camera (4, 4), photograph by photograph."""
+    return [np.linalg.inv(some.arm.tip(q) @ some.camera) @ some.board for q in some.readings]
+
+
 def corners_seen(some: Session, sigma: float, rng: np.random.Generator) -> dict[str, object]:
     """The table of pixels of a session whose corners are found to sigma, in px, without any image."""
-    drawn = some.sheet.corners()
-    at = [np.linalg.inv(some.arm.tip(q) @ some.camera) @ some.board for q in some.readings]
+    drawn, at = some.sheet.corners(), before_camera(some)
     uv = np.concatenate([some.lens.see(some.sheet.place(drawn) @ T[:3, :3].T + T[:3, 3]) for T in at])
     uv = uv + rng.normal(scale=sigma, size=uv.shape)
-    q, n = np.repeat(some.readings, len(drawn), axis=0), len(some.readings)
+    n = len(some.readings)
+    return _columns(some, np.repeat(np.arange(n), len(drawn)), np.tile(np.arange(len(drawn)), n), uv)
+
+
+def corners_found(some: Session, rng: np.random.Generator) -> dict[str, object]:
+    """The table of pixels of a session whose photographs are rendered; corners are found as calib finds them.
+
+    Photographs in which no board is found are left out, as ``calib import images`` leaves them out.
+    """
+    sheet, renderer = some.sheet, Renderer(some.lens, some.sheet, some.look)
+    detect = detector(Print("charuco", sheet.squares, sheet.square, sheet.marker, sheet.dictionary))
+    photographs, marks, uv, sigma = [], [], [np.zeros((0, 2))], [np.zeros(0)]
+    for k, T in enumerate(before_camera(some)):
+        found = detect(renderer.image(T, rng))
+        if len(found.marks) >= LEAST_CORNERS:
+            photographs += [k] * len(found.marks)
+            marks += found.marks.tolist()
+            uv.append(found.pixels)
+            sigma.append(found.sigma)
+    columns = _columns(some, np.array(photographs, dtype=np.intp), np.array(marks, dtype=np.intp), np.concatenate(uv))
+    return {**columns, "sigma [px]": np.concatenate(sigma)}
+
+
+def _columns(some: Session, photographs: NDArray[np.intp], marks: NDArray[np.intp], uv: Array) -> dict[str, object]:
+    q, (x, y) = some.readings[photographs], some.sheet.corners()[marks].T
     found: dict[str, object] = {f"{name} [rad]": q[:, k] for k, name in enumerate(some.arm.names)}
     found |= {"u [px]": uv[:, 0], "v [px]": uv[:, 1]}
-    places = (*drawn.T, np.zeros(len(drawn)))
-    return found | {f"board_{axis} [m]": np.tile(x, n) for axis, x in zip("xyz", places, strict=True)}
+    return found | {"board_x [m]": x, "board_y [m]": y, "board_z [m]": np.zeros(len(x))}
 
 
 def write(folder: Path, some: Session, seed: int) -> None:

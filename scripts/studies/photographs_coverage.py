@@ -1,12 +1,14 @@
 """Do intervals of hand-eye, lens and tool hold the truth? Simulated jobs of photographs: a table of docs/cameras.md.
 
-    python scripts/studies/photographs_coverage.py --store coverage.jsonl [--jobs 100] [--markdown docs/cameras.md]
+    python scripts/studies/photographs_coverage.py --store coverage.jsonl [--jobs 100] [--rendered]
+        [--markdown docs/cameras.md]
 
 Every job is one line of the store; what is there already is not simulated again. A job is as ``calib import images``
 writes it: a UR5, everything free with priors of 1 mm and 1 mrad, lens and scale and shape of the board unknown. Its
 truth is drawn anew: the arm by these priors, the print's scale to 0.5 %, its shape, the lens, where camera and board
-are, 16 to 30 poses, and corners that are found to 0.05 to 0.5 px, which is stated. The simulation shares no mathematics
-with the toolkit.
+are, 16 to 30 poses, and corners that are found to 0.05 to 0.5 px, which is stated. With ``--rendered``, photographs are
+rendered, with blur of 0.5 to 1.5 px and noise of 1 to 6 grey values, and corners are found in them, with sigmas of
+their own. The simulation shares no mathematics with the toolkit.
 """
 
 import argparse
@@ -33,9 +35,11 @@ from scripts.studies.blame import write
 NORMAL, REGION = 1.959964, 2.795483
 GROUPS = ("hand-eye", "lens", "scale", "tool")
 BEGIN, END = "<!-- coverage: by scripts/studies/photographs_coverage.py -->", "<!-- coverage: end -->"
+RENDERED = "<!-- coverage of rendered photographs: by scripts/studies/photographs_coverage.py -->"
+RENDERED_END = "<!-- coverage of rendered photographs: end -->"
 
 
-def job(seed: int) -> dict[str, list[bool]]:
+def job(seed: int, *, rendered: bool = False) -> dict[str, list[bool]]:
     """Return which intervals of one job hold, by what they are of; of the tool, regions at 40 other poses."""
     rng = np.random.default_rng([seed, 22])
     some = simulation.session(seed, int(rng.integers(16, 31)) + 40)
@@ -53,9 +57,14 @@ def job(seed: int) -> dict[str, list[bool]]:
     sigma, elsewhere = float(np.exp(rng.uniform(*np.log([0.05, 0.5])))), some.readings[-40:]
     some = replace(some, arm=arm, lens=lens, sheet=sheet, readings=some.readings[:-40])
     robot = calib.load_robot(simulation.UR5, simulation.TIP)
-    camera = calib.measuring.Camera("tip", free=NAMES[:9], size=lens.size, sigma=sigma)
+    if rendered:
+        look = replace(some.look, blur=rng.uniform(0.5, 1.5), noise=rng.uniform(1.0, 6.0))
+        columns = simulation.corners_found(replace(some, look=look), rng)
+    else:
+        columns = simulation.corners_seen(some, sigma, rng)
+    camera = calib.measuring.Camera("tip", free=NAMES[:9], size=lens.size, sigma=0.0 if rendered else sigma)
     marks = np.column_stack([sheet.corners(), np.zeros(len(sheet.corners()))])
-    data = calib.read_measurements(simulation.corners_seen(some, sigma, rng), robot, "pixels", instrument=camera)
+    data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
     data = calib.measuring.seen_by(data, camera, Board(marks=marks, shape="quadratic"))
     model = calib.error_model(
         robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors(1e-3, 1e-3)
@@ -93,20 +102,22 @@ def main() -> int:
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=100)
     parser.add_argument("--first", type=int, default=100, help="the first seed")
+    parser.add_argument("--rendered", action="store_true", help="corners are found in rendered photographs")
     parser.add_argument("--markdown", type=Path, help="the page of the table")
     given = parser.parse_args()
     given.store.touch()
-    done = {(one := json.loads(line))["seed"]: one["holds"] for line in given.store.read_text().splitlines()}
+    lines = [json.loads(line) for line in given.store.read_text().splitlines()]
+    done = {one["seed"]: one["holds"] for one in lines if one.get("rendered", False) == given.rendered}
     with one_thread():
         for seed in range(given.first, given.first + given.jobs):
             if seed not in done:
-                done[seed] = job(seed)
+                done[seed] = job(seed, rendered=given.rendered)
                 with given.store.open("a") as out:
-                    out.write(json.dumps({"seed": seed, "holds": done[seed]}) + "\n")
+                    out.write(json.dumps({"seed": seed, "rendered": given.rendered, "holds": done[seed]}) + "\n")
     found = table([done[seed] for seed in range(given.first, given.first + given.jobs)])
     print(found)
     if given.markdown is not None:
-        write(given.markdown, found, BEGIN, END)
+        write(given.markdown, found, *((RENDERED, RENDERED_END) if given.rendered else (BEGIN, END)))
     return 0
 
 

@@ -187,7 +187,7 @@ def _joints(arm: simulation.Arm, T: Array, rng: np.random.Generator) -> Array | 
 def photographed(there: Scene, case: Case, folder: Path, seed: int) -> tuple[Path, Path, str]:
     """Render photographs, and import them by the command; returns the table, the job and what was said."""
     some, rng = there.some, np.random.default_rng([seed, 17])
-    renderer = simulation.Renderer(some.lens, some.sheet, some.look, rays_each_way=3)
+    renderer = simulation.Renderer(some.lens, some.sheet, some.look)
     (folder / "photographs").mkdir()
     for k, T in enumerate(there.cameras):
         grey = renderer.image(np.linalg.inv(T) @ some.board, rng)

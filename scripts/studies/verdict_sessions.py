@@ -25,8 +25,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.effects import delay, stretches
+from calib.assessment.effects import delay
 from calib.assessment.influence import Residue
+from calib.assessment.stretches import stretches
 from calib.foundations.chance import bound
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.robot.sources import resolve

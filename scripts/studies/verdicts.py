@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 
-from calib.assessment.checks import SEEN_IN_TIME, SURE
+from calib.assessment.checks.of_rows import SEEN_IN_TIME, SURE
 from scripts.studies.verdict_moving import NEXT, moving
 from scripts.studies.verdict_sessions import BAD, LAST, LATER, POOR, Judged, bad, judge, poor, sound
 

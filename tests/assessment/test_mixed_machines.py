@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.effects import stretches
 from calib.assessment.influence import Residue
 from calib.assessment.mixed_machines import ONE_MACHINE, MixedMachines, mixed_machines
+from calib.assessment.stretches import stretches
 from tests.support import machines
 from tests.support.machines import Array, Machine, anywhere, pose
 

@@ -7,9 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment import checks
-from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, stretches, timing, wandering
+from calib.assessment.checks import of_arm, of_errors, of_rows
+from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
+from calib.assessment.judged import Check
+from calib.assessment.stretches import stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
 from calib.machine.calibrated import machine_of
@@ -173,14 +175,14 @@ def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
     assert found.value == pytest.approx(rows, abs=max(4.0 * found.sigma, 0.15))
     assert abs(found.t) > 6.0
     assert np.isnan(step)
-    assert not checks.late(found, step).passed
-    assert f"rows {'later' if rows > 0 else 'earlier'} than" in checks.late(found, step).sentence
+    assert not of_rows.late(found, step).passed
+    assert f"rows {'later' if rows > 0 else 'earlier'} than" in of_rows.late(found, step).sentence
     # With times, five rows a second, the same is told in ms.
     timed, step = delay(*cell.effects(replace(data, times=0.2 * np.arange(len(data)))))
     assert timed.value == pytest.approx(0.2 * found.value, rel=1e-6)
     assert step == pytest.approx(0.2)
-    assert f"{1e3 * abs(timed.value):.2g} +- " in checks.late(timed, step).sentence
-    assert " ms " in checks.late(timed, step).sentence
+    assert f"{1e3 * abs(timed.value):.2g} +- " in of_rows.late(timed, step).sentence
+    assert " ms " in of_rows.late(timed, step).sentence
 
 
 def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) -> None:
@@ -188,10 +190,10 @@ def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) 
     true = cell.measured(q)
     rows = slice(10, 510)
 
-    def told(read: Array) -> tuple[Timing, checks.Check]:
+    def told(read: Array) -> tuple[Timing, Check]:
         data = true.subset(range(10, 510))
         found = timing(*cell.effects(replace(data, readings=read[rows], times=t)))
-        return found, checks.timing(found)
+        return found, of_rows.timing(found)
 
     found, check = told(q)
     assert check.passed
@@ -237,7 +239,7 @@ def test_sound_rows_show_no_effect(cell: Cell) -> None:
         late, _ = delay(parts, C)
         assert not abs(late.value) > 5.0 * late.sigma
         assert all(not abs(gain.t) > 6.0 for gain in gains(parts, C).values())
-        assert all(step.size < checks.SIZE for step in steps(parts, C))
+        assert all(step.size < of_rows.SIZE for step in steps(parts, C))
         assert wandering(parts, C)[0] < 1e-4
 
 
@@ -251,10 +253,10 @@ def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
         assert found.share == pytest.approx(0.01, rel=0.05)
         assert found.size > 5.0
         assert found.chance < 1e-20
-        assert not checks.axes([found]).passed
+        assert not of_rows.axes([found]).passed
     # All of them too long is nothing that these rows can tell from links that are.
     (found,) = strains(*cell.effects(replace(data, position=1.003 * data.position)))
-    assert checks.axes([found]).passed
+    assert of_rows.axes([found]).passed
 
 
 def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
@@ -267,12 +269,12 @@ def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
     assert found.distance == pytest.approx(np.sqrt(np.mean(np.sum(moved[:, :3, 3] ** 2, axis=1))), rel=0.2)
     assert found.share == pytest.approx(1.0, abs=0.3)
     fit = calib.identify(cell.model, cell.measured(q, whole))
-    assert not checks.resolution([found], fit).passed
+    assert not of_rows.resolution([found], fit).passed
     # Where the arm went to whole degrees, nothing was rounded.
     parts, _ = cell.effects(cell.measured(whole))
     (found,) = rounding(parts, cell.robot)
     assert found.share > 10.0
-    assert checks.resolution([found], fit).passed
+    assert of_rows.resolution([found], fit).passed
     assert rounding(cell.effects(cell.measured(q))[0], cell.robot) == ()
 
 
@@ -295,7 +297,7 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     longer = [replace(j, origin=lengthened(j.origin, factor)) for j in arm.joints]
     true = machines.Machine(replace(arm, joints=tuple(longer)), base, tools)
     fit = calib.identify(cell.model, true.measure(cell.robot, cell.draw(60), rng=cell.rng, sigma=5e-5))
-    check = checks.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
     assert check.statistic == pytest.approx(factor - 1.0, rel=0.1)
     assert check.passed == passed
 
@@ -303,16 +305,16 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
 def test_lengths_that_nothing_tells_are_said_in_words(
     cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checks, "_common_scale", lambda *_: (float("nan"), float("nan")))
-    assert checks.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
+    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"), float("nan")))
+    assert of_arm.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
 
 
 def test_a_tool_beyond_reach(fit: calib.Fit) -> None:
-    assert checks.tool_and_base(fit).passed
+    assert of_arm.tool_and_base(fit).passed
     tools = np.array(fit.machine.frames.tools)
     tools[:, 0, 3] += 5.0
     frames = replace(fit.machine.frames, tools=tools)
-    assert not checks.tool_and_base(replace(fit, machine=replace(fit.machine, frames=frames))).passed
+    assert not of_arm.tool_and_base(replace(fit, machine=replace(fit.machine, frames=frames))).passed
 
 
 # ---- remarks
@@ -335,7 +337,7 @@ def test_a_sigma_that_is_too_large_is_remarked(cell: Cell) -> None:
     (finding,) = remarks(fit)
     assert finding.code == "sigma-too-large"
     assert "sigma seems 5 times too large" in finding.sentence
-    assert checks.prediction(fit, machine_of(fit), []).passed
+    assert of_errors.prediction(fit, machine_of(fit), []).passed
 
 
 def test_a_table_that_asks_for_a_base_of_its_own() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.compensation import commands, targets
+from calib.compensation import commands, inverse, targets
 from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
@@ -223,8 +223,8 @@ def test_a_search_that_takes_too_long_is_cut_short_and_says_so(monkeypatch: pyte
     poses = model.robot.tips(well_posed(model, draw(model.robot, 40))[:20], model.deviations) @ TOOLS["tool"]
     whole = commands.for_poses(model, poses)
     assert whole.reached.all()
-    monkeypatch.setattr(commands, "_LOOKS", 0)
-    monkeypatch.setattr(commands, "_LOOKS_PER_ROW", 12)
+    monkeypatch.setattr(inverse, "_LOOKS", 0)
+    monkeypatch.setattr(inverse, "_LOOKS_PER_ROW", 12)
     found = commands.for_poses(model, poses)
     assert 0 < found.reached.sum() < 20
     assert found.steps.sum() < 20 * 14
@@ -239,8 +239,8 @@ def test_targets_that_come_later_keep_their_share_of_the_search(monkeypatch: pyt
     readings = well_posed(model, draw(model.robot, 40))[:20]
     poses = model.robot.tips(readings, model.deviations) @ TOOLS["tool"]
     poses[:10, :3, 3] *= 1.2 / np.linalg.norm(poses[:10, :3, 3], axis=1)[:, None]
-    monkeypatch.setattr(commands, "_LOOKS", 0)
-    monkeypatch.setattr(commands, "_BLOCK", 10)
+    monkeypatch.setattr(inverse, "_LOOKS", 0)
+    monkeypatch.setattr(inverse, "_BLOCK", 10)
     found = commands.for_poses(model, poses, readings + 0.02)
     assert found.reached[10:].all()
 

@@ -23,25 +23,15 @@ OURS = ("model.json", "result.json", "report.html")
 # A process with one thread, that can be forked: every fork does a thing and is gone at its n-th operation, which the
 # interpreter's audit hooks tell beforehand. Writing and syncing are not told, and counted by hand.
 KILLER = '''
-import os, sys, types
+import errno, os, sys, types
 from pathlib import Path
 
 # The package without what it imports: a small process forks fast.
 sys.modules["calib"] = types.ModuleType("calib")
 sys.modules["calib"].__path__ = [sys.argv[2]]
-from calib.foundations.folders import reading_folder, write_folder
 
-OURS = ("model.json", "result.json", "report.html")
 root = Path(sys.argv[1])
 os.fsync = lambda handle: None  # no disk is lost here
-
-
-def contents(folder):
-    return {path.name: path.read_text() for path in folder.iterdir()}
-
-
-def write(word):
-    write_folder(root / "out", dict.fromkeys(OURS[:2] if word == "new" else OURS, word), OURS)
 
 
 def killed_at(n, what):
@@ -61,6 +51,22 @@ def killed_at(n, what):
         what()
         os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 9
+
+
+'''
+
+FOLDER = """
+from calib.foundations.folders import reading_folder, write_folder
+
+OURS = ("model.json", "result.json", "report.html")
+
+
+def contents(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def write(word):
+    write_folder(root / "out", dict.fromkeys(OURS[:2] if word == "new" else OURS, word), OURS)
 
 
 def read():
@@ -111,19 +117,94 @@ for late in (False, True):
     (root / "out" / "notes.txt").unlink(missing_ok=True)
     total += n
 print(total, seen)
-'''
+"""
 
 
-def test_killed_at_every_operation(tmp_path: Path) -> None:
+# What is beside is somebody else's, but for the one moment in which what replaces another is called as a part.
+FILE = """
+from calib.foundations.files import write_atomically
+
+unnamed, new = sys.argv[3] == "unnamed", sys.argv[4] == "new"
+opened = os.open
+nameless = getattr(os, "O_TMPFILE", 0)
+
+
+def known(name, flags, *arguments, **options):
+    if nameless and flags & nameless == nameless and not unnamed:
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+    return opened(name, flags, *arguments, **options)
+
+
+os.open = known
+foreign = {".a.01234567.part": "theirs", "b": "theirs"}
+seen = {"before": 0, "after": 0, "part": 0}
+n = 0
+while True:
+    for path in root.iterdir():
+        path.unlink()
+    for name, text in (foreign if new else foreign | {"a": "old"}).items():
+        (root / name).write_text(text)
+    killed = killed_at(n, lambda: write_atomically(root / "a", "new", new=new))
+    found = {path.name: path.read_text() for path in root.iterdir()}
+    assert foreign.items() <= found.items(), found
+    stood = found.pop("a", None)
+    assert stood in ("new", None if new else "old"), stood
+    parts = {name: text for name, text in found.items() if name not in foreign}
+    assert all(name.startswith(".a.") and name.endswith(".part") for name in parts)
+    if not killed:
+        assert (stood, parts) == ("new", {})
+        break
+    seen["after" if stood == "new" else "before"] += 1
+    seen["part"] += bool(parts)
+    n += 1
+print(n, seen)
+"""
+
+
+def killed(tmp_path: Path, code: str, *arguments: str) -> tuple[int, dict[str, int]]:
+    """Return at how many operations something was killed, and how often what was seen then."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-W", "error", "-c", KILLER, str(tmp_path), str(Path(folders.__file__).parents[1])]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        "-c",
+        KILLER + code,
+        str(tmp_path),
+        str(Path(folders.__file__).parents[1]),
+    ]
+    done = subprocess.run([*command, *arguments], env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     operations, seen = done.stdout.split(" ", 1)
-    assert int(operations) > 40
-    counted = ast.literal_eval(seen)
+    return int(operations), ast.literal_eval(seen)
+
+
+@pytest.mark.parametrize("new", [True, False], ids=["new", "replaced"])
+@pytest.mark.parametrize("unnamed", [True, False], ids=["unnamed", "named"])
+def test_a_file_killed_at_every_operation(tmp_path: Path, unnamed: bool, new: bool) -> None:
+    if unnamed and not unnamed_files(tmp_path):
+        pytest.skip("this file system knows no files without a name")
+    operations, seen = killed(tmp_path, FILE, "unnamed" if unnamed else "named", "new" if new else "replaced")
+    assert operations > 4
+    assert seen["before"] > 2
+    assert seen["before"] + seen["after"] == operations
+    # Without a name it leaves nothing, but in the one moment between link and rename.
+    assert seen["part"] == (0 if new else 1) if unnamed else seen["part"] > 1
+
+
+def unnamed_files(folder: Path) -> bool:
+    try:
+        os.close(os.open(folder, os.O_WRONLY | os.O_TMPFILE))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+def test_a_folder_killed_at_every_operation(tmp_path: Path) -> None:
+    operations, counted = killed(tmp_path, FOLDER)
+    assert operations > 40
     assert all(count > 0 for count in counted.values()), counted
-    assert counted["old"] + counted["new"] == int(operations)
+    assert counted["old"] + counted["new"] == operations
 
 
 # Two at once. -----------------------------------------------------------------------------------------------------

@@ -14,12 +14,12 @@ from calib.job.stated import load_arm
 from calib.measurement.kinds import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
-from calib.presentation.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
 from calib.presentation.meshes import parse_mesh, simplified
 from calib.presentation.thin_meshes import ThinMesh, thin_mesh
 from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
+from calib.robot.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
 from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
 from scripts.development import hostile_files
 from scripts.development.hostile_files import HOSTILE, fill
@@ -143,6 +143,7 @@ def test_a_robot_of_too_many_shapes_is_drawn_as_sticks(tmp_path: Path) -> None:
     [
         ("dae doubling", 4_000),
         ("dae doubling in the scene", 4_000),
+        ("dae of one id", 150_000),
         ("dae instances", 150_000),
         ("dae geometries", 900_000),
         ("dae nodes", 100_000),

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment import checks
-from calib.assessment.effects import Stretch, delay, stretches
+from calib.assessment.checks import of_rows
+from calib.assessment.effects import delay
 from calib.assessment.influence import Residue
+from calib.assessment.stretches import Stretch, stretches
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
@@ -174,14 +175,14 @@ def test_a_clock_that_was_given_wrongly_is_told_in_milliseconds(late: float) -> 
     model = calib.error_model(made.robot, offsets="all", placements="all")
     found, step = delay(*_effects(calib.identify(model, data)))
     assert found.value == pytest.approx(late, abs=max(4.0 * found.sigma, 1e-3))
-    check = checks.late(found, step)
+    check = of_rows.late(found, step)
     assert not check.passed
     assert " ms later than" in check.sentence if late > 0 else " ms earlier than" in check.sentence
     # A clock that is free takes it all.
     free = calib.measuring.read_stream(
         made.seen, made.robot, made.joints, clock=Clock("given", latency=True), sigma=1e-4
     )
-    assert checks.late(*delay(*_effects(calib.identify(model, free)))).passed
+    assert of_rows.late(*delay(*_effects(calib.identify(model, free)))).passed
 
 
 def _effects(fit: calib.Fit) -> tuple[tuple[Stretch, ...], np.ndarray]:

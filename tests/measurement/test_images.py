@@ -11,7 +11,7 @@ cv2 = pytest.importorskip("cv2")
 from calib.foundations.errors import JobError, MeasurementError  # noqa: E402
 from calib.measurement.formats.images import detector, marker_bits, read_image  # noqa: E402
 from calib.measurement.prints import Print  # noqa: E402
-from scripts.simulate.photographs import Lens, Look, Renderer, Sheet, pose  # noqa: E402
+from scripts.simulate.photographs import MARGIN, Lens, Look, Renderer, Sheet, pose  # noqa: E402
 
 PRINT = Print("charuco", (7, 5), 0.030, 0.022, "DICT_4X4_50")
 LENS = Lens(fx=600.0, fy=602.0, cx=322.0, cy=238.0, k=(-0.1, 0.05, 5e-4, -3e-4, 0.0), size=(640, 480))
@@ -105,3 +105,26 @@ def test_dictionaries_that_are_unknown_or_too_small_are_refused() -> None:
         marker_bits(Print("charuco", (7, 5), 0.03, 0.02, "DICT_9X9"))
     with pytest.raises(JobError, match="12 x 12 squares need 72 markers, and DICT_4X4_50 has 50"):
         marker_bits(Print("charuco", (12, 12), 0.03, 0.02, "DICT_4X4_50"))
+
+
+def test_light_is_what_rays_through_pixels_bring() -> None:
+    """Each ray by itself, without what is interpolated, and where nothing is printed none are left out."""
+    look = Look(blur=0.0, falling=(0.0, 0.0))
+    renderer, T, rng = Renderer(LENS, SHEET, look), POSES[1], np.random.default_rng(3)
+    light = renderer.light(T)
+    u, v = rng.integers((160, 100), (480, 380), (800, 2)).T
+    each = (np.arange(24) + 0.5) / 24 - 0.5
+    x, y = LENS.rays(u[:, None, None] + each, v[:, None, None] + each[:, None])
+    d = np.stack([x, y, np.ones_like(x)], axis=-1) @ T[:3, :3]
+    start = -T[:3, :3].T @ T[:3, 3]
+    z = np.zeros(x.shape)
+    for _ in range(30):
+        flat = start[:2] + ((z - start[2]) / d[..., 2])[..., None] * d[..., :2]
+        z = SHEET.height(flat)
+    drawn = flat @ np.linalg.inv(SHEET.stretch()).T + SHEET.middle
+    paper = np.all((drawn > -MARGIN) & (drawn < 2.0 * SHEET.middle + MARGIN), axis=-1)
+    grey = np.where(paper, look.black + (look.white - look.black) * SHEET.white(drawn), look.ground).mean(axis=(1, 2))
+    crossed = np.abs(grey - light[v, u]) > 0.0
+    assert crossed.sum() > 40
+    assert np.abs(grey - light[v, u]).max() < 0.09 * (look.white - look.black)
+    assert np.sqrt(np.mean((grey - light[v, u])[crossed] ** 2)) < 4.0

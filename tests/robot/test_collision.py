@@ -168,6 +168,46 @@ def test_a_mesh_of_no_size_is_not_judged(tmp_path: Path, value: float) -> None:
     assert len(found.shapes) == 1
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "dae doubling, judged",
+        "dae doubling by name, judged",
+        "dae of one id, judged",
+        "dae instances, judged",
+        "dae fan, judged",
+        "dae polygons, judged",
+        "dae polylist, judged",
+        "obj materials, judged",
+        "obj polygon, judged",
+        "ply polygon, judged",
+        "ply polygon as text, judged",
+    ],
+)
+def test_a_mesh_that_swells_is_not_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    hostile_files.fill(name, tmp_path, 40_000)
+    (path,) = tmp_path.glob("m.*")
+    monkeypatch.setattr("coal.MeshLoader", None)
+    mesh = f'<collision><geometry><mesh filename="{path.name}"/></geometry></collision>'
+    found = self_collision(robot_of(with_shapes(ARM, {"base": mesh, "tip": ball((0, 0, 0))})), [tmp_path])
+    assert found is not None
+    assert found.notes[0].endswith(f"{path.name!r}, which is too large to be judged.")
+    assert len(found.shapes) == 1
+
+
+@pytest.mark.parametrize("corners", [255, 256])
+def test_a_polygon_may_have_as_many_corners_as_a_byte_counts(tmp_path: Path, corners: int) -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    points = "".join(f"v {np.cos(angle):.6f} {np.sin(angle):.6f} 0\n" for angle in angles)
+    # Over several lines, as long ones are written.
+    face = "f " + " ".join(f"{k + 1}" + " \\\n" * (k % 20 == 19) for k in range(corners))
+    (tmp_path / "m.obj").write_text(f"{points}{face}\n")
+    mesh = '<collision><geometry><mesh filename="m.obj"/></geometry></collision>'
+    found = self_collision(robot_of(with_shapes(ARM, {"base": mesh, "tip": ball((0, 0, 0))})), [tmp_path])
+    assert found is not None
+    assert len(found.shapes) == (2 if corners <= 255 else 1)
+
+
 def needles(many: int, seed: int) -> bytes:
     """Return an STL of triangles in all directions that are all near each other and hardly touch."""
     rng = np.random.default_rng(seed)

@@ -11,7 +11,20 @@ import pytest
 from calib.foundations import folders
 
 OURS = ("model.json", "result.json", "report.html")
-_OPERATIONS = ("fsync", "listdir", "lstat", "mkdir", "open", "rename", "replace", "rmdir", "scandir", "stat", "unlink")
+_OPERATIONS = (
+    "fsync",
+    "link",
+    "listdir",
+    "lstat",
+    "mkdir",
+    "open",
+    "rename",
+    "replace",
+    "rmdir",
+    "scandir",
+    "stat",
+    "unlink",
+)
 
 
 def fill(folder: Path, contents: dict[str, str]) -> Path:

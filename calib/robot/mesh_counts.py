@@ -5,8 +5,9 @@ counted: their points are all in the file.
 """
 
 import json
+import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from calib.foundations.xml_text import Element, read_xml
@@ -15,14 +16,19 @@ from calib.foundations.xml_text import Element, read_xml
 MOST_CORNERS = 600_000
 MOST_PARTS = 1000
 _HEADER = 12
+# Lines of text that a polygon of more than a hundred corners needs; and lists of a PLY that are counted by more than a
+# byte, in which any number of corners may come.
+_LONG_LINE = re.compile(rb"[^\r\n]{200,}")
+_WIDE_LIST = re.compile(rb"property[ \t]+list[ \t]+(?!(?:u?char|u?int8)[ \t])")
 _WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid ",)}
 
 
 class Counts(NamedTuple):
-    """Corners of triangles, and parts, of a mesh."""
+    """Corners of triangles, and parts, of a mesh; and corners of its largest polygon."""
 
     corners: int
     parts: int
+    polygon: int = 0
 
     def within(self, corners: int) -> bool:
         """Return whether there are no more than so many corners, and parts as few as are drawn."""
@@ -38,7 +44,15 @@ def counts(data: bytes, suffix: str) -> Counts:
         return _of_glb(data)
     if suffix == ".dae":
         return _of_collada(data)
-    return Counts(0, sum(map(data.count, _WORDS_BEFORE_A_PART.get(suffix, ()))))
+    polygon = _longest_line(data) if suffix in (".obj", ".ply") else 0
+    if suffix == ".ply" and _WIDE_LIST.search(data):
+        polygon = len(data)
+    return Counts(0, sum(map(data.count, _WORDS_BEFORE_A_PART.get(suffix, ()))), polygon)
+
+
+def _longest_line(data: bytes) -> int:
+    """Return how many words follow the first of a line at most, of lines that may have many."""
+    return max((len(line.split()) - 1 for line in _LONG_LINE.findall(data)), default=0)
 
 
 def _of_glb(data: bytes) -> Counts:
@@ -64,13 +78,24 @@ def _of_collada(data: bytes) -> Counts:
     everything: dict[str, list[Element]] = {}
     for element in read_xml(data, texts=True).descendants():
         everything.setdefault(_tag(element), []).append(element)
-    geometries = {of.attributes.get("id", ""): _of_geometry(of) for of in everything.get("geometry", ())}
+    geometries: dict[str, Counts] = {}
+
+    def add(element: Element, found: Counts) -> None:
+        # Of those that share an id, one reader takes the first and another the last.
+        key = element.attributes.get("id", "")
+        geometries[key] = _most([geometries.get(key, found), found])
+
+    for geometry in everything.get("geometry", ()):
+        add(geometry, _of_geometry(geometry))
     for controller in everything.get("controller", ()):
         skins = [
             geometries.get(skin.attributes.get("source", "")[1:], Counts(0, 0)) for skin in _below(controller, "skin")
         ]
-        geometries[controller.attributes.get("id", "")] = _sum(skins)
-    nodes = {node.attributes.get("id", ""): node for node in everything.get("node", ())}
+        add(controller, _sum(skins))
+    libraries = everything.get("library_nodes", ())
+    nodes = _called([node for library in libraries for node in library.children], ("id",))
+    # One reader looks there first, and then takes what has such an id or a name anywhere.
+    nodes = {**_called(everything.get("node", ()), ("id", "name")), **nodes}
     known: dict[int, Counts | None] = {}
 
     def of_node(node: Element) -> Counts:
@@ -86,31 +111,46 @@ def _of_collada(data: bytes) -> Counts:
             if _tag(child) == "node":
                 parts.append(of_node(child))
             elif _tag(child) == "instance_node" and url in nodes:
-                parts.append(of_node(nodes[url]))
+                parts.append(_most([of_node(one) for one in nodes[url]]))
             elif _tag(child) in ("instance_geometry", "instance_controller"):
                 parts.append(geometries.get(url, Counts(0, 1)))
         found = _sum(parts)
         known[id(node)] = found
         return found
 
-    scenes, libraries = everything.get("visual_scene", ()), everything.get("library_nodes", ())
+    scenes = everything.get("visual_scene", ())
     shown = _sum([of_node(node) for scene in scenes for node in scene.children if _tag(node) == "node"])
     # Whatever is in the library is made as well, and once.
     library = _sum([*geometries.values(), *(of_node(node) for group in libraries for node in group.children)])
-    return Counts(max(shown.corners, library.corners), max(shown.parts, library.parts))
+    return _most([shown, library])
 
 
 def _of_geometry(geometry: Element) -> Counts:
-    corners = parts = 0
+    corners = parts = polygon = 0
     for primitive in geometry.descendants():
-        if _tag(primitive) in ("triangles", "polylist", "polygons", "tristrips", "trifans", "lines", "linestrips"):
-            inputs = _below(primitive, "input")
-            each = 1 + max((int(one.attributes.get("offset", "0")) for one in inputs), default=0)
-            words = sum(len(p.text.split()) for p in _below(primitive, "p"))
+        kind = _tag(primitive)
+        if kind in ("triangles", "polylist", "polygons", "tristrips", "trifans", "lines", "linestrips"):
+            inputs = [one for one in primitive.children if _tag(one) == "input"]
+            each = max(1 + max((int(one.attributes.get("offset", "0")) for one in inputs), default=0), 1)
+            words = [len(p.text.split()) for p in _below(primitive, "p")]
             # A polygon of n corners is n - 2 triangles.
-            corners += words // max(each, 1) * (1 if _tag(primitive) in ("triangles", "lines") else 3)
+            corners += sum(words) // each * (1 if kind in ("triangles", "lines") else 3)
             parts += 1
-    return Counts(corners, parts)
+            if kind in ("polygons", "trifans"):
+                polygon = max(polygon, max(words, default=0) // each)
+            elif kind == "polylist":
+                counted = (int(n) for vcount in _below(primitive, "vcount") for n in vcount.text.split())
+                polygon = max(polygon, max(counted, default=0))
+    return Counts(corners, parts, polygon)
+
+
+def _called(nodes: Iterable[Element], by: Sequence[str]) -> dict[str, list[Element]]:
+    """Return nodes by what they are called."""
+    found: dict[str, list[Element]] = {}
+    for node in nodes:
+        for called in {node.attributes.get(key, "") for key in by}:
+            found.setdefault(called, []).append(node)
+    return found
 
 
 def _below(element: Element, tag: str) -> list[Element]:
@@ -123,4 +163,12 @@ def _tag(element: Element) -> str:
 
 
 def _sum(found: list[Counts]) -> Counts:
-    return Counts(sum(one.corners for one in found), sum(one.parts for one in found))
+    return Counts(sum(one.corners for one in found), sum(one.parts for one in found), _largest(found))
+
+
+def _most(found: list[Counts]) -> Counts:
+    return Counts(max(one.corners for one in found), max(one.parts for one in found), _largest(found))
+
+
+def _largest(found: list[Counts]) -> int:
+    return max((one.polygon for one in found), default=0)

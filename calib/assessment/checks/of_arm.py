@@ -1,0 +1,162 @@
+"""Checks of the arm and its surroundings: whether what was found, or given, is plausible."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.assessment.blame import Blame
+from calib.assessment.judged import NOTHING, Check, JudgedSet
+from calib.assessment.stretches import Stretch
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.linear import triangle
+from calib.foundations.units import MM
+from calib.identification.fit import Fit
+from calib.identification.parameters import scales
+from calib.measurement.checks import Finding
+
+# What a joint that did not move leaves, in rad or m.
+REST = 1e-4
+# Shares by which all links, or one, may differ in length from the URDF, and a length that any may; standard errors.
+SCALE, LINK, LINK_LENGTH, SURE = 0.04, 0.04, 0.025, 6.0
+# In m: a tool point from its link, the base from the instrument.
+FAR_TOOL, FAR_BASE = 1.0, 100.0
+# Warnings about the input that count.
+COUNTED = (
+    "unexplained",
+    "radians-as-degrees",
+    "metres-as-millimetres",
+    "not-held-out",
+    "copied-rows",
+)
+
+
+def joints(fit: Fit, own: Sequence[JudgedSet]) -> Check:
+    """Whether every joint moved."""
+    values = np.concatenate([end.readings for one in own for end in one.data.ends])
+    moved = np.ptp(values, axis=0)
+    # Joints of other arms that no table needs are no part of what was measured.
+    absent = set.intersection(*(set(one.data.absent) for one in own)) if own else set()
+    told = [
+        (reading.name, by) for reading, by in zip(fit.robot.readings, moved, strict=True) if reading.name not in absent
+    ]
+    still = [name for name, by in told if by <= REST]
+    least = min((float(by) for _, by in told), default=np.inf)
+    said = "Every joint moved." if not still else f"Never moved, or never read: {', '.join(map(repr, still))}."
+    return Check.of("joints", least, REST, not still, said, least=True)
+
+
+def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
+    """Whether the links are about as long as the URDF says, all together and each by itself.
+
+    A common scale is sought in what the deviations do to the tool, other parameters taking up what they can: where
+    neighbouring joints move the tool alike, it says nothing how a length is shared between them.
+    """
+    numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
+    scaled = np.zeros(len(fit.parameters))
+    moved = np.zeros(len(fit.parameters), dtype=np.bool_)
+    for p, parameter in enumerate(fit.parameters):
+        joint, _, component = parameter.name.rpartition(".")
+        if parameter.kind == "placement" and component in ("tx", "ty", "tz") and joint in numbers:
+            T = np.asarray(fit.robot.chain[numbers[joint]].placement)
+            # A deviation is in the joint's own frame.
+            scaled[p] = (T[:3, :3].T @ T[:3, 3])["xyz".index(component[1])]
+            moved[p] = True
+    worst, link = 0.0, ""
+    for k in sorted(
+        {
+            numbers[parameter.name.rpartition(".")[0]]
+            for parameter, is_ in zip(fit.parameters, moved, strict=True)
+            if is_
+        }
+    ):
+        T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
+        length = float(np.linalg.norm(T[:3, 3]))
+        by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
+        if abs(by) > worst * max(LINK * length, LINK_LENGTH):
+            worst = abs(by) / max(LINK * length, LINK_LENGTH)
+            link = f"{fit.robot.chain[k].name!r} differs by {by / MM:+.0f} mm"
+    scale, sigma = _common_scale(fit, parts, scaled, moved)
+    if abs(scale) > SCALE and abs(scale) > SURE * sigma:
+        said = f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot?"
+        return Check.of("lengths", abs(scale), SCALE, False, said)
+    if worst > 1.0:
+        said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
+        return Check.of("lengths", worst * LINK, LINK, False, said)
+    if not moved.any():
+        said = "No lengths were free."
+    elif np.isnan(scale):
+        said = "Nothing tells whether all links are longer than in the URDF."
+    else:
+        said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF."
+    return Check.of("lengths", abs(scale), SCALE, True, said)
+
+
+def _common_scale(fit: Fit, parts: Sequence[Stretch], scaled: Array, moved: BoolArray) -> tuple[float, float]:
+    """Return by which share all links are longer, and its standard error; nan where nothing shows it."""
+    if not moved.any() or not parts:
+        return NOTHING, NOTHING
+    own = parts[0].columns
+    R = triangle(np.concatenate([part.J.reshape(-1, len(own)) for part in parts]))
+    values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
+    x = R[:, moved] @ (values[moved] / units[moved, None])
+    others = R[:, ~moved]
+    left = x - others @ np.linalg.lstsq(others, x, rcond=1e-9)[0]
+    square = float(left[:, 1] @ left[:, 1])
+    if square <= 1e-6 * float(x[:, 1] @ x[:, 1]):
+        return NOTHING, NOTHING
+    return float(left[:, 0] @ left[:, 1]) / square, 1.0 / float(np.sqrt(square))
+
+
+def tool_and_base(fit: Fit) -> Check:
+    """Whether tools are within reach of their link, and the base within sight."""
+    free = {parameter.kind for parameter in fit.parameters}
+    reach = max(fit.model.robot.reach, FAR_TOOL)
+    found = []
+    if "tool" in free:
+        far = float(np.linalg.norm(fit.machine.frames.tools[:, :3, 3], axis=1).max(initial=0.0))
+        found.append((far / reach, f"A tool point is {far:.2g} m from its link"))
+    if "base" in free:
+        far = float(np.linalg.norm(fit.machine.frames.bases[:, :3, 3], axis=1).max())
+        found.append((far / FAR_BASE, f"The base is {far:.2g} m from the instrument"))
+    share, said = max(found, default=(NOTHING, "Base and tool were given"))
+    passed = not share > 1.0
+    return Check.of(
+        "tool and base", share, 1.0, passed, f"{said}." if passed else f"{said}, farther than is plausible."
+    )
+
+
+def lens(fit: Fit) -> Check:
+    """Whether the lens is an unknown where the arm's placements are, so that they do not pay for its errors.
+
+    Pixels held out do not tell: on photographs of a real arm a lens that was given a little wrong foretold them better
+    and left the arm worse.
+    """
+    if not any(parameter.kind == "placement" for parameter in fit.parameters):
+        return Check.of("lens", NOTHING, 0.0, True, "No placement is sought.")
+    given = [data.camera.name for data in fit.measurements if data.camera is not None and not data.camera.free]
+    if not given:
+        return Check.of("lens", NOTHING, 0.0, True, "No lens is taken as given.")
+    said = (
+        f"The lens of {given[0]!r} is taken as given and placements are free: an error of the lens is then taken for "
+        'one of the arm, and no uncertainty counts it. Write lens = "free", and the size of the images; or, where the '
+        'lens was calibrated for this, accept = ["lens"].'
+    )
+    return Check.of("lens", len(given), 0.0, False, said)
+
+
+def wrong_lens(blame: Blame) -> Check:
+    """Whether photographs held out contradict a lens that is taken as given; no answer of a user makes it right."""
+    lens = next(cause for cause in blame.causes if cause.name == "lens")
+    without = float(np.hypot(blame.left, lens.beside or 0.0))
+    said = (
+        f"A lens is taken as given, and is another one: with it {without:.2g} px of photographs held out are left, and "
+        f'{blame.left:.2g} px with the lens free. Write lens = "free", and the size of the images.'
+    )
+    return Check.of("lens", without / blame.left, float(np.sqrt(2.0)), not blame.lens_is_wrong, said)
+
+
+def warnings(findings: Sequence[Finding]) -> Check:
+    """Whether what looked wrong in the input was set right."""
+    open_ = [f for f in findings if f.severity == "error" or f.code in COUNTED]
+    said = "No warning about the input is open." if not open_ else open_[0].sentence
+    return Check.of("input", len(open_), 0.0, not open_, said)

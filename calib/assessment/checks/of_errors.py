@@ -1,0 +1,230 @@
+"""Checks of the errors: whether they became smaller, and those of held-out rows are as predicted."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.assessment.checks.of_fit import ROUNDING, small_sigma
+from calib.assessment.effects import memory
+from calib.assessment.gain import ONE_POSE, gain
+from calib.assessment.judged import NOTHING, Check, JudgedSet
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.chance import bound
+from calib.identification.fit import Fit
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.tool_uncertainty import common_errors
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
+
+# Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
+LEFT = 0.05
+# One place that was touched has no spread; this share of the reach stands for it.
+ONE_PLACE = 0.05
+# Standard errors of an improvement: its probability, and from which an error has clearly grown.
+SURELY, WORSE = 0.975, -4.0
+# Errors before calibration that are within this of the noise show no deviation of the arm.
+AS_NOISE = 2.0
+# Held-out errors as multiples of those predicted, which are themselves estimates: their chance.
+PREDICTED, RARELY = 3.0, 1e-4
+# The share of rows that a robust loss may pass over in a held-out table, too.
+PASSED_OVER = 0.15
+# Held-out poses that are needed, and the share of them that may be copies of those of the fit.
+POSES, COPIES = 4, 0.5
+# Rows whose errors by every cause are in memory at a time.
+_BLOCK = 5000
+# What a user wants to know whose arm is as its maker says.
+_ALIKE = (
+    " Nothing shows that the arm deviates from its URDF: a job with neither offsets nor placements keeps that, and "
+    "finds the rest."
+)
+
+
+def explained(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
+    """Whether the machine explains what was measured at all."""
+    worst, what = _left(fit, judged, [one.after for one in judged])
+    said = f"After calibration the errors are {worst:.2g} times the spread of what was measured"
+    passed = worst <= LEFT
+    cause = ": the readings do not belong to the measurements, or not to this robot."
+    return Check.of("explained", worst, LEFT, passed, f"{said}." if passed else f"{said} ({what}){cause}")
+
+
+def _left(fit: Fit, judged: Sequence[JudgedSet], residuals: Sequence[Array]) -> tuple[float, str]:
+    """Return the largest rms of residuals as a share of the spread of what was measured, and of which quantity."""
+    worst, what = 0.0, ""
+    for one, r in zip(judged, residuals, strict=True):
+        for quantity in QUANTITIES[one.data.kind]:
+            rest = float(np.sqrt(np.mean(np.sum(r[:, quantity.columns] ** 2, axis=1))))
+            spread = _spread(fit, [*fit.measurements, *(each.data for each in judged)], one.data, quantity.unit)
+            share = rest / spread if spread > 0.0 else 0.0
+            if share > worst:
+                worst, what = share, quantity.name
+    return worst, what
+
+
+def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: str) -> float:
+    """Return the rms distance from their mean of what was measured, or, where no places were, of the tool points."""
+    if unit == "rad":
+        return 1.0
+    if unit == "px":
+        return _rms(data.value[:, :2])
+    if data.position is not None:
+        return max(_rms(data.position), ONE_PLACE * fit.model.robot.reach)
+    ends = [_tips(fit, end.readings, end.tool, one, k) for one in sets for k, end in enumerate(one.ends)]
+    return max(_rms(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
+
+
+def _tips(fit: Fit, readings: Array, tool: IntArray, data: Measurements, end: int) -> Array:
+    conditions = data.ends[end].conditions
+    T = fit.robot.tips(readings, fit.deviations, conditions)
+    known = fit.measurements[0].tools
+    number = np.array([known.index(name) for name in data.tools], dtype=np.intp)
+    points = fit.machine.frames.tools[number[tool], :3, 3]
+    return np.asarray(T[:, :3, 3] + (T[:, :3, :3] @ points[:, :, None])[:, :, 0])
+
+
+def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
+    """Whether errors are smaller than before, by more than chance makes them over different poses."""
+    if not any(parameter.of_robot for parameter in fit.parameters):
+        return Check.of("improvement", NOTHING, NOTHING, True, "No parameter of the robot was free.", least=True)
+    best, limit, worse, deviates = -np.inf, NOTHING, "", False
+    for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
+        found = gain(judged, name)
+        if not found.freedom:
+            continue
+        if found.t > best:
+            best, limit = found.t, found.needed(SURELY)
+        clearly = found.t < WORSE or found.t > found.needed(SURELY)
+        deviates |= clearly or not found.before <= AS_NOISE * _noise(fit, name)
+        if found.t < WORSE or (name in ("position", "pixels") and found.after >= found.before):
+            worse = name
+    if not np.isfinite(best):
+        return Check.of(
+            "improvement", NOTHING, NOTHING, True, "There are too few rows to judge an improvement.", least=True
+        )
+    held_out = any(one.use == "validation" for one in judged)
+    data = "held-out data" if held_out else "the fitted data"
+    # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
+    deviates |= _left(fit, judged, [one.before for one in judged])[0] > LEFT
+    alike = "" if deviates else _ALIKE
+    if worse:
+        said = f"On {data} the {worse} error is no smaller than before calibration.{alike}"
+        return Check.of("improvement", best, limit, False, said, least=True)
+    passed = best > limit
+    said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
+    more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance.{alike}"
+    return Check.of("improvement", best, limit, passed, said + more, least=True)
+
+
+def _noise(fit: Fit, name: str) -> float:
+    """Return the rms of the errors of a quantity by the noise of the fit alone, zero where it has none."""
+    same = [noise for noise in fit.noise if noise.quantity == name and noise.degrees_of_freedom >= 1.0]
+    if not same:
+        return 0.0
+    columns = next(q.columns for q in QUANTITIES[fit.measurements[same[0].measurements].kind] if q.name == name)
+    mean = np.average([n.total**2 for n in same], weights=[n.degrees_of_freedom for n in same])
+    return float(np.sqrt((columns.stop - columns.start) * mean))
+
+
+def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
+    """Whether errors of rows held out are about as large as the fit says that they should be, or small."""
+    robust = any(loss != "linear" for loss in fit.losses)
+    # Parameters from rows that go together are that much less sure.
+    together = 1.0 + 2.0 * memory(fit.residuals)
+    worst, limit, said = NOTHING, PREDICTED, "No rows were held out."
+    for one in held_out:
+        for quantity in QUANTITIES[one.data.kind]:
+            same = [n for n in fit.noise if n.quantity == quantity.name and n.degrees_of_freedom >= 1.0]
+            if not same or not len(one.data):
+                continue
+            own = np.average([n.total**2 for n in same], weights=[n.degrees_of_freedom for n in same])
+            width = quantity.columns.stop - quantity.columns.start
+            predicted = float(own) * width + together * _of_parameters(machine, one.data, quantity.columns)
+            predicted = np.maximum(predicted, ROUNDING**2)
+            squares = np.sum(one.after[:, quantity.columns] ** 2, axis=1)
+            if robust:
+                # Outliers that a robust loss passes over in one table are in others, too.
+                kept = squares <= np.quantile(squares, 1.0 - PASSED_OVER)
+                squares, predicted = squares[kept], predicted[kept]
+            ratio = float(np.sqrt(np.mean(squares / predicted)))
+            # What was predicted is itself an estimate, of few numbers a poor one.
+            freedom = sum(n.degrees_of_freedom for n in same)
+            allowed = PREDICTED * max(1.0, 0.5 * float(np.sqrt(bound(1.0 - RARELY, 3, freedom) / 3.0)))
+            allowed = max(allowed, small_sigma(fit, quantity.unit) / float(np.sqrt(np.mean(predicted))))
+            if not worst / limit >= ratio / allowed:
+                worst, limit = ratio, allowed
+                said = f"Held-out {quantity.name} errors are {ratio:.2g} times as large as predicted"
+                said += "." if ratio <= allowed else ": something differs between the fitted and the held-out rows."
+    return Check.of("prediction", worst, limit, not worst > limit, said)
+
+
+def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slice) -> Array:
+    """Return the variance (N,) that the parameters bring to positions or turns; nothing for what is not known of."""
+    known = machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
+    if data.position is None or not known:
+        return np.zeros(len(data))
+    found = np.empty(len(data))
+    for start in range(0, len(data), _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, len(data)))
+        found[rows] = np.sum(common_errors(machine, data.subset(rows))[:, columns] ** 2, axis=(1, 2))
+    return found
+
+
+def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
+    """Whether enough poses were held out, where any were."""
+    if not held_out:
+        said = "No rows were held out: nothing shows how well the machine predicts other poses."
+        return Check.of("held-out poses", NOTHING, POSES, True, said, least=True)
+    cells = [np.round(_readings(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
+    n = len(np.unique(np.concatenate(cells), axis=0))
+    said = f"{n} held-out {'pose is' if n == 1 else 'poses are'} different from those of the fit"
+    return Check.of(
+        "held-out poses",
+        n,
+        POSES,
+        n >= POSES,
+        f"{said}{'.' if n >= POSES else f', and {POSES} are needed.'}",
+        least=True,
+    )
+
+
+def copies(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
+    """Whether rows held out are the rows of the fit once more, also shuffled or rounded."""
+    total = sum(len(one.data) for one in held_out)
+    if not total:
+        return Check.of("copies", NOTHING, COPIES, True, "No rows were held out.")
+    share = sum(int(_copied(own, one).sum()) for one in held_out) / total
+    said = f"{100.0 * share:.0f} % of the held-out rows are at poses of the fit"
+    passed = share <= COPIES
+    more = "." if passed else ": they prove nothing about other poses."
+    return Check.of("copies", share, COPIES, passed, said + more)
+
+
+def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
+    """Return which rows (N,) are at a pose of the fit, with the same tool and target."""
+    found: BoolArray = np.zeros(len(one.data), dtype=np.bool_)
+    names: dict[str, int] = {}
+    wanted = _apart(one.data, names)
+    for other in own:
+        if other.data.kind == one.data.kind and len(other.data) and len(one.data):
+            distance, _ = cKDTree(_apart(other.data, names)).query(wanted, p=np.inf, distance_upper_bound=ONE_POSE)
+            found |= np.isfinite(distance)
+    return found
+
+
+def _readings(data: Measurements) -> Array:
+    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
+
+
+def _apart(data: Measurements, names: dict[str, int]) -> Array:
+    """Return the readings, and beside them numbers by which rows of other tools and targets are far away."""
+
+    def numbers(of: Sequence[str]) -> Array:
+        return np.array([names.setdefault(name, len(names)) for name in of] or [0], dtype=np.float64)
+
+    tool, target = numbers(data.tools)[data.tool], numbers(data.targets)[np.maximum(data.target, 0)]
+    return np.column_stack([_readings(data), tool, target])

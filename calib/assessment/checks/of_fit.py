@@ -1,0 +1,72 @@
+"""Checks of the fit itself: whether it ended, and what it leaves beside the stated noise."""
+
+import numpy as np
+
+from calib.assessment.judged import NOTHING, Check
+from calib.identification.fit import Fit
+from calib.measurement.kinds import UNIT_OF
+
+# Degrees of freedom with which a scatter is told from a sigma.
+ENOUGH = 10.0
+FREEDOM = 10.0
+# A scatter of a nanometre is rounding, of data without noise.
+ROUNDING = 1e-9
+# Times a stated sigma, or a share of the reach, that the residuals may scatter.
+SIGMA, OF_REACH = 30.0, 5e-4
+# A sigma is said to be too large from this factor.
+TOO_LARGE = 3.0
+
+
+def convergence(fit: Fit) -> Check:
+    """Whether the search for the least squares ended."""
+    said = (
+        "The solver converged."
+        if fit.converged
+        else f"The solver did not converge: its last step was {fit.step:.2g} parameter scales."
+    )
+    return Check.of("convergence", fit.step, NOTHING, fit.converged, said)
+
+
+def redundancy(fit: Fit) -> Check:
+    """Whether more was measured than was sought."""
+    free = sum(noise.degrees_of_freedom for noise in fit.noise)
+    numbers = sum(r.size for r in fit.residuals)
+    said = f"{numbers} numbers were measured, and {free:.0f} degrees of freedom are left to judge the fit"
+    passed = free >= FREEDOM
+    return Check.of(
+        "redundancy",
+        free,
+        FREEDOM,
+        passed,
+        f"{said}." if passed else f"{said}; at least {FREEDOM:g} are needed.",
+        least=True,
+    )
+
+
+def stated_sigma(fit: Fit) -> Check:
+    """Whether what remains is near the instrument's noise, where that is stated."""
+    worst, limit, said = NOTHING, SIGMA, "There is no stated sigma to compare the residuals with."
+    for noise in fit.noise:
+        if not noise.degrees_of_freedom >= ENOUGH or not noise.chi_square >= 0.0:
+            continue
+        # Of a robust loss the total leaves out what the loss does.
+        times = noise.total / noise.instrument if noise.model > 0.0 else float(np.sqrt(noise.chi_square))
+        allowed = max(SIGMA, small_sigma(fit, UNIT_OF[noise.quantity]) / noise.instrument)
+        if not worst / limit >= times / allowed:
+            worst, limit = times, allowed
+            said = f"The {noise.quantity} residuals scatter {times:.2g} times as much as the stated sigma"
+            if times > allowed:
+                said += ": the sigma is far too small, or an effect is missing from the model."
+            else:
+                said += "; the sigma seems too large." if times < 1.0 / TOO_LARGE else "."
+    return Check.of("stated sigma", worst, limit, not worst > limit, said)
+
+
+def small_sigma(fit: Fit, unit: str) -> float:
+    """Return a standard deviation that is small for an arm of its reach, in the unit."""
+    if unit == "px":
+        # As an angle is seen: the sigma of a sharp corner is far below what any arm repeats.
+        return OF_REACH * max(
+            (data.camera.lens.fx for data in fit.measurements if data.camera is not None), default=0.0
+        )
+    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0)

@@ -1,0 +1,274 @@
+"""Checks of the rows: what they say of each other, of the instrument, of clocks and of several machines."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
+from calib.assessment.effects import NO_EFFECT, Effect, Rounding, Step, Strain, Timing
+from calib.assessment.gain import ONE_POSE
+from calib.assessment.judged import NOTHING, Check, JudgedSet
+from calib.assessment.metrics import error_norms
+from calib.assessment.mixed_machines import MixedMachines
+from calib.assessment.outliers import Outliers
+from calib.assessment.own_base import OwnBase
+from calib.foundations.chance import bound
+from calib.foundations.units import MM, MS
+from calib.identification.fit import Fit
+from calib.measurement.kinds import QUANTITIES
+
+# The chance below which an effect is no accident, and its least size in scatters of the residuals.
+RARELY, SIZE = 1e-4, 3.0
+# The base may drift by this share of the reach.
+WANDERED = 5e-4
+# Rows between measurements and readings; the share by which a joint moves more; standard errors and least size of both.
+LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
+# Of 27 sound sessions with times the largest was 0.17.
+SEEN_IN_TIME = 0.3
+# The share by which one axis of an instrument may be longer than another.
+STRAIN = 2e-3
+# Rounding of a share of the reach that is this share of what remains.
+COARSE, ROUNDED = 1e-3, 0.5
+# A base of its own brings a table's error to less than one part in this.
+OWN_BASE = 2.0
+# Times the number of machines: parts of one that changes steadily leave as much less as they are many. Fewer rows than
+# that share are outliers, which another check judges.
+MACHINES, MANY = 1.5, 0.15
+# The share of rows that may be farther than FAR standard deviations from the rest, also with a robust loss.
+GROSS, GROSS_ROBUST, FAR = 0.05, MANY, 5.0
+# The share of rows that may repeat the value before.
+FROZEN = 0.02
+# The least width of the cloud of points, as a share of its length.
+LINE = 5e-3
+
+
+def jump(found: Sequence[Step], outliers: Outliers) -> Check:
+    """Whether base, tool, a joint or a target moved between two rows."""
+    real = [step for step in found if step.chance < RARELY]
+    worst = max(real, key=lambda step: step.size, default=None)
+    size, said = 0.0, ""
+    if worst is not None:
+        size = worst.size
+        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} seems to have changed"
+        said += f", by {size:.2g} times the scatter of the residuals"
+    for target in outliers.moved:
+        n, m = target.rows
+        moved = float(np.sqrt(target.gain * (n + m) / (n * m)))
+        if moved > size:
+            size = moved
+            said = f"{target.file}:{target.line}: after this row {target.target!r} seems to have moved, by {moved:.2g}"
+            said += " times the scatter of the residuals"
+    passed = size <= SIZE
+    if passed:
+        return Check.of(
+            "jump",
+            size or NOTHING,
+            SIZE,
+            True,
+            f"Between no two rows is there a jump above {SIZE:g} times the scatter of the residuals.",
+        )
+    return Check.of("jump", size, SIZE, False, f"{said}: identify the rows before it and after it separately.")
+
+
+def _thing(what: str) -> str:
+    return what if what in ("base", "tool") else f"offset of {what!r}"
+
+
+def drift(wandered: tuple[float, float], fit: Fit) -> Check:
+    """Whether the base wandered in the course of the rows."""
+    size, chance = wandered
+    limit = WANDERED * fit.model.robot.reach
+    if chance >= RARELY:
+        return Check.of("drift", NOTHING, limit, True, "No drift of the base over the rows is seen.")
+    passed = size <= limit
+    said = f"Over the rows the base drifts by {size / MM:.2g} mm"
+    return Check.of(
+        "drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved."
+    )
+
+
+def late(found: Effect, step: float = NOTHING) -> Check:
+    """Whether what was measured is later, or earlier, than the readings beside it: in rows, or in s, ``step`` a row.
+
+    In rows it must show in each of them: nobody knows that their order is that of time. Where times say so, an effect
+    may be as much smaller as rows are many.
+    """
+    in_time = step > 0.0
+    limit = LATE * step if in_time else LATE
+    if not (abs(found.t) > SURE and found.size > (SEEN_IN_TIME if in_time else SEEN)):
+        return Check.of("delay", NOTHING, limit, True, "No delay between measurements and readings is seen.")
+    value = abs(found.value)
+    passed = value <= limit
+    factor, unit = (1.0 / MS, "ms") if in_time else (1.0, "rows")
+    how = "later" if found.value > 0.0 else "earlier"
+    said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
+    cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
+    return Check.of("delay", value, limit, passed, f"{said}." if passed else f"{said}: {cure}.")
+
+
+def timing(found: Timing) -> Check:
+    """Whether readings of a stream are of one time, and of that time alone."""
+    limit = LATE * found.step
+    told = [
+        (abs(one.value), one, f"readings of {name!r} seem to be {abs(one.value) / MS:.2g} ms off those of the others")
+        for name, one in found.by_joint.items()
+    ]
+    width = float(np.sqrt(2.0 * max(found.smoothed.value, 0.0)))
+    told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
+    # Where one joint is late, others seem so with it: the one that explains most is named.
+    sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
+    value, _, what = max(sure, key=lambda one: one[1].size, default=(NOTHING, NO_EFFECT, ""))
+    if not sure:
+        return Check.of("timing", NOTHING, limit, True, "Readings seem to be of one time.")
+    passed = value <= limit
+    more = "." if passed else ": read all joints at once, and unfiltered."
+    return Check.of("timing", value, limit, passed, f"In time, {what}{more}")
+
+
+def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
+    """Whether a joint moves by more, or less, than it says."""
+    sought = {parameter.name for parameter in fit.parameters}
+    told = {name: one for name, one in found.items() if f"{name}.gain" not in sought and abs(one.value) >= 0.0}
+    sure = {name: one for name, one in told.items() if abs(one.t) > SURE and one.size > SEEN}
+    name = max(sure, key=lambda name: abs(sure[name].value), default="")
+    value = abs(sure[name].value) if name else 0.0
+    passed = value <= GEAR
+    said = (
+        f"No joint seems to move by over {100 * GEAR:g} % more or less than its reading says."
+        if passed
+        else f"{name!r} seems to move by {100.0 * value:.2g} % {'more' if sure[name].value > 0.0 else 'less'} than its "
+        "reading says: is its gear ratio right?"
+    )
+    return Check.of("gear", value or NOTHING, GEAR, passed, said)
+
+
+def axes(found: Sequence[Strain]) -> Check:
+    """Whether an instrument's axes are of one length and at right angles."""
+    told = [one for one in found if one.chance < RARELY and one.size > SEEN]
+    worst = max(told, key=lambda one: one.share, default=None)
+    if worst is None:
+        return Check.of("axes", NOTHING, STRAIN, True, "The instrument's axes seem to be equally long.")
+    passed = worst.share <= STRAIN
+    said = f"{worst.file}: one axis of the instrument seems {100.0 * worst.share:.2g} % longer than another"
+    more = "." if passed else ", or not at right angles: is its scale right, are coordinates all of one kind?"
+    return Check.of("axes", worst.share, STRAIN, passed, said + more)
+
+
+def resolution(found: Sequence[Rounding], fit: Fit) -> Check:
+    """Whether readings have enough digits: rounding neither moves the tool far, nor is it what remains."""
+    limit = COARSE * fit.model.robot.reach
+    # Of what remains, far less is left where readings are exact, as where poses were commanded in whole degrees.
+    told = [one for one in found if ROUNDED <= one.share <= 1.0 / ROUNDED]
+    worst = max(told, key=lambda one: one.distance, default=None)
+    if worst is None:
+        return Check.of("resolution", NOTHING, limit, True, "Readings do not seem to be rounded.")
+    passed = worst.distance <= limit
+    said = f"{worst.file}: rounded readings put the tool {worst.distance / MM:.2g} mm off (rms)"
+    more = "." if passed else ", as much as remains: write more of their digits."
+    return Check.of("resolution", worst.distance, limit, passed, said + more)
+
+
+def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
+    """Whether groups or targets ask for another machine than the rest; ``sets``: files, for a base or tool of theirs.
+
+    The noise of a file is its own: what it asks for otherwise is in that as well.
+    """
+    width = max(r.shape[1] for r in fit.residuals)
+    told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
+    told += [
+        (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "other parameters")
+        for group in found.disagreeing
+        if group.kind != "file"
+    ]
+    size, name, asks = max(told, default=(0.0, "", ""))
+    if size <= SIZE:
+        said = f"No group of rows differs from the rest by more than {SIZE:g} times the scatter of the residuals."
+        return Check.of("groups", size or NOTHING, SIZE, True, said)
+    said = f"{name} differs from the rest by {size:.2g} times the scatter of the residuals; it fits better with {asks}."
+    return Check.of("groups", size, SIZE, False, said)
+
+
+def set_ups(found: Sequence[OwnBase]) -> Check:
+    """Whether a table asks for a base of its own, by points far apart: robot or instrument was moved before it."""
+    wide = [one for one in found if one.wide]
+    worst = max(wide, key=lambda one: one.error / one.moved, default=None)
+    if worst is None:
+        return Check.of("set-ups", NOTHING, OWN_BASE, True, "No table fits much better with a base of its own.")
+    times = worst.error / worst.moved
+    return Check.of("set-ups", times, OWN_BASE, False, worst.sentence)
+
+
+def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
+    """Whether all rows are of one machine: told apart in several, they would leave hardly less, or be hardly apart."""
+    limit = OF_REACH * fit.model.robot.reach
+    told = [one for one in found if one.share >= MANY and one.apart >= limit]
+    if not told:
+        said = "The rows do not seem to come from several machines."
+        return Check.of("one machine", NOTHING, 2.0 * MACHINES, True, said)
+    worst = max(told, key=lambda one: one.times / one.machines)
+    allowed = MACHINES * worst.machines
+    passed = worst.times <= allowed
+    said = f"Split between {worst.machines} machines, the rows scatter {worst.times:.2g} times less"
+    what = (
+        f": they differ by {worst.apart / MM:.2g} mm. Did something change between rows: a payload, backlash, the "
+        "robot or the target?"
+    )
+    return Check.of("one machine", worst.times, allowed, passed, f"{said}{'.' if passed else what}")
+
+
+def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
+    """Whether many rows lie far from the rest."""
+    worst, limit, passed, where = 0.0, GROSS, True, ""
+    for one, loss in zip(own, fit.losses, strict=False):
+        allowed = GROSS if loss == "linear" else GROSS_ROBUST
+        for name, errors in error_norms(one.data.kind, one.after).items():
+            d = next(q.columns.stop - q.columns.start for q in QUANTITIES[one.data.kind] if q.name == name)
+            scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
+            many = int(np.sum(errors > FAR * scale)) if scale > ROUNDING else 0
+            share = many / len(errors) if many > 1 else 0.0
+            if share / allowed > worst / limit:
+                worst, limit, where = share, allowed, one.file
+            passed = passed and share <= allowed
+    said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
+    said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
+    return Check.of("outliers", worst, limit, passed, said)
+
+
+def frozen(own: Sequence[JudgedSet]) -> Check:
+    """Whether the instrument repeated a value while the robot moved."""
+    share, where = 0.0, ""
+    for one in own:
+        data = one.data
+        if data.position is None or len(data) < 3:
+            continue
+        predicted = data.position - one.after[:, :3]
+        moved = np.linalg.norm(np.diff(predicted, axis=0), axis=1)
+        noise = float(np.median(np.linalg.norm(one.after[:, :3], axis=1)))
+        turned = np.abs(np.diff(data.readings, axis=0)).max(axis=1) > ONE_POSE
+        stuck = np.all(np.diff(data.position, axis=0) == 0.0, axis=1) & turned & (moved > min(noise, 1e-4))
+        if int(stuck.sum()) > 2 and float(np.mean(stuck)) > share:
+            share, where = float(np.mean(stuck)), one.file
+    said = f"In {100.0 * share:.2g} % of the rows joints moved, but the measured position is that of the row before"
+    passed = share <= FROZEN
+    return Check.of(
+        "frozen", share, FROZEN, passed, f"{said}." if passed else f"{where}: {said}: the instrument had stopped."
+    )
+
+
+def in_line(own: Sequence[JudgedSet]) -> Check:
+    """Whether points that were measured lie on one line, about which the whole robot may turn."""
+    if not own or any(one.data.kind != "position" for one in own):
+        return Check.of("places", NOTHING, LINE, True, "Not only positions were measured.", least=True)
+    x = np.concatenate([one.data.position for one in own if one.data.position is not None])
+    s = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) if len(x) > 2 else np.zeros(2)
+    share = float(s[1] / s[0]) if s[0] > 0.0 else 0.0
+    passed = share >= LINE
+    said = f"The cloud of measured points is {share:.2g} times as wide as it is long"
+    return Check.of(
+        "places",
+        share,
+        LINE,
+        passed,
+        f"{said}." if passed else f"{said}: points on one line do not determine the base.",
+        least=True,
+    )
