@@ -25,7 +25,9 @@ def skew(v: Array) -> Array:
 
 def placement(rotation: Array, translation: Array) -> Array:
     """Return the placements (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
-    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    shape = translation.shape[:-1]
+    if rotation.shape[:-2] != shape:
+        shape = np.broadcast_shapes(rotation.shape[:-2], shape)
     out = np.zeros((*shape, 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, translation, 1.0
     return out
@@ -74,8 +76,8 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    s = np.linalg.norm(v, axis=-1, keepdims=True)
+    v = 0.5 * (R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]])
+    s = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
     c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)[..., None]
     w = v * np.divide(np.arctan2(s, c), s, out=np.ones_like(s), where=s > _TINY)
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
@@ -92,12 +94,14 @@ def _log_of_quaternion(q: Array) -> Array:
 
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
-    theta = np.linalg.norm(w, axis=-1)[..., None, None]
-    half = 0.5 * theta
+    square = np.einsum("...i,...i->...", w, w)
+    half = 0.5 * np.sqrt(square)
     with np.errstate(invalid="ignore", divide="ignore"):
-        c = np.where(theta > _SMALL_ANGLE, (1.0 - half / np.tan(half)) / theta**2, 1.0 / 12.0)
-    K = skew(w)
-    return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
+        c = np.where(half > 0.5 * _SMALL_ANGLE, (1.0 - half / np.tan(half)) / square, 1.0 / 12.0)
+    # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
+    out = (c[..., None] * w)[..., :, None] * w[..., None, :] - skew(0.5 * w)
+    np.einsum("...ii->...i", out)[...] += (1.0 - c * square)[..., None]
+    return np.asarray(out)
 
 
 def rx_ry_rz(angles: Array) -> Array:
@@ -106,10 +110,10 @@ def rx_ry_rz(angles: Array) -> Array:
     sin, cos = np.sin(angles), np.cos(angles)
     sa, sb, sc = sin[..., 0], sin[..., 1], sin[..., 2]
     ca, cb, cc = cos[..., 0], cos[..., 1], cos[..., 2]
-    R = np.empty((*angles.shape, 3))
+    R, sasb, casb = np.empty((*angles.shape, 3)), sa * sb, ca * sb
     R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cb * cc, -cb * sc, sb
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = sa * sb * cc + ca * sc, ca * cc - sa * sb * sc, -sa * cb
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sa * sc - ca * sb * cc, ca * sb * sc + sa * cc, ca * cb
+    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = sasb * cc + ca * sc, ca * cc - sasb * sc, -sa * cb
+    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sa * sc - casb * cc, casb * sc + sa * cc, ca * cb
     return R + 0.0  # no zero keeps a minus
 
 

@@ -102,9 +102,8 @@ class States:
         Targets: ``R Trans(x, y, z) Rx(rx) Ry(ry) Rz(rz)``, so that z is a plane's height and the plane turns about its
         middle.
         """
-        layout, state = self.layout, self._at_rest.copy()
-        entry, own, share = self.entries
-        np.add.at(state, entry, share * x[own])
+        layout, (entry, own, share) = self.layout, self.entries
+        state = self._at_rest + np.bincount(entry, share * x[own], layout.size)
         values = state[layout.base : layout.scalars].reshape(-1, 6)
         motion, twists = deviation.motion_and_twists(values)
         frames, b = self._bases + self._tools, self._bases

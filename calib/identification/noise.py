@@ -8,11 +8,12 @@ set of measurements) by restricted maximum likelihood, so that the parameters th
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import chdtri
 
 from calib.foundations.arrays import Array
 
+# Newton's steps, as a share of the variance: after one this small nothing is left but rounding.
+_LAST_STEP, _MOST_STEPS = 1e-12, 100
 # Residuals are clearly more than the instrument's noise when that leaves as many so rarely: not once in as many fits
 # as anybody makes.
 RARELY = 1e-6
@@ -71,10 +72,13 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
     # Far below one degree of freedom nearly all of chi-square is at zero, and its quantile less than its mean.
     if at_zero <= (chdtri(max(degrees_of_freedom, 1.0), RARELY) if clearly else degrees_of_freedom):
         return 0.0
-    # At v = mean the sum is at most the degrees of freedom (but for rounding): the root lies below. The unknown is
-    # v / mean, as brentq stops at an absolute step.
-    squares, variances = squares / mean, variances / mean
-    low = 0.0 if np.isfinite(at_zero) else 1e-12
-    return mean * float(
-        brentq(lambda u: float(np.sum(squares / (variances + u))) - degrees_of_freedom, low, 1.0 + 1e-9)
-    )
+    # The unknown is u = v / mean. 1 / sum grows with u and bends down, so that Newton's steps from below stay below.
+    squares, variances, u = squares / mean, variances / mean, 0.0 if np.isfinite(at_zero) else _LAST_STEP
+    for _ in range(_MOST_STEPS):
+        shares = squares / (variances + u)
+        total = float(shares.sum())
+        step = (total / degrees_of_freedom - 1.0) * total / float((shares / (variances + u)).sum())
+        u += step
+        if step <= _LAST_STEP:
+            break
+    return mean * u

@@ -223,7 +223,7 @@ class _Noise(NamedTuple):
     ``variances``: of the model part of every component, with the ``sigmas`` (N, d) of every set. ``factors``: by which
     these are new; ``settled``: apart from such factors, the rows of the evaluation were weighted by them already.
     ``scatter``: rms of the whitened residuals where that is clearly less than 1. ``prior``: as it weighs beside such
-    data. ``inverse``: that of all rows, data and priors, of an evaluation; None to begin with.
+    data.
     """
 
     variances: tuple[float, ...]
@@ -233,7 +233,14 @@ class _Noise(NamedTuple):
     redundancies: tuple[float, ...]
     scatter: float
     prior: _Prior
-    inverse: Inverse | None = None
+
+
+class _Solved(NamedTuple):
+    """What the ``data`` of an evaluation say, the data and priors as ``rows``, and the ``full`` step (p,) by these."""
+
+    data: Arrow
+    rows: Arrow
+    full: Array
 
 
 class _Point(NamedTuple):
@@ -324,10 +331,10 @@ class _Search(NamedTuple):
         # Far from the minimum the full step does not tell what it will leave; at a given solution none is made.
         foretold = sought
         for k in range(_MOST_STEPS):
-            noise = self._inverted(evaluation, noise)
+            noise, solved = self._inverted(z, evaluation, noise)
             v, r = noise.variances, evaluation.residuals
             if foretold:
-                left, gained = self._foretold(z, evaluation, noise)
+                left, gained = self._foretold(evaluation, noise, solved)
                 foretold = k > 0 or gained < _LITTLE
                 r = left if foretold else r
             if None in self.fixed or problem.robust:
@@ -342,33 +349,33 @@ class _Search(NamedTuple):
                 break
         return noise
 
-    def _foretold(self, z: Array, evaluation: Evaluation, noise: _Noise) -> tuple[tuple[Array, ...], float]:
-        """Return the residuals of every set, as large as the full step from z (p,) leaves them, and its gain (share).
+    def _foretold(self, evaluation: Evaluation, noise: _Noise, solved: _Solved) -> tuple[tuple[Array, ...], float]:
+        """Return the residuals of every set, as large as the full step leaves them, and its gain (share).
 
         New weights move the minimum, and that moves the weights: of two kinds of data whose noise nobody stated,
         residuals that wait for the step would need dozens of steps.
         """
-        weighted = evaluation.reweighted(noise.factors)
-        rows = noise.prior.beside(weighted.rows.whole, z)
-        step = Inverse.of(rows, _SINGULAR).step
+        _, rows, step = solved
         cost = rows.sum_of_squares
         found = [np.array(residual) for residual in evaluation.residuals]
         none = np.zeros(len(step))
-        for c, own in zip(self.problem.components, weighted.alone, strict=True):
+        alone = evaluation.reweighted(noise.factors).alone
+        for c, own in zip(self.problem.components, alone, strict=True):
             before, after = np.sqrt(own.after(none)), np.sqrt(own.after(step))
             found[c.measurements][:, c.columns] *= after / before if before > 0.0 else 1.0
         return tuple(found), rows.after(step, 0.0) / cost if cost > 0.0 else 0.0
 
-    def _inverted(self, evaluation: Evaluation, noise: _Noise) -> _Noise:
-        """Return the noise with what the rows of an evaluation, weighted by it, make of it."""
+    def _inverted(self, z: Array, evaluation: Evaluation, noise: _Noise) -> tuple[_Noise, _Solved]:
+        """Return the noise with what the rows of an evaluation at z (p,), weighted by it, make of it, and these."""
         prior = self.prior.weighed(noise.scatter)
         components, whole = evaluation.reweighted(noise.factors).rows
-        inverse = Inverse.of(prior.beside(whole, prior.centre), _SINGULAR)
+        rows = prior.beside(whole, z)
+        inverse = Inverse.of(rows, _SINGULAR)
         redundancies = tuple(
             self.problem.measurements[c.measurements].sigma[:, c.columns].size - inverse.used(own)
             for c, own in zip(self.problem.components, components, strict=True)
         )
-        return noise._replace(prior=prior, redundancies=redundancies)
+        return noise._replace(prior=prior, redundancies=redundancies), _Solved(whole, rows, inverse.step)
 
     def released(self, held: _Point) -> tuple[_Point, bool] | None:
         """Return where the search ends from a point that narrower priors held, as :meth:`gauss_newton` does.
@@ -409,8 +416,8 @@ class _Search(NamedTuple):
             except PoseError:  # a step that opens a loop tells nothing of the cost, and a shorter one may
                 tried, damping, path = good, max(10.0 * damping, _LEAST_DAMPING), [good]
                 continue
-            as_before = self._inverted(evaluation, noise._replace(factors=np.ones(len(self.fixed))))
-            trial = _Point.of(z, evaluation, noise, as_before)
+            as_before, solved = self._inverted(z, evaluation, noise._replace(factors=np.ones(len(self.fixed))))
+            trial = _Point(z, evaluation, noise, as_before, *solved)
             cost, before = trial.cost(noise), good.cost(noise)
             # Where a motion of the whole set-up is left out of the Jacobian, steps do not follow the cost alone.
             shorter = trial.length < _SHORTER * good.length and cost < _HARDLY_MORE * before

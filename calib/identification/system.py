@@ -361,7 +361,8 @@ class _Links(dict[str, TipModel]):
         self._robot, self._deviations, self._nominals = robot, deviations, Nominals() if nominals is None else nominals
 
     def __missing__(self, link: str) -> TipModel:
-        found = TipModel(self._robot.with_tip(link or self._robot.tip), self._deviations, self._nominals[self._robot])
+        robot = self._robot if link in ("", self._robot.tip) else self._robot.with_tip(link)
+        found = TipModel(robot, self._deviations, self._nominals[self._robot])
         self[link] = found
         return found
 
@@ -404,7 +405,7 @@ def _bases(frames: Frames, data: Measurements, rows: slice) -> Array:
 
 
 def _all_alike(numbers: IntArray) -> bool:
-    return bool((numbers == numbers[0]).all())
+    return not np.count_nonzero(numbers != numbers[0])
 
 
 def _on_links(data: Measurements, rows: slice) -> Iterator[tuple[str, IntArray]]:
@@ -492,7 +493,9 @@ class FramesFollow(NamedTuple):
 
     def turned(self, twists: Array) -> "FramesFollow":
         """Return how something follows the parameters that follows the frames by matrices (k, 6, 6)."""
-        return self._replace(by=np.concatenate([twists @ self.by[:-1], self.by[-1:]]))
+        by = np.zeros_like(self.by)
+        np.matmul(twists, self.by[:-1], out=by[:-1])
+        return FramesFollow(self.columns, by)
 
     def add(self, numbers: Array, frame: IntArray, found: Array) -> None:
         """Add to ``found`` (d, n, p) how numbers follow the parameters through the frames (n,) of rows.
@@ -556,7 +559,7 @@ class Rates:
         self._robot, self._frames = problem.model.robot, at.frames
         self._selection = own = problem.selection(units, split)
         self._links = _Links(self._robot, at.deviations, problem.nominals)
-        self._of_bases, self._of_tools = own.of_bases.turned(at.base_twists), own.of_tools.turned(at.tool_twists)
+        self._of_bases, self._tool_twists = own.of_bases.turned(at.base_twists), at.tool_twists
         self._of_targets = own.of_targets.turned(at.target_twists)
         self._by_robot: dict[str, tuple[Array, FramesFollow]] = {}
         self._by: dict[tuple[str, int, int], Array] = {}
@@ -679,8 +682,8 @@ class Rates:
         """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""
         if link not in self._by_robot:
             tip = self._links[link]
-            to_carrier = rigid.adjoint(tip.end @ self._frames.tools)
-            self._by_robot[link] = tip.follow @ self._selection.of_robot, self._of_tools.turned(to_carrier)
+            tools = self._selection.of_tools.turned(rigid.adjoint(tip.end @ self._frames.tools) @ self._tool_twists)
+            self._by_robot[link] = tip.follow @ self._selection.of_robot, tools
         return self._by_robot[link]
 
     def _by_parameters(self, link: str, group: int, tool: int) -> Array:

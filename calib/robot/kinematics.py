@@ -10,11 +10,19 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, IntArray, read_only
 
 MovingType = Literal["revolute", "prismatic"]
+
+# So many joints stand side by side for several rows; what Pinocchio keeps of more grows with their third power.
+_SIDE_BY_SIDE = 20
+# Origin, x, y and z of the root in its own axes; the last row of a placement; which of its rows are these.
+_ROOT = read_only(np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, :, None])
+_LAST = read_only(np.eye(4)[3, :, None])
+_ORIGIN_FIRST = [3, 0, 1, 2]
 
 
 class Tree(NamedTuple):
@@ -104,8 +112,8 @@ class Regressor:
         n = self.carriers.shape[3]
         # By column, and in these by row.
         found = np.empty((4, 4, n))
-        found[:, 3] = np.eye(4)[3, :, None]
-        shares = np.roll(placement.T, 1, axis=1)
+        found[:, 3] = _LAST
+        shares = placement.T[:, _ORIGIN_FIRST]
         np.matmul(shares, self.carriers[-1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
         return found.transpose(2, 1, 0)
 
@@ -200,12 +208,16 @@ class Joints:
     """
 
     def __init__(self, types: Sequence[MovingType], parents: Sequence[int]) -> None:
-        self._model = _model(Tree(tuple(types), tuple(parents), np.tile(np.eye(4), (len(types), 1, 1))))
+        nj = len(types)
+        # Several trees side by side, each for a row of its own: half of what a call costs, it costs for any tree.
+        self._rows = rows = max(1, _SIDE_BY_SIDE // nj)
+        behind = tuple(parent if parent < 0 else parent + nj * k for k in range(rows) for parent in parents)
+        self._model = _model(Tree(tuple(types) * rows, behind, np.tile(np.eye(4), (nj * rows, 1, 1))))
         # The static regressor is the placements of all joints, each over the mass of all: here 1.
         self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
         self._placed_by: Array | None = None
-        self._placements = [self._model.jointPlacements[j + 1] for j in range(len(types))]
+        self._placements = _placements_within(self._model).reshape(rows, nj, 4, 3)
 
     def carriers(self, placements: Array, q: Array) -> Array:
         """Return the root, and all joints after their own motion: origin, x, y and z (nj + 1, 4, 3, N).
@@ -213,19 +225,20 @@ class Joints:
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            for own, T in zip(self._placements, placements, strict=True):
-                own.rotation, own.translation = T[:3, :3], T[:3, 3]
+            self._placements[...] = placements[:, :3].transpose(0, 2, 1)
             self._placed_by = placements
-        # One call a row leaves them all; this loop is most of the cost of large problems.
+        (n, nj), rows = q.shape, self._rows
+        filled = np.zeros((-(-n // rows) * rows, nj))
+        filled[:n] = q
+        # One call leaves those of a few rows; this loop is most of the cost of large problems.
         model, data, walk = self._model, self._data, pin.computeStaticRegressor
         left, walked = memoryview(data.staticRegressor.T), bytearray()
-        for q_n in np.ascontiguousarray(q):
+        for q_n in filled.reshape(-1, rows * nj):
             walk(model, data, q_n)
             walked += left
-        n, numbers = len(q), 12 * len(placements)
-        found = np.empty((len(placements) + 1, 4, 3, n))
-        found[0, 0], found[0, 1:] = 0.0, np.eye(3)[:, :, None]
-        found[1:].reshape(numbers, n)[...] = np.frombuffer(walked).reshape(n, numbers).T
+        found = np.empty((nj + 1, 4, 3, n))
+        found[0] = _ROOT
+        found[1:].reshape(12 * nj, n)[...] = np.frombuffer(walked).reshape(-1, 12 * nj)[:n].T
         return found
 
 
@@ -326,6 +339,16 @@ def _model(tree: Tree) -> pin.Model:
         joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
         model.addJoint(parent + 1, joint, pin.SE3(T), f"joint_{i}")
     return model
+
+
+def _placements_within(model: pin.Model) -> Array:
+    """Return where a model keeps the placements of its joints: x, y, z and origin (nj, 4, 3), to be written to."""
+    every = model.jointPlacements
+    first, last = every[1].rotation, every[len(every) - 1].translation
+    size = first.itemsize
+    found = as_strided(first, (len(every) - 1, 4, 3), (12 * size, 3 * size, size))
+    assert found[-1, 3].ctypes.data == last.ctypes.data, "placements lie one behind the other, column by column"
+    return found
 
 
 def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:

@@ -42,7 +42,10 @@ class Loop(NamedTuple):
 
 
 class _Frames(NamedTuple):
-    """Rotations (N, 3, 3) and origins (N, 3) of a frame over N rows, in the joint that carries the whole loop."""
+    """Columns (3, 3, N) of the rotation and origin (3, N) of a frame, in the joint that carries the whole loop.
+
+    Rows come last, so that what is done to all of them is done at once.
+    """
 
     R: Array
     p: Array
@@ -151,14 +154,10 @@ class Closure:
             R, p = _placed(R, p, placement)
             found.append(_Frames(R, p))
             if self._types[j] == "prismatic":
-                p = p + R[:, :, 2] * q[:, j, None]
+                p = p + R[2] * q[:, j]
             else:
-                c, s = np.cos(q[:, j, None]), np.sin(q[:, j, None])
-                turned = np.empty_like(R)
-                turned[:, :, 0] = R[:, :, 0] * c + R[:, :, 1] * s
-                turned[:, :, 1] = R[:, :, 1] * c - R[:, :, 0] * s
-                turned[:, :, 2] = R[:, :, 2]
-                R = turned
+                c, s = np.cos(q[:, j]), np.sin(q[:, j])
+                R = np.stack([R[0] * c + R[1] * s, R[1] * c - R[0] * s, R[2]])
         return [*found, _Frames(R, p)]
 
     def _gaps(self, q: Array, starts: Sequence[Sequence[_Frames]]) -> tuple[Array, Array]:
@@ -171,33 +170,29 @@ class Closure:
             parts = [slice(side.still, None) for side in ring.sides]
             walks = [self._walk(side, part, q, at) for side, part, at in zip(ring.sides, parts, start, strict=True)]
             a, b = (_placed(*walk[-1], side.end) for walk, side in zip(walks, ring.sides, strict=True))
-            moved = np.zeros((len(q), 3, len(self._passive)))
+            moved = np.zeros((3, len(self._passive), len(q)))
             for side, part, walk in zip(ring.sides, parts, walks, strict=True):
                 for j, (R, p) in zip(side.joints[part], walk, strict=False):
                     if j in self._passive:
-                        z = R[:, :, 2]
-                        by_joint = z if self._types[j] == "prismatic" else _cross(z, b.p - p)
-                        moved[:, :, self._passive.index(j)] = side.sign * by_joint
-            S = np.swapaxes(a.R[:, :, ring.closes], 1, 2)
-            values.append((S @ (b.p - a.p)[:, :, None])[:, :, 0])
-            slopes.append(S @ moved)
+                        by_joint = R[2] if self._types[j] == "prismatic" else _cross(R[2], b.p - p)
+                        moved[:, self._passive.index(j)] = side.sign * by_joint
+            S = a.R[ring.closes]
+            values.append(np.einsum("mcn,cn->nm", S, b.p - a.p))
+            slopes.append(np.einsum("mcn,ckn->nmk", S, moved))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _by_twist(self, ring: _Ring, q: Array) -> Array:
         """Return how a gap follows local twists: of the placements of its joints, then of its frames (N, m, f)."""
         walks = [self._walk(side, slice(None), q) for side in ring.sides]
         a, b = (_placed(*walk[-1], side.end) for walk, side in zip(walks, ring.sides, strict=True))
-        at = [(side.sign, frames) for side, walk in zip(ring.sides, walks, strict=True) for frames in walk[:-1]]
-        at += [(-1.0, a), (1.0, b)]
-        S = np.swapaxes(a.R[:, :, ring.closes], 1, 2)
-        found = np.empty((len(q), len(ring.closes), 6 * len(at)))
-        for i, (sign, (R, p)) in enumerate(at):
-            # S (v + w x d) with v, w and d, the way to B, in the frame that is twisted: w . (d x S) each row.
-            local = sign * (S @ R)
-            d = (b.p - p)[:, None, :] @ R
-            found[:, :, 6 * i : 6 * i + 3] = local
-            found[:, :, 6 * i + 3 : 6 * i + 6] = _cross(d, local)
-        return found
+        at = [frames for walk in walks for frames in walk[:-1]] + [a, b]
+        signs = [side.sign for side, walk in zip(ring.sides, walks, strict=True) for _ in walk[:-1]] + [-1.0, 1.0]
+        R, p = (np.stack(own) for own in zip(*at, strict=True))
+        # S (v + w x d) with v, w and d, the way to B, in the frame that is twisted: w . (d x S) each row.
+        S = a.R[ring.closes] * np.reshape(signs, (-1, 1, 1, 1))
+        local, d = np.einsum("imcn,ikcn->kimn", S, R), np.einsum("icn,ikcn->kin", b.p - p, R)
+        found = np.concatenate([local, _cross(d[:, :, None], local)])
+        return found.transpose(3, 2, 1, 0).reshape(len(q), len(ring.closes), 6 * len(at))
 
     def _refuse(self, rows: BoolArray, why: str) -> None:
         if np.any(rows):
@@ -232,21 +227,18 @@ def _way(tree: Tree, joint: int) -> list[int]:
 
 
 def _at_rest(n: int) -> _Frames:
-    return _Frames(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))
+    return _Frames(np.repeat(np.eye(3)[:, :, None], n, axis=2), np.zeros((3, n)))
 
 
 def _placed(R: Array, p: Array, placement: Array) -> _Frames:
     """Return frames (N) moved on by one placement (4, 4) in themselves."""
-    moved = (R.reshape(-1, 3) @ placement[:3]).reshape(-1, 3, 4)
-    return _Frames(moved[:, :, :3], p + moved[:, :, 3])
+    moved = (placement[:3].T @ R.reshape(3, 3 * p.shape[1])).reshape(4, *p.shape)
+    return _Frames(moved[:3], p + moved[3])
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return cross products (..., 3); numpy's own takes several times as long."""
-    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        found[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return found
+    """Return cross products (3, ...); numpy's own takes several times as long."""
+    return np.stack([a[j] * b[k] - a[k] * b[j] for j, k in ((1, 2), (2, 0), (0, 1))])
 
 
 def _smallest_singular_value(slope: Array) -> Array:

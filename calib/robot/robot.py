@@ -395,7 +395,8 @@ class TipModel:
     """
 
     def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
-        d, nominal = deviations or robot.no_deviations(), nominal or Nominal(robot)
+        d = deviations or robot.no_deviations()
+        self._nominal = nominal = nominal or Nominal(robot)
         refuse_other_deviations(robot, d)
         m = nominal.mechanism
         self._skeleton = nominal.outline.skeleton(m.deviations(d.placements))
@@ -411,14 +412,9 @@ class TipModel:
     @cached_property
     def follow(self) -> Array:
         """How local twists of the tip's carriers follow the deviations (6 (w + 1), n): as in :class:`TipMotion`."""
-        m, way = self._mechanism, self._skeleton.outline.path(self._tip).way
-        by_offset = np.zeros((len(way) + 1, 6, m.offset_coupling.shape[1]))
-        for k, j in enumerate(way):
-            if j not in self.passive:
-                # A joint's own motion commutes with a change of its position: this column is the same for all rows.
-                by_offset[k + 1, 5 if self.types[j] == "revolute" else 2] = m.offset_coupling[j]
-        by_placement = m.of_chain(follow(self._skeleton, self._tip))
-        return np.concatenate([by_placement, by_offset], axis=2).reshape(6 * len(by_offset), -1)
+        by_placement = self._mechanism.of_chain(follow(self._skeleton, self._tip))
+        every = np.concatenate([by_placement, self._nominal.by_offset(self._tip)], axis=2)
+        return every.reshape(6 * len(every), -1)
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -498,6 +494,19 @@ class Nominal:
         self.holding = None if robot.weights is None or not robot.terms else Holding(robot.weights)
         names = [reading.name for reading in robot.readings]
         self.terms = TermShares(robot.terms, names, flexures, of_chain) if robot.terms else None
+        self._by_offset: dict[int, Array] = {}
+
+    def by_offset(self, joint: int) -> Array:
+        """Return how local twists of what carries the end of a joint follow the offsets (w + 1, 6, nj)."""
+        if joint not in self._by_offset:
+            m, way = self.mechanism, self.outline.path(joint).way
+            found = np.zeros((len(way) + 1, 6, m.offset_coupling.shape[1]))
+            for k, j in enumerate(way):
+                if j not in self.passive:
+                    # A joint's own motion commutes with a change of its position: the same for all rows.
+                    found[k + 1, 5 if self.outline.types[j] == "revolute" else 2] = m.offset_coupling[j]
+            self._by_offset[joint] = found
+        return self._by_offset[joint]
 
 
 class Nominals(dict[Robot, Nominal]):

@@ -7,11 +7,14 @@ changes of the temperature.
 """
 
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from calib.foundations.arrays import Array, read_only
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 # In s: what follows faster does so at once, and what follows more slowly stays as it was for days.
 FASTEST, SLOWEST = 10.0, 1e6
@@ -50,5 +53,7 @@ def rungs(tau: Array) -> tuple[Array, Array]:
 
 
 @functools.cache
-def _cubic() -> BSpline:
+def _cubic() -> "BSpline":
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow to load, and few machines warm up late
+
     return make_interp_spline(_LADDER, np.eye(_RUNGS))

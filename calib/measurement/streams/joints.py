@@ -1,13 +1,16 @@
 """Joint readings at any time, from a controller's samples."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.measurement.streams.following import Following
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 # Accelerations are means over so much, in s, to both sides: a motion of 1 Hz loses 1 %, and encoders that jitter by
 # 1e-5 rad bring 0.01 rad/s^2.
@@ -32,7 +35,7 @@ class JointStream:
     __repr__ = brief
 
     names: tuple[str, ...]
-    pieces: tuple[BSpline, ...]
+    pieces: "tuple[BSpline, ...]"
     starts: Array
     ends: Array
     where: str

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import MeasurementError
@@ -15,6 +15,9 @@ from calib.measurement.streams.following import following
 from calib.measurement.streams.joints import JointStream
 from calib.measurement.table import APPROACH, COMMANDED, TORQUE, Table
 from calib.robot.robot import Reading
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 # What has samples rarer than one a second, or ten thousand in it, is no stream of joints or points.
 SLOWEST, FASTEST = 1.0, 1e-4
@@ -103,11 +106,13 @@ def joint_stream(
     return stream.showing(replace(stream, pieces=(half,), starts=read_only(t[:1]), ends=read_only(t[-1:])))
 
 
-def _cubic(times: Array, values: Array) -> BSpline:
+def _cubic(times: Array, values: Array) -> "BSpline":
     """Return the cubic spline through samples (n,), (n, k), part by part where there are many.
 
     What samples far away change, fades by a factor of 4 from one to the next.
     """
+    from scipy.interpolate import BSpline, make_interp_spline  # noqa: PLC0415 - slow to load; few jobs have streams
+
     n = len(times)
     if n <= _PART + 2 * _BESIDE:
         return make_interp_spline(times, values, k=3)
