@@ -22,7 +22,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread, triangle
+from calib.foundations.linear import one_thread, svd, triangle
 from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
@@ -216,7 +216,7 @@ def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, bas
     r = machine.residuals(data)
     with one_thread():
         F = common_errors(machine, data) / sigma[:, :, None]
-        U, s, _ = np.linalg.svd(F.reshape(r.size, -1), full_matrices=False)
+        U, s, _ = svd(F.reshape(r.size, -1), full_matrices=False)
 
         def whitened(x: Array) -> Array:
             # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.

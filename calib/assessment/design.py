@@ -150,7 +150,7 @@ def unseen(s: Space) -> float:
     It is what remains when all candidates are measured without noise.
     """
     A = linear.triangle(_flat(s.A))
-    _, sizes, Vt = np.linalg.svd(A)
+    _, sizes, Vt = linear.svd(A)
     Z = Vt[int(np.count_nonzero(sizes > identifiability.RANK_TOLERANCE * sizes[0])) :].T
     return float(np.trace(np.linalg.solve(Z.T @ s.given @ Z, Z.T @ s.C @ Z)))
 

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from calib.assessment.influence import ALONE, Influence, Residue
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.linear import svd
 from calib.identification.arrow import Arrow, Collected
 from calib.identification.identifiability import NUMERICAL_TOLERANCE, RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
@@ -396,7 +397,7 @@ def _group(
     number: int,
 ) -> OutlyingGroup:
     C, J, r, parameters, blocks, taken = _seen_by(residue, collected, shared)
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    U, s, Vt = svd(J, full_matrices=False)
     # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
     seen = s > max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * s.max(initial=0.0))
     # In its own principal directions the group says R x + c, and beyond them only its own scatter.

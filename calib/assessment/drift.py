@@ -16,7 +16,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import bound as bound_of
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread
+from calib.foundations.linear import one_thread, svd
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
@@ -197,7 +197,7 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
     """
     count = len(free)
     null_basis = np.hstack([old.null_basis[:count], new.null_basis[:count]])[free] / DEFAULT_SIGMA
-    U, values, _ = np.linalg.svd(null_basis, full_matrices=True)
+    U, values, _ = svd(null_basis, full_matrices=True)
     size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
     Q = U[:, size:]
     factors = [Q.T @ u.shown[:count][free] for u in (old, new)]
@@ -206,7 +206,7 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
     size[size == 0.0] = 1.0
     # Of both together a few more seem to vary: what a parameter moves differs a little from one machine to the other.
     varying = max(np.linalg.matrix_rank(factor / size[:, None], rtol=_ROUNDING) for factor in factors)
-    V, spread, _ = np.linalg.svd(both / size[:, None], full_matrices=False)
+    V, spread, _ = svd(both / size[:, None], full_matrices=False)
     z = V[:, :varying].T @ (Q.T @ d[free] / size) / spread[:varying]
     return float(z @ z), int(varying)
 

@@ -17,6 +17,7 @@ import numpy as np
 from calib.assessment.effects import per_metre, score_test
 from calib.assessment.stretches import Stretch, by_photograph
 from calib.foundations.arrays import Array
+from calib.foundations.linear import svd
 
 # Of more rows so many are looked at, spread evenly.
 _MOST_ROWS = 300
@@ -60,7 +61,7 @@ def mixed_machines(parts: Sequence[Stretch]) -> tuple[MixedMachines, ...]:
     (n, d), r = (len(rows), every.shape[1]), every[rows].ravel()
     J = np.concatenate([part.J for part in usable])[rows].reshape(n * d, -1)
     moved = np.concatenate([part.by_joint for part in usable])[rows].reshape(n * d, -1)
-    U, s, _ = np.linalg.svd(J, full_matrices=False)
+    U, s, _ = svd(J, full_matrices=False)
     Q = U[:, s > _SEEN * s.max(initial=0.0)]
     r = r - Q @ (Q.T @ r)
     most = int(n * d * (1.0 - _LEFT)) - n - Q.shape[1]
@@ -90,7 +91,7 @@ def mixed_machines(parts: Sequence[Stretch]) -> tuple[MixedMachines, ...]:
 
 def _directions(D: Array) -> Array:
     """Return orthogonal directions (q, k) that span those of D, all taken as equally large, the most common first."""
-    U, s, _ = np.linalg.svd(D / np.maximum(np.linalg.norm(D, axis=0), np.finfo(float).tiny), full_matrices=False)
+    U, s, _ = svd(D / np.maximum(np.linalg.norm(D, axis=0), np.finfo(float).tiny), full_matrices=False)
     return np.asarray((U * s)[:, s > _DIRECTION * s.max(initial=0.0)])
 
 

@@ -16,7 +16,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.choices import What
 from calib.foundations.errors import JobError, PoseError
-from calib.foundations.linear import one_thread
+from calib.foundations.linear import one_thread, svd
 from calib.foundations.units import DEG, MM, MRAD
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
@@ -409,7 +409,7 @@ def _inverse(J: Array, damping: Array) -> Array:
     square = square / trace
     sound = (np.linalg.det(square) * float(max(m - 1, 1)) ** (m - 1) > _SOUND) & (damping == 0.0)
     inverse[sound] = np.swapaxes(np.linalg.solve(square[sound], J[sound]), 1, 2) / trace[sound]
-    U, s, Vt = np.linalg.svd(J[~sound], full_matrices=False)
+    U, s, Vt = svd(J[~sound], full_matrices=False)
     largest = np.maximum(s[:, :1], 1e-300)
     shares, damping = s / largest, damping[~sound, None]
     damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping), 0.0) / largest

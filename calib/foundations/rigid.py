@@ -8,6 +8,7 @@ expressed in the local frame of ``T``.
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.linear import svd
 
 _SMALL_ANGLE = 1e-4
 _TINY = 1e-150
@@ -182,7 +183,7 @@ def quaternion_of(R: Array) -> Array:
 
 def nearest_rotation(M: Array) -> Array:
     """Return the rotations nearest (Frobenius) to matrices (..., 3, 3)."""
-    U, _, Vt = np.linalg.svd(M)
+    U, _, Vt = svd(M)
     U = U.copy()
     U[..., :, -1] *= np.linalg.det(U @ Vt)[..., None]
     return np.asarray(U @ Vt)

@@ -259,7 +259,7 @@ class Arrow:
         if not len(self.heads):
             none = np.zeros((0, a, a))
             return Reduced(np.zeros((0, a, c)), np.zeros((0, a)), none, np.zeros((0, a)), none, self.rest)
-        U, s, Vt = np.linalg.svd(self.heads[:, :, :a])
+        U, s, Vt = linear.svd(self.heads[:, :, :a])
         turned = np.swapaxes(U, -1, -2) @ self.heads[:, :, a:]
         seen = s > tolerance * s.max(initial=0.0)
         root = np.swapaxes(Vt, -1, -2) * np.divide(1.0, s, out=np.zeros_like(s), where=seen)[:, None]

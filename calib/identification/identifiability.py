@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import triangle
+from calib.foundations.linear import svd, triangle
 from calib.foundations.units import MM, MRAD
 from calib.identification.arrow import Arrow, Inverse, Reduced, Split
 from calib.identification.parameters import Parameter
@@ -84,7 +84,7 @@ class Directions:
 def singular_directions(rows: Array) -> Directions:
     """Return the directions of a whitened, scaled Jacobian or its triangle (q, p)."""
     p = rows.shape[1]
-    _, values, Vt = np.linalg.svd(rows, full_matrices=len(rows) < p)
+    _, values, Vt = svd(rows, full_matrices=len(rows) < p)
     return Directions(Vt.T, np.concatenate([values, np.zeros(p - len(values))]))
 
 
@@ -109,7 +109,7 @@ def inner_constraints(null_basis: Array, parameters: Sequence[Parameter]) -> Arr
     cost.
     """
     of_robot = np.array([parameter.of_robot for parameter in parameters], dtype=bool)
-    U, values, Wt = np.linalg.svd(null_basis * of_robot[:, None])
+    U, values, Wt = svd(null_basis * of_robot[:, None])
     seen = values > 1e-9
     first = U[:, : len(values)][:, seen].T * of_robot
     # Directions that leave the robot alone.
@@ -174,7 +174,7 @@ class Spectrum:
 
 def _beyond(rows: Array, first: int, least: float) -> Array:
     """Return what rows (q, n) say of all but the first columns, wherever these are."""
-    U, s, _ = np.linalg.svd(rows[:, :first], full_matrices=True)
+    U, s, _ = svd(rows[:, :first], full_matrices=True)
     return np.asarray(U[:, np.count_nonzero(s > least) :].T @ rows[:, first:])
 
 
@@ -210,7 +210,7 @@ def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:
     alone = np.zeros(rows.split.size, dtype=np.bool_)
     for own in of_targets.blocks:
         of_target = own[own >= 0]
-        _, s, Vt = np.linalg.svd(triangle(rows.columns(of_target)), full_matrices=True)
+        _, s, Vt = svd(triangle(rows.columns(of_target)), full_matrices=True)
         weak = np.append(s, np.zeros(len(of_target) - len(s))) <= NUMERICAL_TOLERANCE
         alone[of_target] = np.linalg.norm(Vt[weak], axis=0) > MOVED
     return _undetermined(rows, reduced, found, of_targets.common), alone
@@ -240,14 +240,14 @@ def _undetermined(rows: Arrow, reduced: Reduced, found: Directions, counted: Int
     for _ in range(_ITERATIONS):
         V = held.times(counts[:, None] * _of_length_one(V, counts))
     V = _of_length_one(V, counts)
-    _, s, Wt = np.linalg.svd(triangle(rows.moved(V)), full_matrices=True)
+    _, s, Wt = svd(triangle(rows.moved(V)), full_matrices=True)
     s = np.append(s, np.zeros(len(Wt) - len(s)))
     return np.asarray(V @ Wt[s <= least].T)
 
 
 def _of_length_one(V: Array, counts: Array) -> Array:
     """Return directions (p, k) of the same space, orthonormal in what counts, without those that move none of it."""
-    _, s, Wt = np.linalg.svd(triangle(counts[:, None] * V / np.linalg.norm(V, axis=0)), full_matrices=False)
+    _, s, Wt = svd(triangle(counts[:, None] * V / np.linalg.norm(V, axis=0)), full_matrices=False)
     kept = s > _SHORT * s.max(initial=0.0)
     return np.asarray((V / np.linalg.norm(V, axis=0)) @ (Wt[kept].T / s[kept]))
 

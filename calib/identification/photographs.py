@@ -94,7 +94,7 @@ def first_lens(photographs: Sequence[Photograph], lens: Lens) -> Lens:
 def _homography(photograph: Photograph, centre: Array, unit: float) -> Array | None:
     """Return the homography (3, 3) from a plane of marks to pixels, from the centre in units; None of other marks."""
     middle = photograph.marks.mean(axis=0)
-    _, spread, axes = np.linalg.svd(photograph.marks - middle, full_matrices=False)
+    _, spread, axes = linear.svd(photograph.marks - middle, full_matrices=False)
     if len(photograph.marks) < 4 or spread[2] > 1e-6 * spread[0] or spread[1] <= 1e-3 * spread[0]:
         return None
     places = (photograph.marks - middle) @ axes[:2].T
@@ -103,7 +103,7 @@ def _homography(photograph: Photograph, centre: Array, unit: float) -> Array | N
     y = np.column_stack([places, np.ones(len(places))])
     zero = np.zeros_like(y)
     rows = np.concatenate([np.hstack([y, zero, -seen[:, :1] * y]), np.hstack([zero, y, -seen[:, 1:] * y])])
-    H = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
+    H = linear.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
     return np.asarray(H / np.linalg.norm(H))
 
 

@@ -96,7 +96,7 @@ def motions(
             if name in known and shape[name] == "plane" and links.get(name) == link
         ]
         # Turns about an axis leave what lies along it.
-        axes, values, _ = np.linalg.svd(np.concatenate([np.zeros((3, 3)), *map(rigid.skew, np.array(fixed))]).T)
+        axes, values, _ = linear.svd(np.concatenate([np.zeros((3, 3)), *map(rigid.skew, np.array(fixed))]).T)
         return np.asarray(axes[:, values < _AGREE])
 
     turns, on_links = free(None), {link: free(link) for link in dict.fromkeys(links.values())}
@@ -169,24 +169,24 @@ def taken_out(J: Array, set_up_motions: Array) -> Array:
     of J, such as a shift of the whole set-up, would be seen through it. Near a solution nothing is left to be told
     apart.
     """
-    U, sizes, _ = np.linalg.svd(set_up_motions, full_matrices=False)
+    U, sizes, _ = linear.svd(set_up_motions, full_matrices=False)
     U = U[:, sizes > _DEPENDENT]
     found = identifiability.singular_directions(J)
     seen = found.vectors[:, : found.rank]
     # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
-    A, shares, B = np.linalg.svd(seen.T @ U, full_matrices=False)
+    A, shares, B = linear.svd(seen.T @ U, full_matrices=False)
     return np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
 
 
 def _small(A: Array, most: float) -> Array:
     """Return orthonormal combinations (k, j) of the columns of A (q, k) that are no longer than ``most``."""
-    _, values, V = np.linalg.svd(A)
+    _, values, V = linear.svd(A)
     return np.asarray(V[np.count_nonzero(values > most) :].T)
 
 
 def _large(A: Array, least: float) -> Array:
     """Return orthonormal combinations (k, j) of the columns of A (q, k) that are longer than ``least``."""
-    _, values, V = np.linalg.svd(A, full_matrices=False)
+    _, values, V = linear.svd(A, full_matrices=False)
     return np.asarray(V[values > least].T)
 
 

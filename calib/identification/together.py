@@ -23,7 +23,7 @@ from scipy.special import chdtri
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import triangle
+from calib.foundations.linear import svd, triangle
 from calib.identification.arrow import Arrow, Collected, Heads, Inverse, Part, Split, gathered
 
 # That much likelier by chance: not once in as many fits as anybody makes.
@@ -69,7 +69,7 @@ class Together:
         moved = by_twist * widths
         directions, share = np.zeros_like(moved), np.zeros((int(number.max()) + 1, 6))
         for k, rows in _photographs(number):
-            U, s, _ = np.linalg.svd((moved[rows] / sigma[rows][:, :, None]).reshape(-1, 6), full_matrices=False)
+            U, s, _ = svd((moved[rows] / sigma[rows][:, :, None]).reshape(-1, 6), full_matrices=False)
             # A photograph of one or two marks has fewer numbers than a twist.
             directions[rows, :, : len(s)] = U.reshape(len(rows), -1, len(s))
             share[k, : len(s)] = 1.0 - 1.0 / np.sqrt(1.0 + s**2)

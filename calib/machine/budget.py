@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.chance import correlation_time
-from calib.foundations.linear import one_thread, triangle
+from calib.foundations.linear import one_thread, svd, triangle
 from calib.identification import weights
 from calib.identification.arrow import Arrow, Collected, Reduced, Split
 from calib.identification.elimination import split_of
@@ -182,7 +182,7 @@ def _solved(parameters: Sequence[Parameter], evaluation: Evaluation, data: Array
         J = without(J, evaluation.set_up_motions)
     J, related = J[: len(data)], evaluation.relations[:, :free]
     rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
-    U, s, Vt = np.linalg.svd(rows, full_matrices=False)
+    U, s, Vt = svd(rows, full_matrices=False)
     follows = np.pad((Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T, ((0, p - free), (0, 0)))
     from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(related)], axis=1)
     held = np.vstack([from_data[:free] @ J[:, free:], -np.eye(p - free)]) / hold[free:]

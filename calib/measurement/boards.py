@@ -17,6 +17,7 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
+from calib.foundations.linear import svd
 from calib.foundations.ranges import refuse_beyond, refuse_shape
 
 BoardShape = Literal["flat", "quadratic", "free"]
@@ -114,7 +115,7 @@ def shape_modes(marks: Array, shape: BoardShape) -> Array:
     if shape == "free":
         taken = np.column_stack([whole_basis, np.linalg.qr(own)[0]])
         # What is orthogonal to all of these: a mark by itself moves in all of it, so that the order has no meaning.
-        rest = np.linalg.svd(taken, full_matrices=True)[0][:, taken.shape[1] :]
+        rest = svd(taken, full_matrices=True)[0][:, taken.shape[1] :]
         own = np.column_stack([own, rest])
     return read_only(np.sqrt(n) * own.reshape(n, 3, -1))
 

@@ -20,6 +20,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, MeasurementError
+from calib.foundations.linear import svd
 from calib.foundations.ranges import refuse_beyond, refuse_sigma
 from calib.measurement.measurements import Measurements
 
@@ -189,7 +190,7 @@ def line_axis(
     d = x - _means(x, mark)[mark]
     if len(x) <= mark.max() + 1:
         raise IdentificationError(f"{len(x)} points on {int(mark.max()) + 1} lines do not determine a direction.")
-    _, values, Vt = np.linalg.svd(d, full_matrices=False)
+    _, values, Vt = svd(d, full_matrices=False)
     if not values[0] > _RANK * (1.0 + np.abs(x).max()):
         raise IdentificationError("the points of a line are all in one place, and determine no direction.")
     R = _frame(Vt[0])
@@ -315,7 +316,7 @@ class _Start(NamedTuple):
 def _first_circles(x: Array, mark: IntArray, centre: Array) -> _Start:
     """Return an axis to begin from: the plane all circles are parallel to, and in it their common algebraic centre."""
     d = x - centre[mark]
-    _, values, Vt = np.linalg.svd(d, full_matrices=False)
+    _, values, Vt = svd(d, full_matrices=False)
     # For points on a line the second value is rounding, of coordinates as large as those of x.
     if not values[1] > _RANK * (values[0] + np.abs(x).max()):
         raise IdentificationError("the points of a circle lie on a line or in one place, and determine no axis.")

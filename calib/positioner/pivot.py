@@ -19,6 +19,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
+from calib.foundations.linear import svd
 from calib.foundations.ranges import refuse_sigma
 from calib.foundations.units import MM
 
@@ -99,7 +100,7 @@ def pivot(
     which = own.argmax(axis=1)
     A = (R - R_mean[which]).reshape(-1, 3)
     b = -((t - t_mean[which]) + (R - R_mean[which]) @ p0).ravel()
-    U, values, Vt = np.linalg.svd(A, full_matrices=False)
+    U, values, Vt = svd(A, full_matrices=False)
     rank = int(np.count_nonzero(values > _SEEN * np.sqrt(len(T))))
     inverse = Vt[:rank].T / values[:rank] @ U[:, :rank].T
     p = p0 + inverse @ b

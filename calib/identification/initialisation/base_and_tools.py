@@ -74,7 +74,7 @@ def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> B
     columns = [R * (rows.tool == k)[:, None, None] for k in range(len(guess))] if known.points is None else []
     L = np.concatenate(columns, axis=2) if columns else np.zeros((len(R), 3, 0))
     seen = L if known.base is not None else L - L.mean(axis=0)
-    _, values, Vt = np.linalg.svd(linear.triangle(seen.reshape(3 * len(R), -1)))
+    _, values, Vt = linear.svd(linear.triangle(seen.reshape(3 * len(R), -1)))
     count = int(np.count_nonzero(values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)))
     while True:
         base, change = _base_and_change(rows, known, turned, len(guess), predicted, L @ Vt[:count].T)
@@ -126,7 +126,7 @@ def _rotation(
     X = np.einsum("ni,jk->njik", y, np.eye(3)).reshape(-1, 9)
     triangle = linear.triangle(np.column_stack([L.reshape(len(X), -1), X, predicted.ravel()]))
     L, X, c = triangle[:, : L.shape[2]], triangle[:, L.shape[2] : -1], triangle[:, -1]
-    U, values, _ = np.linalg.svd(L, full_matrices=False)
+    U, values, _ = linear.svd(L, full_matrices=False)
     U = U[:, values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)]
     blocks = [np.column_stack([X - U @ (U.T @ X), c - U @ (U.T @ c)])]
     for k in range(n_tools):

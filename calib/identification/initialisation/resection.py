@@ -146,7 +146,7 @@ def _best(frames: Array, b: Array, turns: Array, point: Array | None) -> tuple[A
 def _of_plane(points: Array, b: Array) -> Array:
     """Return rotations A (2, 3, 3) for points near a plane: that of the homography, and the one it may be taken for."""
     middle = points.mean(axis=0)
-    axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+    axes = linear.svd(points - middle, full_matrices=False)[2]
     axes[2] = np.cross(axes[0], axes[1])
     places = (points - middle) @ axes[:2].T
     H = _null((places / np.abs(places).max(), np.ones((len(places), 1))), b)
@@ -172,4 +172,4 @@ def _null(places: tuple[Array, Array], b: Array) -> Array:
     """Return the matrix M (3, k) for which ``b_n x M y_n`` is nearest to zero, of norm 1; y are ``places`` stacked."""
     y = np.column_stack(places)
     rows = (rigid.skew(b)[:, :, :, None] * y[:, None, None, :]).reshape(3 * len(b), -1)
-    return np.asarray(np.linalg.svd(linear.triangle(rows), full_matrices=True)[2][-1].reshape(3, -1))
+    return np.asarray(linear.svd(linear.triangle(rows), full_matrices=True)[2][-1].reshape(3, -1))

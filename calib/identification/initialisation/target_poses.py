@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.linear import svd
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
@@ -94,7 +95,7 @@ def _plane(x: Array, beside: Array) -> Array:
     not do: a cube's upper and far faces are touched from other sides than the base's.
     """
     middle = x.mean(axis=0)
-    axes = np.linalg.svd(x - middle, full_matrices=True)[2]
+    axes = svd(x - middle, full_matrices=True)[2]
     heights = beside @ axes[2]
     normal = axes[2] if heights[np.argmax(np.abs(heights) > _OFF)] >= 0.0 else -axes[2]
     return rigid.placement(np.column_stack([axes[0], np.cross(normal, axes[0]), normal]), middle)
@@ -116,7 +117,7 @@ def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
     straight = np.linalg.lstsq(A, squares, rcond=NEGLIGIBLE)[0][:3]
     if offset:
         return np.asarray(middle + straight)
-    axes = np.linalg.svd(y, full_matrices=True)[2]
+    axes = svd(y, full_matrices=True)[2]
     flat = y @ axes[:2].T
     within = np.linalg.lstsq(np.column_stack([2.0 * flat, np.ones(len(y))]), squares, rcond=NEGLIGIBLE)[0][:2]
     height = np.sqrt(max(float(np.mean(length**2 - ((flat - within) ** 2).sum(axis=1))), 0.0))

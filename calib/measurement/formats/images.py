@@ -13,6 +13,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import read_bytes
+from calib.foundations.linear import svd
 from calib.measurement.formats.corners import LEAST_RADIUS, refine
 from calib.measurement.prints import Print
 
@@ -191,7 +192,7 @@ def _homography(places: Array, pixels: Array) -> Array:
     B, q = _normalised(pixels)
     zero = np.zeros_like(p)
     rows = np.concatenate([np.hstack([p, zero, -q[:, :1] * p]), np.hstack([zero, p, -q[:, 1:2] * p])])
-    H = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
+    H = svd(rows, full_matrices=True)[2][-1].reshape(3, 3)
     found = np.linalg.inv(B) @ H @ A
     middle = float(found[2] @ np.append(places.mean(axis=0), 1.0))
     return np.asarray(found / middle if abs(middle) > _HORIZON * np.abs(found[2]).max() else np.zeros((3, 3)))
