@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.lib.stride_tricks import as_strided
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray, read_only
@@ -217,7 +216,7 @@ class Joints:
         self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
         self._placed_by: Array | None = None
-        self._placements = _placements_within(self._model).reshape(rows, nj, 4, 3)
+        self._placements = [[self._model.jointPlacements[nj * k + j + 1] for k in range(rows)] for j in range(nj)]
 
     def carriers(self, placements: Array, q: Array) -> Array:
         """Return the root, and all joints after their own motion: origin, x, y and z (nj + 1, 4, 3, N).
@@ -225,7 +224,10 @@ class Joints:
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            self._placements[...] = placements[:, :3].transpose(0, 2, 1)
+            for side_by_side, T in zip(self._placements, placements, strict=True):
+                rotation, translation = T[:3, :3], T[:3, 3]
+                for own in side_by_side:
+                    own.rotation, own.translation = rotation, translation
             self._placed_by = placements
         (n, nj), rows = q.shape, self._rows
         filled = np.zeros((-(-n // rows) * rows, nj))
@@ -339,16 +341,6 @@ def _model(tree: Tree) -> pin.Model:
         joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
         model.addJoint(parent + 1, joint, pin.SE3(T), f"joint_{i}")
     return model
-
-
-def _placements_within(model: pin.Model) -> Array:
-    """Return where a model keeps the placements of its joints: x, y, z and origin (nj, 4, 3), to be written to."""
-    every = model.jointPlacements
-    first, last = every[1].rotation, every[len(every) - 1].translation
-    size = first.itemsize
-    found = as_strided(first, (len(every) - 1, 4, 3), (12 * size, 3 * size, size))
-    assert found[-1, 3].ctypes.data == last.ctypes.data, "placements lie one behind the other, column by column"
-    return found
 
 
 def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:
