@@ -135,7 +135,7 @@ def _left(folder: Path) -> bool:
 
 
 def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
-    """Return which files of dropped folders, or ``packed`` in an archive, are of use, and the name that each gets here.
+    """Return which files of dropped folders, or ``packed`` in an archive, are of use, and what each is called.
 
     What lies in no folder is left to :func:`take`, which says what it is not. In the folder of a package, which
     ``package.xml`` marks, the robot and its meshes are of use; a picture beside a mesh is its texture. Tables of one
@@ -156,30 +156,38 @@ def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
         if alone or (kind not in (None, "archive") and described and not hidden and not texture):
             found[name] = path
     same = Counter(path.name for path in found.values() if _known(path) != "mesh")
-    names = {
+    return {
         name: str(path) if _known(path) == "mesh" else "_".join(path.parts) if same[path.name] > 1 else path.name
         for name, path in found.items()
     }
-    return _apart(names)
 
 
-def _apart(names: Mapping[str, str]) -> dict[str, str]:
-    """Return names with numbers where several become one when they are made plain, so that none replaces another.
+def apart(names: Mapping[str, str], called: Mapping[str, str]) -> dict[str, str]:
+    """Return the name that each file gets here: none takes the place of one that is called otherwise.
 
-    A mesh gets a folder with the number: a robot's path to it then ends as those of several, and none is taken.
+    Names get numbers where several become one when they are made plain. A mesh gets a folder with the number: a robot's
+    path to it then ends as those of several, and none is taken. ``called``: what those that are here are called.
     """
+    own: dict[str, list[str]] = {}
+    for kept, name in reversed(list(called.items())):
+        own.setdefault(name, []).append(kept)
+    others = {kept.lower() for kept in called}
     found: dict[str, str] = {}
-    taken: set[str] = set()
+    numbers: Counter[str] = Counter()
     for path, name in names.items():
+        if own.get(name):
+            found[path] = own[name].pop()
+            continue
         plain = kept = name if (kind := _known(PurePosixPath(name))) is None else name_here(name)
-        number = 2
-        while kind is not None and kept.lower() in taken:
+        number = numbers[plain.lower()]
+        while kind is not None and kept.lower() in others:
+            number = max(number + 1, 2)
             ending = Path(plain).suffix
             kept = (
                 f"{number}/{plain}" if kind == "mesh" else f"{plain.removesuffix(ending)[:_SHORTER]}_{number}{ending}"
             )
-            number += 1
-        taken.add(kept.lower())
+        numbers[plain.lower()] = number
+        others.add(kept.lower())
         found[path] = kept
     return found
 
@@ -191,8 +199,10 @@ def _known(path: PurePosixPath) -> Kind | None:
         return None
 
 
-def unpacked(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
-    """Give the files of use in a ZIP archive, one after the other, with the names that they get here.
+def unpacked(data: bytes, name: str, called: Mapping[str, str]) -> Iterator[tuple[str, str, bytes]]:
+    """Give the files of use in a ZIP archive, one after the other: the name that each gets here, and what it is called.
+
+    ``called``: as of :func:`apart`.
 
     Links in the archive are left out. Of a file that is too large, a byte more than may be is given. Raises OutputError
     where the archive cannot be read, or holds nothing of use.
@@ -203,6 +213,7 @@ def unpacked(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
                 raise OutputError(f"{shown(name)}: holds more than {_MOST_OFFERED} files.")
             inside = {one.filename: one for one in archive.infolist() if not one.is_dir() and not _is_link(one)}
             wanted = chosen(list(inside), packed=True)
+            kept = apart(wanted, called)
             if not wanted:
                 raise OutputError(f"{shown(name)}: holds no robot, mesh, table, photograph or job.")
             if len(wanted) > _MOST_FILES:
@@ -211,11 +222,11 @@ def unpacked(data: bytes, name: str) -> Iterator[tuple[str, bytes]]:
                 raise OutputError(
                     f"{shown(name)}: is packed by another method than the usual one (deflate); pack it anew."
                 )
-            for path, plain in wanted.items():
+            for path, its_name in wanted.items():
                 with archive.open(inside[path]) as file:
                     # What an archive says of its sizes need not be so.
                     contents = file.read(LARGEST_FILE + 1)
-                yield plain, contents
+                yield kept[path], its_name, contents
     except OutputError:
         raise
     except _DAMAGED as e:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calib.app.folder import JOB, RESULTS, SESSION, chosen, is_there, kind_of, remove, take, unpacked
+from calib.app.folder import JOB, RESULTS, SESSION, apart, chosen, is_there, kind_of, remove, take, unpacked
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
@@ -36,6 +36,8 @@ class Session:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._files: dict[str, int] = {}
+        # What they are called where they come from: two names may become one when they are made plain.
+        self._called: dict[str, str] = {}
         self._asked: dict[str, Any] = {"robot": "", "answers": {}, "stack": False, "camera_on": "tip"}
         self._look: dict[str, Any] | None = None
         self._results: dict[str, Any] | None = None
@@ -63,9 +65,15 @@ class Session:
 
     def offer(self, paths: Sequence[str]) -> dict[str, str]:
         """Return which of the files that a person is about to drop are to be sent, and by which names."""
-        wanted = chosen(paths)
+        names = chosen(paths)
+        wanted = apart(names, self._names())
+        self._called |= {wanted[path]: name for path, name in names.items()}
         self._leave_out(len(paths) - len(wanted))
         return wanted
+
+    def _names(self) -> dict[str, str]:
+        """Return what the files that are here are called."""
+        return {name: self._called.get(name, name) for name in self._files}
 
     async def drop(self, name: str, data: bytes) -> None:
         """Take a dropped file, or those in an archive. Raises CalibError."""
@@ -74,17 +82,22 @@ class Session:
         self._changed()
         if kind_of(name) != "archive":
             self._keep(name, data)
+            self._write()
             return
-        files = unpacked(data, name)
-        while (file := await asyncio.to_thread(next, files, None)) is not None:
-            self._keep(*file)
+        files = unpacked(data, name, self._names())
+        try:
+            while (file := await asyncio.to_thread(next, files, None)) is not None:
+                kept, called, contents = file
+                self._called[kept] = called
+                self._keep(kept, contents)
+        finally:
+            self._write()
 
     def _keep(self, name: str, data: bytes) -> None:
         plain = take(self.folder, name, data, self._files)
         self._files[plain] = len(data)
         if kind_of(plain) == "robot":
             self._asked["robot"] = plain
-        self._write()
 
     async def remove(self, name: str) -> None:
         """Remove a dropped file."""
@@ -153,7 +166,13 @@ class Session:
 
     def _write(self) -> None:
         """Keep what was dropped, said and found."""
-        kept = {"files": self._files, "asked": self._asked, "look": self._look, "results": self._results}
+        kept = {
+            "files": self._files,
+            "called": self._names(),
+            "asked": self._asked,
+            "look": self._look,
+            "results": self._results,
+        }
         write_atomically(self.folder / SESSION, json.dumps({**kept, "sentence": self._sentence}))
 
     def _go_on(self) -> None:
@@ -163,6 +182,7 @@ class Session:
             kept = json.loads(read_inside(self.folder, SESSION, OutputError, LARGEST_JSON))
             files, look, results = kept["files"], kept["look"], kept["results"]
             self._files = {name: int(size) for name, size in files.items() if is_there(self.folder, name)}
+            self._called = {name: str(kept.get("called", {}).get(name, name)) for name in self._files}
             if kept["asked"]["robot"] in files and kept["asked"]["robot"] not in self._files:
                 kept["asked"]["robot"] = ""
             self._asked = self._understood(kept["asked"])

@@ -14,7 +14,7 @@ from calib.identification.error_model import ErrorModel
 from calib.measurement.table import nearest
 
 _DIMENSIONS: Mapping[str, Dimension] = {"m": "length", "rad": "angle"}
-_LARGEST_TABLE = 1_000_000
+_LARGEST_TABLE, _LONGEST_LINE = 1_000_000, 2000
 
 
 @checked
@@ -23,13 +23,15 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
 
         calib.judging.group_study(model, readings, calib.judging.read_errors("errors.csv", model))
 
-    Raises JobError for a parameter that is not free or comes twice, and for a quantity of another dimension.
+    Raises JobError for a parameter that is not free or comes twice, for a quantity of another dimension, and for a
+    table without rows.
     """
     units = {parameter.name: parameter.unit for parameter in model.parameters()}
-    reader = csv.reader(_lines(path))
-    rows = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
+    rows = _rows(path)
     if not rows or [cell.strip() for cell in rows[0][1]] != ["parameter", "error"]:
         raise JobError(f"{path}: begins with the columns 'parameter,error', and has a row for every assumed error.")
+    if len(rows) == 1:
+        raise JobError(f"{path}: has a header and no rows.")
     found: dict[str, float] = {}
     for line, row in rows[1:]:
         at = f"{path}:{line}"
@@ -47,8 +49,20 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
     return found
 
 
-def _lines(path: str | Path) -> list[str]:
+def _rows(path: str | Path) -> list[tuple[int, list[str]]]:
     try:
-        return read_bytes(Path(path), JobError, _LARGEST_TABLE).decode("utf-8-sig").splitlines()
+        text = read_bytes(Path(path), JobError, _LARGEST_TABLE).decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise JobError(f"{path}: is not text in UTF-8.") from e
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if len(line) > _LONGEST_LINE:
+            raise JobError(f"{path}:{number}: is longer than the {_LONGEST_LINE} characters that are allowed.")
+        try:
+            (row,) = csv.reader((line,), strict=True, skipinitialspace=True)
+        except csv.Error as e:
+            raise JobError(f"{path}:{number}: a quote is not closed, or something follows it.") from e
+        rows.append((number, row))
+    return rows

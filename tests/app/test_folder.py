@@ -5,6 +5,7 @@ import io
 import os
 import shutil
 import stat
+import time
 import zipfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from calib.app.folder import (
     SESSION,
+    apart,
     as_zip,
     chosen,
     gather,
@@ -151,6 +153,10 @@ def packed(contents: dict[str, bytes], **links: str) -> bytes:
     return file.getvalue()
 
 
+def unpacked_of(data: bytes) -> dict[str, bytes]:
+    return {kept: contents for kept, _, contents in unpacked(data, "arm.zip", {})}
+
+
 def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = {
         "../../arm.urdf": b"<robot/>",
@@ -158,7 +164,7 @@ def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytes
         "readme.md": b"r",
         "/etc/poses.csv": b"1\n",
     }
-    found = dict(unpacked(packed(inside, passwd="/etc/passwd"), "arm.zip"))
+    found = unpacked_of(packed(inside, passwd="/etc/passwd"))
     assert found == {"arm/meshes/base.stl": b"solid", "poses.csv": b"1\n"}
     for name, data in {**found, "../../out/../base.stl": b"solid"}.items():
         take(tmp_path, name, data, {})
@@ -169,16 +175,16 @@ def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytes
         (packed({"readme.md": b"r"}), "holds no robot, mesh, table, photograph or job"),
     ):
         with pytest.raises(OutputError, match=rf"^'arm\.zip': {sentence}\.$"):
-            dict(unpacked(data, "arm.zip"))
+            unpacked_of(data)
     # Of what unpacks to too much, no more is read than a byte too many.
     monkeypatch.setattr("calib.app.folder.LARGEST_FILE", 100)
-    name, much = next(unpacked(packed({"a.csv": bytes(100_000)}), "arm.zip"))
+    name, _, much = next(unpacked(packed({"a.csv": bytes(100_000)}), "arm.zip", {}))
     assert len(much) == 101
     with pytest.raises(OutputError, match=r"'a\.csv': is too large"):
         take(tmp_path, name, much, {})
     monkeypatch.setattr("calib.app.folder._MOST_FILES", 1)
     with pytest.raises(OutputError, match="more than the 1 files"):
-        dict(unpacked(packed({"a.csv": b"1", "b.csv": b"1"}), "arm.zip"))
+        unpacked_of(packed({"a.csv": b"1", "b.csv": b"1"}))
 
 
 def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> None:
@@ -219,7 +225,7 @@ def test_an_archive_that_is_unpacked_without_bounds_is_refused(method: int) -> N
     with zipfile.ZipFile(file, "w", method) as archive:
         archive.writestr("a.csv", b"1\n" * 1000)
     with pytest.raises(OutputError, match=r"^'arm\.zip': is packed by another method than the usual one"):
-        dict(unpacked(file.getvalue(), "arm.zip"))
+        unpacked_of(file.getvalue())
 
 
 def test_an_archive_that_is_dropped_again_is_unpacked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,7 +235,7 @@ def test_an_archive_that_is_dropped_again_is_unpacked_again(tmp_path: Path, monk
     inside = {"a.csv": b"12345", "b.csv": b"12345", "c.csv": b"12345"}
     there: dict[str, int] = {}
     for _ in range(2):
-        for name, data in unpacked(packed(inside), "arm.zip"):
+        for name, data in unpacked_of(packed(inside)).items():
             there[take(tmp_path, name, data, there)] = len(data)
         assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == inside
     with pytest.raises(OutputError, match=r"'d\.csv': is too large"):
@@ -239,12 +245,19 @@ def test_an_archive_that_is_dropped_again_is_unpacked_again(tmp_path: Path, monk
 def test_files_whose_plain_names_are_alike_are_kept_apart(tmp_path: Path) -> None:
     names = ["a/b/x.csv", "a_b/x.csv", "Größe.csv", "Gräße.csv", "A/m.csv", "q/M.csv", "l/" + "x" * 200 + "1.csv"]
     names += ["l/" + "x" * 200 + "2.csv", "arm/meshes/底座.stl", "arm/meshes/手臂.stl", "run.exe"]
-    kept = chosen(names)
+    kept = apart(chosen(names), {})
     assert list(kept) == names
     plain = [name_here(name) for name in kept.values() if name != "run.exe"]
     assert plain == [name for name in kept.values() if name != "run.exe"]
     assert len({name.lower() for name in plain}) == len(plain)
-    assert chosen(names) == kept
+    # Dropped again, each takes its own place; what is called otherwise takes none of these.
+    called = {kept[path]: name for path, name in chosen(names).items()}
+    assert apart(chosen(names), called) == kept
+    assert apart(chosen(["Grüße.csv", "M.CSV", "Gräße.csv"]), called) == {
+        "Grüße.csv": "Gr__e_3.csv",
+        "M.CSV": "M_3.CSV",
+        "Gräße.csv": "Gr__e_2.csv",
+    }
     assert kept["Größe.csv"] == "Gr__e.csv"
     assert kept["Gräße.csv"] == "Gr__e_2.csv"
     # Which of the two meshes is meant cannot be told: neither is shown in the other's place.
@@ -254,6 +267,13 @@ def test_files_whose_plain_names_are_alike_are_kept_apart(tmp_path: Path) -> Non
     (tmp_path / "arm.urdf").write_text("<robot/>")
     uris = ["package://arm/meshes/底座.stl", "package://arm/meshes/手臂.stl"]
     assert gather(tmp_path, "arm.urdf", uris, meshes)[1] == uris
+
+
+def test_many_names_that_are_alike_get_their_numbers_at_once() -> None:
+    names = {f"{k}.csv": chr(0x4E00 + k) + ".csv" for k in range(5000)}
+    begun = time.process_time()
+    assert len(set(apart(names, {}).values())) == 5000
+    assert time.process_time() - begun < 2.0
 
 
 def test_a_folder_is_served_by_one_page_at_a_time(tmp_path: Path) -> None:

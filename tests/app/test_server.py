@@ -210,6 +210,30 @@ def test_files_have_a_size_and_a_kind(empty: Server) -> None:
     assert empty.ask("PUT", "files/%ff.csv", b"")[0] == 400
 
 
+def test_no_file_takes_the_place_of_one_that_is_called_otherwise(tmp_path: Path) -> None:
+    """Two tables that were dropped one after the other became one, as their letters are none that every system has."""
+    place = tmp_path / "work"
+
+    def drop(server: Server, name: str, size: int) -> list[tuple[str, int]]:
+        kept = server.ask("POST", "offer", {"paths": [name]})[1]["wanted"][name]
+        return [(file["name"], file["size"]) for file in server.drop(kept, b"1" * size)[1]["files"]]
+
+    server = Server("--folder", place)
+    assert drop(server, "測定.csv", 1) == [("__.csv", 1)]
+    assert drop(server, "検証.csv", 2) == [("__.csv", 1), ("___2.csv", 2)]
+    assert server.end() == (0, "")
+    server = Server("--folder", place)
+    # What is dropped again takes its own place, also after a restart.
+    assert drop(server, "検証.csv", 3) == [("__.csv", 1), ("___2.csv", 3)]
+    packed = BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("測定.csv", b"1111")
+        archive.writestr("確認.csv", b"11111")
+    files = server.drop("all.zip", packed.getvalue())[1]["files"]
+    assert [(file["name"], file["size"]) for file in files] == [("__.csv", 4), ("___2.csv", 3), ("___3.csv", 5)]
+    assert server.end() == (0, "")
+
+
 def test_tables_of_one_name_in_two_formats_are_two_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One took the other's place, and was read twice."""
     monkeypatch.chdir(tmp_path)

@@ -232,6 +232,13 @@ def test_assumed_errors_are_read_with_their_units(tmp_path: Path) -> None:
         (["elbow_joint.offset,0.06 deg"] * 2, "parameter,error", ":4: 'elbow_joint.offset' appears twice"),
         (["elbow_joint.offset"], "parameter,error", ":3: has 1 cells"),
         ([], "name,value", "begins with the columns 'parameter,error'"),
+        ([], "parameter,error", "has a header and no rows"),
+        (
+            ['"elbow_joint.offset,0.06 deg', "x"],
+            "parameter,error",
+            ":3: a quote is not closed, or something follows it",
+        ),
+        (["x" * 200_000 + ",1 mm"], "parameter,error", ":3: is longer than the 2000 characters that are allowed"),
     ],
 )
 def test_wrong_errors_are_refused(tmp_path: Path, rows: list[str], head: str, said: str) -> None:

@@ -8,7 +8,10 @@ import pytest
 import calib
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification import system
+from calib.identification.initialisation.frames import initialise
+from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import Frames
+from calib.identification.observability import rank_findings
 from calib.identification.set_ups import SetUp
 from calib.identification.system import Problem
 from tests.support import jacobians, machines
@@ -111,6 +114,27 @@ def test_the_truth_is_found_from_every_place(cell: Cell) -> None:
     assert fit.rank == one.rank + 12
     for setup in PLACES:
         assert misses(fit, cell, setup) < 2.5 * SIGMA
+
+
+def test_tools_that_no_place_shows_by_itself_are_shown_by_all() -> None:
+    """Four rows a place, each of another tool, were said to turn the tip too little, and the tools were held."""
+    rng = np.random.default_rng(5)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10).moved(rng)
+    tools = {name: pose(rng.normal(0.0, 0.15, 3)) for name in "abcdef"}
+    cell = Cell(robot, arm, {f"place {k}": anywhere(rng) for k in range(30)}, tools, rng)
+    sets = [
+        cell.measure(place, 1, tool=tool) for k, place in enumerate(cell.bases) for tool in np.roll([*tools], k)[:4]
+    ]
+    model = calib.error_model(robot, offsets="all", placements="all")
+    assert rank_findings(model, sets) == ()
+    common = with_common_names(model, sets)
+    started = initialise(model, common)
+    assert not started.unshown.any()
+    # As near as the nominal arm lets them be.
+    for name, tool in zip(common[0].tools, started.frames.tools, strict=True):
+        assert np.linalg.norm(tool[:3, 3] - tools[name][:3, 3]) < 0.01
+    # The 36 numbers of three places are too few for 18 of tools and 18 of bases, and to judge.
+    assert initialise(model, with_common_names(model, sets[:12])).unshown.all()
 
 
 def test_one_base_for_two_places_is_far_off(cell: Cell) -> None:

@@ -179,7 +179,7 @@ def test_a_fleet_that_cannot_be_written_leaves_no_empty_folder(folder: Path, mon
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(files, "create", full)  # of the summary; the job is a bad one
+    monkeypatch.setattr(files, "_to_disk", full)  # of the summary; the job is a bad one
     said = run("fleet", "jobs/bad.toml", "-o", "deep/out", "-j", "1", "-q")
     assert (said.code, said.out) == (1, "")
     assert said.err == "Error: deep/out/summary.json: cannot be written (No space left on device).\n"

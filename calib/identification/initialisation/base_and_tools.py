@@ -74,8 +74,7 @@ def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> B
     columns = [R * (rows.tool == k)[:, None, None] for k in range(len(guess))] if known.points is None else []
     L = np.concatenate(columns, axis=2) if columns else np.zeros((len(R), 3, 0))
     seen = L if known.base is not None else L - L.mean(axis=0)
-    _, values, Vt = linear.svd(linear.triangle(seen.reshape(3 * len(R), -1)))
-    count = int(np.count_nonzero(values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)))
+    values, Vt, count = _best_shown(seen.reshape(3 * len(R), -1))
     while True:
         base, change = _base_and_change(rows, known, turned, len(guess), predicted, L @ Vt[:count].T)
         left = np.linalg.norm((rows.position - base[:3, 3]) @ base[:3, :3] - predicted - L @ Vt[:count].T @ change)
@@ -91,10 +90,56 @@ def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> B
             own = turned & (rows.tool == k)
             by_base = np.swapaxes(R[own], -1, -2) @ base[:3, :3].T @ rows.orientation[own]
             rotations[k] = rigid.nearest_rotation(by_base.sum(axis=0))
-    shown = np.ones(len(guess), dtype=np.bool_)
-    if count < len(Vt):
-        shown = np.linalg.norm(Vt[count:].T.reshape(-1, 3, len(Vt) - count), axis=(1, 2)) < _HARDLY
-    return BaseAndTools(base, rigid.placement(rotations, points), shown)
+    return BaseAndTools(base, rigid.placement(rotations, points), _shown(Vt, count, len(guess)))
+
+
+def points_together(
+    rows: TipObservations, setup: IntArray, bases: Array, given: BoolArray, points: Array, sought: BoolArray
+) -> tuple[Array, BoolArray]:
+    """Return tool points (k, 3) that the positions of all set-ups (N,) together explain best, and which are shown (k,).
+
+    Only those that are ``sought`` (k,) change. ``bases`` (b, 4, 4) move with them, by small turns, but for those that
+    are ``given`` (b,).
+    """
+    R, of = rows.tips[:, :3, :3], np.flatnonzero(sought)
+    L = np.concatenate([R * (rows.tool == k)[:, None, None] for k in of], axis=2)
+    at = np.einsum("nij,ni->nj", bases[setup, :3, :3], rows.position - bases[setup, :3, 3])
+    missed = at - rows.tips[:, :3, 3] - (R @ points[rows.tool, :, None])[..., 0]
+    both = np.concatenate([L, missed[..., None]], axis=2)
+    moving = np.unique(setup[~given[setup]])
+    for s in moving:
+        own = setup == s
+        # What a base explains by moving is left out.
+        moves = np.concatenate([np.broadcast_to(np.eye(3), (own.sum(), 3, 3)), rigid.skew(at[own])], axis=2)
+        Q, _ = np.linalg.qr(moves.reshape(-1, 6))
+        those = both[own].reshape(len(Q), -1)
+        both[own] = (those - Q @ (Q.T @ those)).reshape(both[own].shape)
+    flat = both.reshape(3 * len(both), -1)
+    values, Vt, count = _best_shown(flat[:, :-1])
+    spare = max(flat.shape[0] - 6 * len(moving) - count, 1)
+    # As far as the rows say more than what is known of tools at all: bases that are far off mislead.
+    width = np.linalg.norm(flat[:, -1]) / np.sqrt(spare) / TOOL
+    along = flat[:, :-1] @ Vt[:count].T
+    change = Vt[:count].T @ ((along.T @ flat[:, -1]) / (values[:count] ** 2 + width**2))
+    left = np.linalg.norm(flat[:, -1] - flat[:, :-1] @ change)
+    count = int(np.count_nonzero(values[:count] * TOOL > left * np.sqrt(flat.shape[0] / spare)))
+    found, shown = points.copy(), ~sought
+    found[of] += change.reshape(-1, 3)
+    shown[of] = _shown(Vt, count, len(of))
+    return found, shown
+
+
+def _best_shown(seen: Array) -> tuple[Array, Array, int]:
+    """Return singular values, right singular vectors, best shown first, and how many of them are seen at all."""
+    _, values, Vt = linear.svd(linear.triangle(seen))
+    return values, Vt, int(np.count_nonzero(values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)))
+
+
+def _shown(Vt: Array, count: int, n_tools: int) -> BoolArray:
+    """Return the tools (k,) that have hardly a part in directions behind the first ``count``."""
+    if count == len(Vt):
+        return np.ones(n_tools, dtype=np.bool_)
+    return np.asarray(np.linalg.norm(Vt[count:].T.reshape(-1, 3, len(Vt) - count), axis=(1, 2)) < _HARDLY)
 
 
 def _base_and_change(

@@ -17,7 +17,12 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
-from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.base_and_tools import (
+    KnownFrames,
+    TipObservations,
+    base_and_tools,
+    points_together,
+)
 from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
@@ -29,6 +34,8 @@ from calib.robot.robot import Deviations
 
 # More rows than these do not make a start better; of every tool and target at least a few are taken.
 _ENOUGH, _FEW = 10_000, 100
+# Tools and bases are found in turns; a start need not be better.
+_ROUNDS, _CLOSE = 10, 1e-4
 # A base is shown by so many places of sockets.
 _LEAST_PLACES = 3
 
@@ -147,11 +154,33 @@ def _by_positions(model: ErrorModel, rows: TipObservations, setup: IntArray, at:
             tools[:, :3, 3] if held else None,
             None if model.tool == "pose" and not held else tools[:, :3, :3],
         )
-        bases[s], found, shown = base_and_tools(own, known, tools)
+        bases[s], points, shown = base_and_tools(own, known, tools)
         stands[s] = True
         new = used[~placed[used]]
-        tools[new], unshown[new], placed[new] = found[new], ~shown[new], True
-    return at._replace(bases=bases, tools=tools, stands=stands, placed=placed), unshown
+        tools[new], unshown[new], placed[new] = points[new], ~shown[new], True
+    found = at._replace(bases=bases, tools=tools, stands=stands, placed=placed)
+    return _together(rows, setup, at.stands, found, unshown) if unshown.any() and len(bases) > 1 else (found, unshown)
+
+
+def _together(
+    rows: TipObservations, setup: IntArray, given: BoolArray, at: _Placed, sought: BoolArray
+) -> tuple[_Placed, BoolArray]:
+    """Place tools (k,) that no set-up shows by itself where all set-ups that share them show them.
+
+    Returned with it: tools (k,) of which some direction does not show; if there are any, nothing has changed.
+    ``given`` (b,): bases that stay.
+    """
+    bases, tools, shown = at.bases.copy(), at.tools.copy(), ~sought
+    for _ in range(_ROUNDS):
+        points, shown = points_together(rows, setup, bases, given, tools[:, :3, 3], sought)
+        moved = np.abs(points - tools[:, :3, 3]).max()
+        tools[:, :3, 3] = points
+        for s in np.unique(setup[~given[setup]]):
+            known = KnownFrames(None, tools[:, :3, 3], tools[:, :3, :3])
+            bases[s] = base_and_tools(rows.some(setup == s), known, tools).base
+        if moved < _CLOSE:
+            break
+    return (at._replace(bases=bases, tools=tools), ~shown) if shown.all() else (at, sought)
 
 
 def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _Placed:
