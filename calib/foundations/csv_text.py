@@ -4,10 +4,14 @@ Which of commas, semicolons, tabs and bars part the cells, a spreadsheet decides
 behind any of them may be the beginning of a cell.
 """
 
+import csv
 import re
 from collections.abc import Iterable
 
+from calib.foundations.errors import CalibError
 from calib.foundations.units import NUMBER
+
+_LONGEST_LINE = 2_000
 
 # With these a formula begins, also in the widths of East Asian keyboards, of which some spreadsheets make plain signs.
 _SIGNS = "=+\\-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b"
@@ -18,6 +22,31 @@ _BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])([\s\"]*)(?=([{_SIGNS}][^{_SEPARAT
 _TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
 # "+" and "-" alone are sides of approach.
 _SIDES = ("+", "-")
+
+
+def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> list[tuple[str, list[str]]]:
+    """Return the lines of a small table, but for comments and blank ones: where each is, and its cells.
+
+    ``where``: the file; ``what`` it is, as "a DH table". Raises ``error`` for what is no text, or no CSV.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        raise error(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+    if (nul := text.find("\0")) >= 0:
+        raise error(f"{where}: has a NUL byte after {nul} characters; {what} is UTF-8 text.")
+    lines = []
+    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            at = f"{where}:{number}"
+            if len(line) > _LONGEST_LINE:
+                raise error(f"{at}: is longer than the {_LONGEST_LINE} characters that are allowed.")
+            try:
+                (cells,) = csv.reader((line,), strict=True, skipinitialspace=True)
+            except csv.Error as e:
+                raise error(f"{at}: a quote is not closed, or something follows it.") from e
+            lines.append((at, [cell.strip() for cell in cells]))
+    return lines
 
 
 def has_formula(text: str) -> bool:

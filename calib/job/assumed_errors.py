@@ -1,10 +1,10 @@
 """Assumed errors of parameters, as a table states them for a study of sensitivity."""
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
 from calib.foundations.arguments import checked
+from calib.foundations.csv_text import lines_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
@@ -14,7 +14,7 @@ from calib.identification.error_model import ErrorModel
 from calib.measurement.table import nearest
 
 _DIMENSIONS: Mapping[str, Dimension] = {"m": "length", "rad": "angle"}
-_LARGEST_TABLE, _LONGEST_LINE = 1_000_000, 2000
+_LARGEST_TABLE = 1_000_000
 
 
 @checked
@@ -27,17 +27,17 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
     table without rows.
     """
     units = {parameter.name: parameter.unit for parameter in model.parameters()}
-    rows = _rows(path)
-    if not rows or [cell.strip() for cell in rows[0][1]] != ["parameter", "error"]:
+    data = read_bytes(Path(path), JobError, _LARGEST_TABLE)
+    rows = lines_of(data, str(path), "a table of assumed errors", JobError)
+    if not rows or rows[0][1] != ["parameter", "error"]:
         raise JobError(f"{path}: begins with the columns 'parameter,error', and has a row for every assumed error.")
     if len(rows) == 1:
         raise JobError(f"{path}: has a header and no rows.")
     found: dict[str, float] = {}
-    for line, row in rows[1:]:
-        at = f"{path}:{line}"
+    for at, row in rows[1:]:
         if len(row) != 2:
             raise JobError(f"{at}: has {len(row)} cells, and two are needed: parameter, error.")
-        name, error = (cell.strip() for cell in row)
+        name, error = row
         if name not in units:
             raise JobError(f"{at}: {shown(name)} is not a free parameter of the model{nearest(name, units)}.")
         if name in found:
@@ -47,22 +47,3 @@ def read_errors(path: str | Path, model: ErrorModel) -> dict[str, float]:
             raise JobError(f"{at}: {name!r} has the unit {units[name]}; errors are lengths and angles.")
         found[name] = parse_within(error, OF_DIMENSION[dimension], f"{at}: {name}")
     return found
-
-
-def _rows(path: str | Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = read_bytes(Path(path), JobError, _LARGEST_TABLE).decode("utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise JobError(f"{path}: is not text in UTF-8.") from e
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        if len(line) > _LONGEST_LINE:
-            raise JobError(f"{path}:{number}: is longer than the {_LONGEST_LINE} characters that are allowed.")
-        try:
-            (row,) = csv.reader((line,), strict=True, skipinitialspace=True)
-        except csv.Error as e:
-            raise JobError(f"{path}:{number}: a quote is not closed, or something follows it.") from e
-        rows.append((number, row))
-    return rows

@@ -8,7 +8,6 @@
 Before the header may stand what a DH row cannot hold: the convention, and base and tool as x, y, z, roll, pitch, yaw.
 """
 
-import csv
 import re
 from collections.abc import Sequence
 from decimal import Decimal
@@ -21,7 +20,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.choices import Convention
-from calib.foundations.csv_text import csv_cell, has_formula
+from calib.foundations.csv_text import csv_cell, has_formula, lines_of
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
@@ -31,7 +30,6 @@ from calib.robot.dh.table import NUMBERS, DhRow, DhTable, RowType, check_convent
 from calib.robot.urdf import MOST_JOINTS
 
 _LARGEST_FILE = 1_000_000
-_LONGEST_LINE = 2_000
 _TITLE = re.compile(r"([a-z]+)\s*(?:\[([^\[\]]*)\])?")
 _DIMENSIONS: dict[str, Dimension] = {
     "a": "length",
@@ -64,7 +62,7 @@ def read_dh(path: str | Path, convention: Convention | None = None) -> DhTable:
 @checked
 def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> DhTable:
     """Return the table of a file's contents; as :func:`read_dh`. ``where`` names it in sentences."""
-    before, header, body = _parts(_lines(data, where), where)
+    before, header, body = _parts(lines_of(data, where, "a DH table", RobotError), where)
     units = _units(header)
     rows = tuple(_row(line, units, number) for number, line in enumerate(body, start=1))
     stated = _convention(before.get("convention"))
@@ -114,26 +112,6 @@ def _text(value: float, unit: Unit) -> str:
     texts = (f"{exact:.{digits}g}" for digits in range(12, 25))
     text = next((text for text in texts if _si(text, unit) == value), repr(value / unit.factor))
     return text if "e" in text or "." not in text else text.rstrip("0").rstrip(".")
-
-
-def _lines(data: bytes, where: str) -> list[_Line]:
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise RobotError(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
-    lines = []
-    if (nul := text.find("\0")) >= 0:
-        raise RobotError(f"{where}: has a NUL byte after {nul} characters; a DH table is UTF-8 text.")
-    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            if len(line) > _LONGEST_LINE:
-                raise RobotError(f"{where}:{number}: is longer than the {_LONGEST_LINE} characters that are allowed.")
-            try:
-                (cells,) = csv.reader((line,), strict=True, skipinitialspace=True)
-            except csv.Error as e:
-                raise RobotError(f"{where}:{number}: a quote is not closed, or something follows it.") from e
-            lines.append((f"{where}:{number}", [cell.strip() for cell in cells]))
-    return lines
 
 
 def _parts(lines: Sequence[_Line], where: str) -> tuple[dict[str, _Line], _Line, Sequence[_Line]]:
