@@ -23,9 +23,10 @@ class HandEye:
     """Where a camera is: its pose (4, 4) in the link ``parent``, and how it sees.
 
     ``pose_sigmas`` (6,): standard deviations of its position along the axes of ``parent``, in m, and of its turn about
-    its own, in rad; zero of what was given, and where the base is free too. ``on_tip``: whether it is a tool; cameras
-    on other links, and beside the arm, see boards that are. ``lens``: with
-    ``sigmas`` (12,) of its numbers, zero of those that were given. ``distance``: of the marks, their median, in m.
+    its own, in rad; zero of what was given, nan of what is not identifiable, and where the base is free too.
+    ``on_tip``: whether it is a tool; cameras on other links, and beside the arm, see boards that are. ``lens``: with
+    ``sigmas`` (12,) of its numbers, zero of those that were given, nan of those that are not identifiable.
+    ``distance``: of the marks, their median, in m.
     ``pixels``: two-dimensional rms of the residuals held out, or of those identified from, in px; ``across``: the same
     where the marks are, across the line of sight, in m.
     """
@@ -101,10 +102,14 @@ def _pose_sigmas(fit: Fit, name: str, pose: Array, *, on_tip: bool) -> Array:
     names = {p.name: k for k, p in enumerate(fit.parameters) if p.kind == kind}
     free = [names.get(f"{prefix}.{component}") for component in POSE]
     found = [(i, k) for i, k in enumerate(free) if k is not None]
-    if not found or (not on_tip and any(p.kind == "base" for p in fit.parameters)):
+    if not found:
         return np.zeros(6)
+    if not on_tip and any(p.kind == "base" for p in fit.parameters):
+        return np.full(6, np.nan)
     covariance, (at, of) = np.zeros((6, 6)), np.transpose(found)
     covariance[np.ix_(at, at)] = fit.covariance[np.ix_(of, of)]
+    unknown = at[fit.unidentifiable[of]]
+    covariance[unknown, unknown] = np.nan
     if not on_tip:  # a target's are along its own axes
         covariance[:3, :3] = pose[:3, :3] @ covariance[:3, :3] @ pose[:3, :3].T
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from html import escape
+from math import isnan
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
     w, i, j, k = rigid.quaternion_of(one.pose[:3, :3])
     along, about = one.pose_sigmas[:3] / MM, one.pose_sigmas[3:] / MRAD
     sure = [
-        Row((f"{what}, +- one sigma", f"{', '.join(f'{a:.3f}' for a in sigmas)} {unit}"))
+        Row((f"{what}, +- one sigma", f"{', '.join(map(_or_unknown, sigmas))} {unit}"))
         for what, sigmas, unit in (
             ("position x, y, z", along, "mm"),
             ("turn about the camera's x, y, z", about, "mrad"),
@@ -109,9 +110,9 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
         Row(("error in the image", f"{one.pixels:.3f} px rms"), strong=True),
         Row(("error where the marks are", f"{one.across / MM:.3f} mm rms, across the line of sight"), strong=True),
         *(
-            Row((name, f"{value:.6g}" + (f" +- {sigma:.2g}" if sigma > 0.0 else " as given")))
+            Row((name, f"{value:.6g}" + (" as given" if sigma == 0.0 else f" +- {_or_unknown(sigma, '.2g')}")))
             for name, value, sigma in zip(one.lens._fields, one.lens, one.sigmas, strict=True)
-            if value != 0.0 or sigma > 0.0
+            if value != 0.0 or sigma != 0.0
         ),
     ]
     title = f"{one.camera} in {one.parent}"
@@ -120,6 +121,10 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
         Prose(("The same for others: a matrix, ROS 2, a URDF, and ROS's camera_info.",)),
         Prose(tuple(line for text in others(one) for line in text.split("\n")), "code"),
     )
+
+
+def _or_unknown(sigma: float, digits: str = ".3f") -> str:
+    return "not identifiable" if isnan(sigma) else format(sigma, digits)
 
 
 def _told(one: HandEye) -> str:

@@ -110,6 +110,32 @@ def test_a_camera_beside_the_arm_is_as_sure_along_the_axes_of_the_base_as_along_
     assert np.abs(one.pose_sigmas[:3] ** 2 / np.diag(own)[:3] - 1.0).max() > 0.1
 
 
+def test_no_sigma_is_told_of_what_is_not_identifiable() -> None:
+    """Of an arm whose placements are free, nothing tells where on its last axis a camera is."""
+    true = scene(np.random.default_rng(3), NOMINAL, "tip", sigma=SIGMA)
+    model = calib.error_model(ROBOT, offsets="all", placements="all", base="fixed", tool="pose")
+    fit, sets = judged(true, model, eye("tip", SIGMA), Board())
+    (one,) = hand_eyes(fit, sets)
+    unknown = fit.unidentifiable[[p.kind == "tool" for p in fit.parameters]]
+    assert unknown.any()
+    np.testing.assert_array_equal(np.isnan(one.pose_sigmas), unknown)
+    said = [row.cells[1] for row in hand_eye_section((one,)).blocks[0].rows if "one sigma" in row.cells[0]]
+    assert sum(text.count("not identifiable") for text in said) == unknown.sum()
+
+
+def test_a_camera_beside_an_arm_whose_base_is_free_has_no_sigma_in_it() -> None:
+    rng = np.random.default_rng(3)
+    true = scene(rng, NOMINAL, "floor", sigma=SIGMA)
+    seen = cameras.photographed(ROBOT, true, 24, eye("floor", SIGMA), Board(), rng, SIGMA)
+    tracked = machines.Machine(NOMINAL, machines.anywhere(rng), {"ball": machines.pose((0.05, 0.02, 0.15))})
+    readings = NOMINAL.draw(rng, 20)
+    positions = tracked.measure(ROBOT, readings, "position", points=["ball"] * 20, rng=rng, sigma=2e-5)
+    fit = calib.identify(calib.error_model(ROBOT, tool="pose"), [seen, positions])
+    (one,) = hand_eyes(fit, [JudgedSet("identification", "a.csv", seen, fit.residuals[0], fit.residuals[0])])
+    assert {"base", "target"} <= {p.kind for p in fit.parameters}
+    assert np.isnan(one.pose_sigmas).all()
+
+
 def test_all_words_say_the_same_pose(found: tuple[HandEye, Scene]) -> None:
     one, _ = found
     np.testing.assert_allclose(np.array(matrix(one).split(), dtype=float).reshape(4, 4), one.pose, atol=1e-8)
