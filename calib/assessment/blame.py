@@ -121,12 +121,13 @@ def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     beside = {name: _left(fit, judged, others[name]) if several else whole for name in free}
     held = _held(fit, free)
     tool = np.array([p.kind == "tool" and p.unit == "m" for p in fit.parameters])
+    parameters = {name: _of(fit, name) for name in _CAUSES}
     causes = tuple(
         Cause(
             name,
             _gain(whole, alone.get(name)),
             _gain(beside.get(name), left),
-            _share(fit, tool, _of(fit, name)) if _of(fit, name).any() else None,
+            _share(fit, tool, parameters[name]) if parameters[name].any() else None,
         )
         for name in _CAUSES
     )

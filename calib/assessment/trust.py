@@ -18,6 +18,7 @@ from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.places import unshown
 from calib.assessment.stretches import stretches
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
@@ -85,7 +86,7 @@ def verdict(
             of_arm.lens(fit),
             of_arm.warnings(findings),
         )
-    return Verdict(told, shown_range(fit, own, held_out))
+    return Verdict(told, (*shown_range(fit, own, held_out), *unshown(fit)))
 
 
 def remarks(fit: Fit) -> tuple[Finding, ...]:

@@ -8,7 +8,6 @@ from glob import escape
 from calib.assessment.blame import blame
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
-from calib.assessment.places import unshown
 from calib.assessment.suggestions import suggestions
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.fit import Fit
@@ -60,7 +59,6 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
     if choice is None and not inputs.job.levels and trace is None:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
-    found = replace(found, shown=(*found.shown, *unshown(fit)))
     found = replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
     return found if inputs.job.levels or trace is not None else found.blaming(blame(fit, found.sets))
 

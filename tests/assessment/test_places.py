@@ -28,7 +28,9 @@ def few_cubes(seed: int) -> tuple[calib.Measurements, machines.Machine, Array]:
 
 def test_a_fit_without_priors_to_places_apart_is_not_shown_elsewhere() -> None:
     data, machine, elsewhere = few_cubes(4)
-    (said,) = unshown(calib.identify(MODEL, data))
+    fit = calib.identify(MODEL, data)
+    (said,) = unshown(fit)
+    assert said in calib.assess(fit).shown
     number = int(neighbourhoods([data], row_groups([data])).number.max()) + 1
     assert said.startswith(f"The rows lie in {number} places of joint space")
     assert 'error_model.prior = { length = "learned", angle = "learned" }' in said
