@@ -36,6 +36,7 @@ from calib.assessment.validation import (
     smallest_unharmed,
     some_rows,
 )
+from calib.assessment.waves import Known, Offer, Waves, better
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
@@ -165,6 +166,7 @@ class Choice:
     offered: int
     taken_back: int = 0
     weighed: Weighed | None = None
+    waves: Waves | None = None
 
     @property
     def model(self) -> ErrorModel:
@@ -174,7 +176,15 @@ class Choice:
     @property
     def terms(self) -> tuple[JointTerm, ...]:
         """The chosen terms, in the order of the robot's readings; those of links come last."""
-        return _terms(self.geometric, self.steps, self.taken)
+        if self.waves is not None and self.waves.taken:
+            return self.waves.terms
+        return ordered(self.geometric.robot, _terms(self.steps[: self.taken + 1]))
+
+    @property
+    def steps_taken(self) -> tuple[bool, ...]:
+        """Which of the steps are taken, of the first one on; a gain is not where waves stand in its place."""
+        terms = set(self.terms)
+        return tuple(k <= self.taken and terms.issuperset(_terms([step])) for k, step in enumerate(self.steps))
 
     def records(self) -> list[dict[str, object]]:
         """Return one plain record for every step, in SI units."""
@@ -185,9 +195,9 @@ class Choice:
                 "standard_error": step.held_out.standard_error,
                 "rms": dict(step.rms),
                 "away": None if step.away is None else step.away.rms,
-                "taken": k <= self.taken,
+                "taken": taken,
             }
-            for k, step in enumerate(self.steps)
+            for step, taken in zip(self.steps, self.steps_taken, strict=True)
         ]
 
 
@@ -237,57 +247,135 @@ def choose_terms(
         looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart))
+        system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart), model_sigmas)
         progress("choosing joint terms: linearising")
-        fold = folds(group, count)
+        fold, blocks = folds(group, count), folds(place, count)
         products = system.products(fold)
         largest = (int(group.max()) + 1) // _GROUPS_EACH
 
         def selected(among: Sequence[int]) -> _Selected:
             order = system.way(products, among, most=largest, lasting=True).order
-            figures, rms = system.judged(fold, group, products, among, len(order), progress)
-            return _Selected(tuple(among), order, figures, rms)
+            return _Selected(tuple(among), order, system.judged(fold, group, products, among, len(order), progress))
 
         ways = [selected(among) for among in _ways_to_wind_up(chosen_from)]
         weighed = None
         if len(ways) > 1:
-            weighed = Weighed(*(way.figures[smallest_unharmed(way.figures)] for way in ways))
-        among, entered, figures, rms = ways[-1 if weighed is not None and weighed.by_torques else 0]
+            weighed = Weighed(*(figures[smallest_unharmed(figures)] for figures in (way.near.figures for way in ways)))
+        among, entered, held = ways[-1 if weighed is not None and weighed.by_torques else 0]
+        figures, rms = held.figures, held.rms
         most, away = smallest_unharmed(figures), list[HeldOut]()
+        elsewhere: _Judged | None = None
         if most:
             progress("choosing joint terms: judging away from what was measured")
-            blocks = folds(place, count)
-            products = system.products(blocks)
-            values = system.ways(products, among, most)
-            away = [held_out(row, place) for row in system.squares(blocks, values)[0]]
+            elsewhere = system.judged(blocks, place, system.products(blocks), among, most)
+            away = elsewhere.figures
             # Where rows are so few that geometry alone is foretold far worse away, that says nothing of terms.
             if away[0].rms <= _FORETOLD * figures[0].rms:
                 most = largest_unharmed(away, apart=near.apart)
             if near.apart and most and figures[most].rms > _SHOWS * figures[0].rms:
                 whole = system.way(products, among, steps=most).values
-                scatter = system.scatter(poses_between(sets, looked_at, place), whole, values[:, : most + 1])
+                scatter = system.scatter(poses_between(sets, looked_at, place), whole, elsewhere.values[:, : most + 1])
                 most = most if scatter[most] < _STEADIER * scatter[0] else 0
-    steps = tuple(
-        Step(
-            None if k == 0 else chosen_from[entered[k - 1]],
-            figure,
-            {name: float(v[k]) for name, v in rms.items()},
-            away[k] if k < len(away) else None,
+
+        def far() -> _Judged:
+            return elsewhere or system.judged(blocks, place, system.products(blocks), among, 0)
+
+        waves = None
+        if offered is None and not near.apart and geometric.model.priors.harmonics in (None, "learned"):
+            waves = _waves(system, chosen_from, entered[:most], largest, held, far, progress)
+        steps = tuple(
+            Step(
+                None if k == 0 else chosen_from[entered[k - 1]],
+                figure,
+                {name: float(v[k]) for name, v in rms.items()},
+                away[k] if k < len(away) else None,
+            )
+            for k, figure in enumerate(figures)
         )
-        for k, figure in enumerate(figures)
-    )
-    taken, fit = most, geometric
-    begun = _with_learned_widths(geometric.model) if near.apart else geometric.model
-    while taken:
-        progress(f"choosing joint terms: fitting {taken} of them")
-        chosen = with_terms(begun, _terms(geometric, steps, taken))
-        fit = identify(chosen, measurements, model_sigmas=model_sigmas, losses=losses)
+        found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, waves)
+        return _fitted(found, near.apart, model_sigmas, losses, progress)
+
+
+def _fitted(
+    choice: Choice,
+    apart: bool,
+    model_sigmas: Sequence[float | None] | None,
+    losses: Sequence[Loss] | None,
+    progress: Callable[[str], None],
+) -> Choice:
+    """Return the choice with a fit that converges: with all waves, where they are to be taken, or with fewer steps."""
+    geometric, waves = choice.geometric, choice.waves
+
+    def fitted(model: ErrorModel, choice: Choice) -> Fit:
+        progress(f"choosing joint terms: fitting {len(choice.terms)} coefficients")
+        return identify(
+            with_terms(model, choice.terms), geometric.measurements, model_sigmas=model_sigmas, losses=losses
+        )
+
+    if waves is not None and waves.taken:
+        learning = replace(geometric.model, priors=replace(geometric.model.priors, harmonics="learned"))
+        fit = fitted(learning, choice)
         if fit.converged:
-            break
-        taken //= 2
-    return Choice(
-        steps, taken, geometric, fit if taken else geometric, len(group), len(chosen_from), most - taken, weighed
-    )
+            return replace(choice, fit=fit)
+        choice = replace(choice, waves=replace(waves, taken=False))
+    begun, most = _with_learned_widths(geometric.model) if apart else geometric.model, choice.taken
+    while choice.taken:
+        fit = fitted(begun, choice)
+        if fit.converged:
+            return replace(choice, fit=fit)
+        choice = replace(choice, taken=choice.taken // 2, taken_back=most - choice.taken // 2)
+    return choice
+
+
+def _waves(
+    system: "_System",
+    offered: Sequence[Candidate],
+    entered: Sequence[int],
+    largest: int,
+    near: "_Judged",
+    far: Callable[[], "_Judged"],
+    progress: Callable[[str], None],
+) -> Waves | None:
+    """Return how all waves with learned widths stand against the candidates that ``entered``, None without an offer.
+
+    Judged by poses held out, ``near``, and by neighbourhoods, ``far``, if geometry alone foretells these.
+    """
+    by_reading = dict[str, list[int]]()
+    for k, one in enumerate(offered):
+        if kind_of(one.terms[0]).key == "harmonics":
+            by_reading.setdefault(one.terms[0].reading, []).append(k)
+    if not by_reading:
+        return None
+
+    def kept(order: Sequence[int]) -> tuple[int, ...]:
+        """Return those candidates that stay beside waves: a gain says what they say, but grows on without limit."""
+        first = [(k, offered[k].terms[0]) for k in order[: len(entered)]]
+        return tuple(k for k, term in first if not (kind_of(term).grows and term.reading in by_reading))
+
+    columns = np.array([[system.columns([k]) for k in own] for own in by_reading.values()], dtype=np.intp)
+    offer = Offer.of(system.known, columns, near.products, system.columns(kept(entered)), largest)
+    if offer is None:
+        return None
+    progress("choosing joint terms: judging all waves with learned widths")
+
+    def told(of: _Judged) -> tuple[HeldOut, float, bool]:
+        values = offer.values(of.products, [system.columns(kept(way.order)) for way in of.ways])
+        (squares,), rms = system.squares(of.fold, values[:, None])
+        surely = better(squares, of.squares[len(entered)], of.group)
+        return held_out(squares, of.group), float(next(iter(rms.values()))[0]), surely
+
+    held, rms, taken = told(near)
+    away: HeldOut | None = None
+    if taken:
+        progress("choosing joint terms: judging them away from what was measured")
+        elsewhere = far()
+        away, _, taken = told(elsewhere)
+        taken &= elsewhere.figures[0].rms <= _FORETOLD * near.figures[0].rms
+    readings = tuple(name for k, name in enumerate(by_reading) if k in offer.kept)
+    waves = [k for name in readings for k in by_reading[name][: offer.order]]
+    every = (term for k in dict.fromkeys((*kept(entered), *waves)) for term in offered[k].terms)
+    terms = ordered(system.robot, every)
+    return Waves(readings, offer.order, terms, held, away, rms, taken)
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:
@@ -307,25 +395,15 @@ def _with_learned_widths(model: ErrorModel) -> ErrorModel:
     )
 
 
-def _terms(geometric: Fit, steps: Sequence[Step], taken: int) -> tuple[JointTerm, ...]:
-    """Return the terms of the first steps, in the order of the robot's readings; those of links come last."""
-    entered = [step.added for step in steps[: taken + 1] if step.added is not None]
-    return ordered(geometric.robot, (term for candidate in entered for term in candidate.terms))
+def _terms(steps: Sequence[Step]) -> tuple[JointTerm, ...]:
+    """Return the terms that enter by some steps."""
+    return tuple(term for step in steps if step.added is not None for term in step.added.terms)
 
 
 def _offered(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Candidate, ...]:
     """Return all candidates for a model: links do not give way in frames of a DH table."""
     every = candidates(model.urdf_robot, measurements)
     return every if model.dh is None else tuple(one for one in every if not kind_of(one.terms[0]).of_link)
-
-
-class _Selected(NamedTuple):
-    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
-
-    among: tuple[int, ...]
-    entered: tuple[int, ...]
-    figures: list[HeldOut]
-    rms: Mapping[str, Array]
 
 
 def _ways_to_wind_up(offered: Sequence[Candidate]) -> list[list[int]]:
@@ -357,6 +435,34 @@ class _Way:
     values: Array
 
 
+class _Judged(NamedTuple):
+    """Ways of all folds, each without its rows, and what these say of every step: ``squares`` (steps + 1, N).
+
+    ``group`` (N,): from one to another errors are random. ``figures``: of every step; ``rms``: of every quantity.
+    """
+
+    products: Products
+    fold: IntArray
+    group: IntArray
+    ways: tuple[_Way, ...]
+    squares: Array
+    figures: list[HeldOut]
+    rms: Mapping[str, Array]
+
+    @property
+    def values(self) -> Array:
+        """What is found (folds, steps + 1, p)."""
+        return np.stack([way.values for way in self.ways])
+
+
+class _Selected(NamedTuple):
+    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
+
+    among: tuple[int, ...]
+    entered: tuple[int, ...]
+    near: _Judged
+
+
 class _System:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
@@ -367,6 +473,7 @@ class _System:
         losses: Sequence[Loss] | None,
         looked_at: BoolArray,
         costs: Array,
+        model_sigmas: Sequence[float | None] | None = None,
     ) -> None:
         self._costs = costs
         terms = [term for candidate in offered for term in candidate.terms]
@@ -397,10 +504,27 @@ class _System:
         unknowns = range(len(parameters))
         self._known[unknowns, unknowns] += priors
         self._known[:-1, -1] += priors * np.where(stated, self._x / scales(parameters), 0.0)
+        self._weak = np.where(stated, 0.0, priors)
+        self._fixed = self._problem.robust or (model_sigmas is not None and None not in model_sigmas)
         self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
         number = {parameter.name: k for k, parameter in enumerate(parameters)}
         self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
         self._filled = filled(self._columns)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with the terms of all candidates."""
+        return self._problem.model.robot
+
+    @property
+    def known(self) -> Known:
+        """What is known beside all rows."""
+        shares = [np.mean((d.sigma / s) ** 2) for d, s in zip(self._problem.measurements, self._sigmas, strict=True)]
+        return Known(self._known, self._weak, np.array(self._geometry), float(np.sqrt(min(shares))), fixed=self._fixed)
+
+    def columns(self, candidates: Sequence[int]) -> IntArray:
+        """Return the columns of some candidates."""
+        return np.array([column for k in candidates for column in self._columns[k]], dtype=np.intp)
 
     def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
         """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
@@ -443,25 +567,18 @@ class _System:
         among: Sequence[int],
         steps: int,
         progress: Callable[[str], None] = lambda _: None,
-    ) -> tuple[list[HeldOut], Mapping[str, Array]]:
-        """Return what rows held out say of so many ``steps`` among candidates, and the rms of every quantity.
+    ) -> "_Judged":
+        """Return what rows held out say of so many ``steps`` among candidates.
 
         ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``products``: of every fold.
         """
-        values = self.ways(products, among, steps, progress)
-        progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(fold, values)
-        return [held_out(row, group) for row in squares], rms
-
-    def ways(
-        self, products: Products, among: Sequence[int], steps: int, progress: Callable[[str], None] = lambda _: None
-    ) -> Array:
-        """Return what is found (folds, steps + 1, p) without the rows of every fold, given the products of all."""
-        found = list[Array]()
+        ways = list[_Way]()
         for k in range(len(products)):
             progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
-            found.append(self.way(products, among, without=k, steps=steps).values)
-        return np.stack(found)
+            ways.append(self.way(products, among, without=k, steps=steps))
+        progress("choosing joint terms: judging by what was held out")
+        squares, rms = self.squares(fold, np.stack([way.values for way in ways]))
+        return _Judged(products, fold, group, tuple(ways), squares, [held_out(row, group) for row in squares], rms)
 
     def scatter(self, poses: Array, whole: Array, without: Array) -> Array:
         """Return how far predictions of the tool at poses (n, nr) scatter after every step (steps + 1,), in m.

@@ -14,7 +14,8 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 class Products:
     """Products of the columns of whitened rows ``[J r]``, for every fold of them.
 
-    All products are kept, or, where these are fewer numbers, the rows, and products that were asked for.
+    ``counts`` (folds,): numbers in each. All products are kept, or, where these are fewer numbers, the rows, and
+    products that were asked for.
     """
 
     def __init__(
@@ -26,10 +27,12 @@ class Products:
         """
         of_fold: list[list[Array]] = [[np.zeros((0, size))] for _ in range(folds)]
         self._all = None if numbers < folds * size else np.zeros((folds, size, size))
+        self.counts = np.zeros(folds)
         self._known: dict[tuple[int, ...], tuple[Array, Array]] = {}
         for fold, block in rows:
             for k in np.unique(fold):
                 flat = block[fold == k].reshape(-1, size)
+                self.counts[k] += len(flat)
                 if self._all is None:
                     of_fold[k].append(flat)
                 else:
@@ -56,6 +59,12 @@ class Products:
             self._known[key] = of_folds, of_folds.sum(axis=0)
         of_folds, of_all = self._known[key]
         return np.asarray(of_all if without is None else of_all - of_folds[without])
+
+    def grams(self, which: IntArray) -> Array:
+        """Return the products (folds, k, k) of some columns with each other, of the rows of every fold."""
+        if self._all is not None:
+            return self._all[:, which[:, None], which]
+        return np.stack([own.T @ own for own in (rows[:, which] for rows in self._rows)])
 
     def blocks(self, without: int | None) -> tuple[Array, Array]:
         """Return the same within blocks of columns, (m, b, b), and of their columns with the last one, (m, b)."""

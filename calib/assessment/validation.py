@@ -448,6 +448,19 @@ def largest_unharmed(figures: Sequence[HeldOut], *, apart: bool) -> int:
     return (min if apart else max)(k for k in sound if figures[k].rms <= least.rms + least.standard_error)
 
 
+def surely_less(squares: Array, than: Array, group: IntArray) -> bool:
+    """Return whether the mean of N squared errors is less than that of others of the same rows by two standard errors.
+
+    The standard error is over groups (N,), of the difference: rows that lie off do so in both.
+    """
+    difference = than - squares
+    n, mean = np.bincount(group), float(np.mean(difference))
+    spread = np.bincount(group, weights=difference) - n * mean
+    there = np.count_nonzero(n)
+    of_mean = float(np.sqrt(np.sum(spread**2) * there / max(there - 1, 1))) / len(squares)
+    return mean > _SURELY * of_mean
+
+
 def one_standard_error(figures: Sequence[HeldOut]) -> int:
     """Return which of models of growing size the one-standard-error rule takes."""
     best = min(figures, key=lambda figure: figure.rms)

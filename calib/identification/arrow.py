@@ -297,7 +297,7 @@ def gathered(split: Split, heads: Sequence[Heads], rests: Sequence[Array]) -> Ar
 class Inverse(NamedTuple):
     """The solution of rows of an :class:`Arrow`, priors among them.
 
-    ``step`` (p,): the unknowns; ``spread`` (c, q): how common ones follow the ``reduced`` rest.
+    ``step`` (p,): the unknowns; ``spread`` (c, k): a root of the covariance of common ones, of the ``reduced`` rest.
     """
 
     split: Split
@@ -314,8 +314,7 @@ class Inverse(NamedTuple):
     def of(cls, rows: Arrow, tolerance: float) -> "Inverse":
         """Solve for the step that makes ``J step + r`` smallest."""
         reduced = rows.reduced(tolerance)
-        spread = np.asarray(np.linalg.pinv(reduced.rest[:, :-1], rcond=tolerance), dtype=np.float64)
-        common = -spread @ reduced.rest[:, -1]
+        spread, common = _solved(reduced.rest, tolerance)
         return cls(rows.split, rows.split.whole(common, reduced.follow @ common + reduced.constant), spread, reduced)
 
     def used(self, part: Part) -> float:
@@ -326,6 +325,18 @@ class Inverse(NamedTuple):
         through = (B @ self.reduced.follow[which] + rows[:, :, a:-1]) @ self.spread
         own = np.sum((B @ self.reduced.root[which]) ** 2)
         return float(own + np.sum(through**2) + np.sum((part.rest[:, :-1] @ self.spread) ** 2))
+
+
+def _solved(rows: Array, tolerance: float) -> tuple[Array, Array]:
+    """Return a root (c, k) of the covariance of what rows (q, c + 1) are about, and its solution (c,).
+
+    By a triangle, unless its condition lets singular values be below the ``tolerance``: these count as none.
+    """
+    found = linear.inverse_triangle(linear.triangle(rows), tolerance)
+    if found is None:
+        spread = np.asarray(np.linalg.pinv(rows[:, :-1], rcond=tolerance), dtype=np.float64)
+        return spread, -spread @ rows[:, -1]
+    return found
 
 
 @dataclass(frozen=True, eq=False)

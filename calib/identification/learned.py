@@ -12,12 +12,11 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
-from calib.identification import weights
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
-from calib.identification.solver import Solution, solve
+from calib.identification.solver import Solution, Sought, seek, solve
 from calib.identification.system import Problem
-from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
+from calib.identification.widths import WIDEST, NormalEquations, Widths, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
@@ -62,22 +61,23 @@ def solve_learning(
         return problem, solve(problem, x0, variances), ()
     widths = np.ones(len(names))
     problem = _with_widths(problem, names, widths)
-    found = solve(problem, x0, variances)
+    found = seek(problem, x0, variances, roughly=True)
     rows = _equations(problem, found, variances, names)
-    seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
+    seen = _seen(rows, len(names))
     few = np.asarray(seen < _FEWEST)
     taught, shown = seen, ~few
     for _ in range(_MOST_ROUNDS):
-        new, taught, shown = _learned(rows, widths, few)
+        new, _, taught, shown = _learned(rows, widths, few)
         change = float(np.max(np.abs(np.log(new / widths))))
         widths = new
         problem = _with_widths(problem, names, widths)
-        found = solve(problem, found.x, variances)
-        if change < _NEGLIGIBLE_CHANGE:
+        settled = change < _NEGLIGIBLE_CHANGE
+        found = found.again(problem, roughly=not settled)
+        if settled:
             break
         rows = _equations(problem, found, variances, names)
     taught = np.where(few, seen, taught)
-    return problem, found, tuple(_told(problem.parameters, names, widths, taught, few, shown))
+    return problem, found.told, tuple(_told(problem.parameters, names, widths, taught, few, shown))
 
 
 def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Problem:
@@ -91,11 +91,10 @@ def _with_widths(problem: Problem, names: Sequence[str], widths: Array) -> Probl
 
 
 def _equations(
-    problem: Problem, found: Solution, variances: Sequence[float | None] | None, names: Sequence[str]
+    problem: Problem, found: Sought, variances: Sequence[float | None] | None, names: Sequence[str]
 ) -> NormalEquations:
     """Return the equations at a solution, shifted to where stated priors have their means; weak ones hold there."""
-    sigmas = weights.sigmas_of(problem, found.variances, problem.residuals(found.x))
-    evaluation = problem.evaluate(sigmas, found.x)
+    sigmas, evaluation = found.noise.sigmas, found.evaluation
     parameters = problem.parameters
     p = len(parameters)
     hold = np.array([parameter.hold for parameter in parameters])
@@ -135,19 +134,37 @@ def _equations(
     )
 
 
-def _learned(rows: NormalEquations, widths: Array, few: BoolArray) -> tuple[Array, Array, BoolArray]:
-    """Return new widths (g,), gamma (g,) and which groups show; those with too ``few`` keep the parameter scale."""
-    new, taught, shown = np.ones(len(widths)), np.zeros(len(widths)), ~few
-    if few.all():
-        return new, taught, shown
+def too_few(rows: NormalEquations, groups: int) -> BoolArray:
+    """Return which of so many groups, of the scale of their parameters, the data say too little of to teach a width."""
+    return np.asarray(_seen(rows, groups) < _FEWEST)
+
+
+def learned_widths(rows: NormalEquations, few: BoolArray) -> Widths:
+    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters."""
+    return _learned(rows, np.ones(len(few)), few)
+
+
+def _seen(rows: NormalEquations, groups: int) -> Array:
+    return likelihood(rows, np.ones(groups), np.ones(len(rows.counts))).gamma
+
+
+def without_few(rows: NormalEquations, few: BoolArray) -> NormalEquations:
+    """Return equations in which groups with too ``few`` (g,) keep the parameter scale, and the others are counted."""
     number = np.append(np.where(few, -1, np.cumsum(~few) - 1), -1)
-    kept = np.append(few, False)[rows.group]
-    p = len(rows.group)
-    known = rows.known.copy()
-    known[range(p), range(p)] += np.where(kept, 1.0, 0.0)
-    found = likeliest_widths(rows._replace(known=known, group=number[rows.group]), widths[~few])
+    known, p = rows.known.copy(), len(rows.group)
+    known[range(p), range(p)] += np.where(np.append(few, False)[rows.group], 1.0, 0.0)
+    return rows._replace(known=known, group=number[rows.group])
+
+
+def _learned(rows: NormalEquations, widths: Array, few: BoolArray) -> Widths:
+    """Return new widths (g,) and what they come with; groups with too ``few`` keep the parameter scale."""
+    c = len(rows.counts)
+    if few.all():
+        return Widths(np.ones(len(few)), np.ones(c), np.zeros(len(few)), ~few)
+    found = likeliest_widths(without_few(rows, few), widths[~few])
+    new, taught, shown = np.ones(len(few)), np.zeros(len(few)), ~few
     new[~few], taught[~few], shown[~few] = found.widths, found.gamma, found.shown
-    return new, taught, shown
+    return Widths(new, found.factors, taught, shown)
 
 
 def _told(

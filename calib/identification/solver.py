@@ -100,19 +100,33 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
 
     Raises IdentificationError when there are no more rows and stated priors than the rank.
     """
+    return seek(problem, x0, variances).told
+
+
+def seek(
+    problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None, *, roughly: bool = False
+) -> "Sought":
+    """Seek the solution of a problem, as :func:`solve` does; what the data tell there is not asked for yet.
+
+    ``roughly``: only until nothing of significance is left.
+    """
     s = scales(problem.parameters)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
     if len(fixed) != len(problem.components):
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
-    prior = _Prior.of(problem, x0 / s)
-    search = _Search(problem, _Evaluator(problem, s), prior, fixed)
+    search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x0 / s), fixed)
     begin = search.beginning()
     first = search.evaluator(x0 / s, begin.sigmas)
     _refuse_too_few(problem, first, search.prior)
-    z = _levenberg_marquardt(search, begin.sigmas, x0 / s)
+    return _ended(search, first, _levenberg_marquardt(search, begin.sigmas, x0 / s), begin, roughly=roughly)
+
+
+def _ended(search: "_Search", first: Evaluation, z: Array, begin: "_Noise", *, roughly: bool) -> "Sought":
+    """Return where a search ends that is near from z (p,) on; ``first``: the evaluation at the start."""
+    problem, prior = search.problem, search.prior
     for narrowed in _NARROWER:
         search = search._replace(prior=prior.weighed(narrowed))
-        end, converged = search.gauss_newton(z, begin)
+        end, converged = search.gauss_newton(z, begin, roughly=roughly)
         if converged:
             break
         z, begin = end.z, end.weighted_by
@@ -129,8 +143,8 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
     z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
-    found = _solution(search, z, end.evaluation, end.weighted_by, first)
-    return found._replace(step=end.length, converged=converged, narrowed=narrowed, freed=freed)
+    noise = search.noise(z, end.evaluation, end.weighted_by, sought=False)
+    return Sought(search, first, end, z, noise, converged, narrowed, freed)
 
 
 def _wider(problem: LeastSquares, prior: "_Prior", narrowed: float) -> Iterator[tuple[float, "_Prior", bool]]:
@@ -388,7 +402,7 @@ class _Search(NamedTuple):
         clearly = begin.gain >= _CLEARLY_HELD * (begin.most_gained + noise.prior.cost(held.z))
         return self.gauss_newton(held.z, noise) if clearly else None
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
+    def gauss_newton(self, z: Array, weighted_by: _Noise, *, roughly: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
@@ -399,7 +413,7 @@ class _Search(NamedTuple):
             return _Point.of(z, evaluation, weighted_by, self.noise(z, evaluation, weighted_by))
 
         def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
-            return self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path))
+            return roughly or (self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path)))
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0
@@ -463,13 +477,53 @@ def solution_at(problem: LeastSquares, x: Array) -> Solution:
     search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x / s), (None,) * len(problem.components))
     noise = search.beginning()
     evaluation = search.evaluator(x / s, noise.sigmas)
-    return _solution(search, x / s, evaluation, noise, evaluation)
+    here = search.noise(x / s, evaluation, noise, sought=False)
+    return _solution(search, x / s, evaluation, here, evaluation)
 
 
-def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _Noise, first: Evaluation) -> Solution:
-    """Return the solution z (p,) with what an evaluation near it tells; ``first``: the evaluation at the start."""
+class Sought(NamedTuple):
+    """Where a search has ended: scaled values z (p,) and the ``noise`` there; ``end``: the point that was seen last.
+
+    ``first``: the evaluation at the start. The others as a :class:`Solution` has them.
+    """
+
+    search: _Search
+    first: Evaluation
+    end: _Point
+    z: Array
+    noise: _Noise
+    converged: bool
+    narrowed: float
+    freed: bool
+
+    @property
+    def x(self) -> Array:
+        """The values (p,) in SI units."""
+        return self.z * scales(self.search.problem.parameters)
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """That of the rows at the values, weighted by the noise there."""
+        return self.search.evaluator(self.z, self.noise.sigmas)
+
+    def again(self, problem: LeastSquares, *, roughly: bool) -> "Sought":
+        """Seek from here on the solution of the same problem with priors of other widths; scales stay the same."""
+        search = self.search._replace(problem=problem, prior=_Prior.of(problem, self.z))
+        return _ended(search, self.first, self.z, self.noise, roughly=roughly)
+
+    @property
+    def told(self) -> Solution:
+        """The solution with what the data tell there."""
+        found = _solution(self.search, self.z, self.end.evaluation, self.noise, self.first)
+        return found._replace(step=self.end.length, converged=self.converged, narrowed=self.narrowed, freed=self.freed)
+
+
+def _solution(search: _Search, z: Array, evaluation: Evaluation, noise: _Noise, first: Evaluation) -> Solution:
+    """Return the solution z (p,) with what an evaluation near it tells, by the noise there.
+
+    ``first``: the evaluation at the start.
+    """
     s = scales(search.problem.parameters)
-    noise = search.noise(z, evaluation, weighted_by, sought=False)
     told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows.whole, search.prior)
     factors, _ = weights.factors_of(search.problem, search.beginning().sigmas, noise.sigmas)
     return Solution(
@@ -568,6 +622,8 @@ class _Told(NamedTuple):
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:
     count = sum(measured.sigma.size for measured in problem.measurements) + len(first.relations)
     priors = int(np.count_nonzero(prior.stated))
+    if count + priors > len(problem.parameters):
+        return
     rank = identifiability.directions_of(
         prior.stated_beside(first.rows.whole).reduced(identifiability.RANK_TOLERANCE)
     ).rank

@@ -20,7 +20,8 @@ without a learned prior are integrated out as well, which makes this a restricte
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
@@ -33,6 +34,8 @@ _MOST_NOISE = 1e3
 _MOST_STEPS = 300
 _MOST_TURNS = 20
 _SETTLED = 1e-4
+# A tenth of the rows moves widths by little.
+_FEW_TURNS = 3
 
 
 class NormalEquations(NamedTuple):
@@ -53,12 +56,16 @@ class NormalEquations(NamedTuple):
 
 
 class Likelihood(NamedTuple):
-    """-2 log likelihood, its slopes by the logarithms of widths (g,) and factors (c,), and ``gamma`` (g,)."""
+    """-2 log likelihood, its slopes by the logarithms of widths (g,) and factors (c,), and ``gamma`` (g,).
+
+    ``z`` (p,): the likeliest parameters.
+    """
 
     value: float
     by_widths: Array
     by_factors: Array
     gamma: Array
+    z: Array
 
 
 class Widths(NamedTuple):
@@ -82,7 +89,8 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     H, b = gram[:p, :p].copy(), gram[:p, p]
     H[range(p), range(p)] += hold
     lower = cho_factor(H, lower=True)
-    C = cho_solve(lower, np.eye(p))
+    C = np.tril(dpotri(lower[0], lower=1)[0])
+    C += np.tril(C, -1).T
     x = np.append(-C @ b, 1.0)
     count = np.bincount(rows.group[own], minlength=len(widths))
 
@@ -94,7 +102,7 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     value = float(x @ gram @ x + np.sum(x[:p] ** 2 * hold) + 2.0 * np.sum(np.log(np.diag(lower[0]))))
     value += float(2.0 * count @ np.log(widths) + 2.0 * rows.counts @ np.log(factors))
     used = np.array([(np.sum(C * g[:p, :p]) + x @ g @ x) for g in rows.grams]) / factors**2
-    return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
+    return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma, x[:p])
 
 
 def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) -> Widths:
@@ -121,10 +129,7 @@ def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) ->
     found = likelihood(rows, widths, factors)
     # Where there is hardly any noise, rounding in the likelihood ends the search early; its slopes know better.
     for _ in range(_MOST_TURNS):
-        squares = found.gamma - 0.5 * found.by_widths
-        left = found.gamma - power
-        turned = np.where(left > 0.0, widths * np.sqrt(squares / np.maximum(left, 1e-9)), widths)
-        turned = np.clip(turned, NARROWEST, WIDEST)
+        turned = _turned(found, widths, power)
         change, widths = float(np.max(np.abs(np.log(turned / widths)))), turned
         found = likelihood(rows, widths, factors)
         if change < _SETTLED:
@@ -132,3 +137,21 @@ def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) ->
     without = np.where(np.eye(g, dtype=bool), NARROWEST, widths)
     shown = np.array([likelihood(rows, narrow, factors).value > found.value for narrow in without], dtype=bool)
     return Widths(widths, factors, found.gamma, shown)
+
+
+def nearby(rows: NormalEquations, widths: Array, factors: Array) -> Array:
+    """Return the parameters (p,) of the likeliest widths (g,) and factors (c,), near those of almost the same rows."""
+    found = likelihood(rows, widths, factors)
+    for _ in range(_FEW_TURNS):
+        widths = _turned(found, widths, 1.0)
+        explained = factors * np.sqrt(np.maximum(1.0 - 0.5 * found.by_factors / rows.counts, 0.0))
+        factors = np.where(rows.fixed, 1.0, np.clip(explained, np.minimum(rows.least, 1.0), _MOST_NOISE))
+        found = likelihood(rows, widths, factors)
+    return found.z
+
+
+def _turned(found: Likelihood, widths: Array, power: float) -> Array:
+    """Return widths (g,) at which slopes would vanish if the parameters stayed."""
+    squares, left = found.gamma - 0.5 * found.by_widths, found.gamma - power
+    turned = np.where(left > 0.0, widths * np.sqrt(squares / np.maximum(left, 1e-9)), widths)
+    return np.asarray(np.clip(turned, NARROWEST, WIDEST))

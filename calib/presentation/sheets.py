@@ -95,8 +95,15 @@ def choice_sheet(choice: Choice) -> Sheet:
         step = steps[k]
         name = "geometry alone" if step.added is None else step.added.name
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
-        said = "yes" if k <= choice.taken else "no: the least"
+        said = "yes" if choice.steps_taken[k] else "no: waves" if k <= choice.taken else "no: the least"
         rows.append(Row((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)))
+    if choice.waves is not None:
+        waves = choice.waves
+        figures = f"{waves.held_out.rms / start:.4f}", f"{waves.held_out.standard_error / start:.4f}"
+        said = "yes" if waves.taken else "no"
+        name = f"all harmonics up to {waves.order}"
+        some += f"; all harmonics: of {', '.join(waves.readings)}, with learned widths"
+        rows.append(Row(("or", name, *figures, f"{waves.rms * factor:.4f}", said)))
     return Sheet(
         "Joint terms by what held-out data say",
         ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),

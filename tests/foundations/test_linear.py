@@ -1,9 +1,9 @@
-"""A singular value decomposition ends, also where NumPy's does not converge."""
+"""Triangles and their inverses; a singular value decomposition ends, also where NumPy's does not converge."""
 
 import numpy as np
 import pytest
 
-from calib.foundations.linear import svd
+from calib.foundations.linear import inverse_triangle, svd, triangle
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (3, 7, 4), (2, 3, 4, 4)])
@@ -23,3 +23,28 @@ def test_where_divide_and_conquer_fails_another_way_is_taken(
     k = s.shape[-1]
     np.testing.assert_allclose(U[..., :k] @ (s[..., None] * Vt[..., :k, :]), M, atol=1e-13)
     assert np.all(np.diff(s) <= 0.0)
+
+
+@pytest.mark.parametrize("more", [1, 60, 120])
+def test_a_triangle_on_another_is_reduced_as_all_rows_are(more: int) -> None:
+    rng = np.random.default_rng(more)
+    upper, other = np.triu(rng.normal(size=(120, 120))), np.triu(rng.normal(size=(more, 120)))
+    rows = np.concatenate([upper, other])
+    R = triangle(rows)
+    assert not np.tril(R, -1).any()
+    np.testing.assert_allclose(R.T @ R, rows.T @ rows, atol=1e-10)
+
+
+def test_the_inverse_of_a_triangle_solves_unless_it_is_nearly_singular() -> None:
+    rng = np.random.default_rng(3)
+    rows = triangle(rng.normal(size=(40, 13)))
+    found = inverse_triangle(rows, 1e-14)
+    assert found is not None
+    inverse, z = found
+    np.testing.assert_allclose(inverse @ rows[:12, :12], np.eye(12), atol=1e-12)
+    np.testing.assert_allclose(z, np.linalg.lstsq(rows[:, :12], -rows[:, 12], rcond=None)[0], atol=1e-12)
+    rows[:12, :12] = triangle(rng.normal(size=(12, 11)) @ rng.normal(size=(11, 12)))[:12]
+    assert inverse_triangle(rows, 1e-14) is None
+    assert inverse_triangle(rows[:5], 1e-14) is None
+    rows[3, 3] = 0.0
+    assert inverse_triangle(rows, 1e-14) is None

@@ -1,0 +1,162 @@
+"""All waves of the readings, held by priors of learned widths: the alternative to a choice among them.
+
+Gears and encoders err in many orders at once, each by a little. A choice takes those that stand out and leaves the
+others; priors whose widths the data teach take all of them, each as far as the data speak of it. On some arms this
+predicts better, at the price of many small coefficients. So it is judged as the choice is, by the same rows held out.
+
+Near the geometric fit all is linear. Products of columns are formed once for every fold; those without its rows are a
+difference, and the widths, which each fold learns without its rows, are near those of all rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.assessment.entering import Products
+from calib.assessment.validation import HeldOut, held_out, surely_less, unharmed
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.identification.learned import learned_widths, too_few, without_few
+from calib.identification.widths import NormalEquations, Widths, nearby
+from calib.robot.terms import JointTerm
+
+
+@dataclass(frozen=True, slots=True)
+class Waves:
+    """All waves of some ``readings`` up to an ``order``, with learned widths, and what rows held out say of them.
+
+    ``terms``: they and what else was chosen, but gains of these readings. ``held_out``, ``away`` and ``rms``: as of a
+    step of the choice. ``taken``: whether they predict surely better than what was chosen, and a fit converges.
+    """
+
+    readings: tuple[str, ...]
+    order: int
+    terms: tuple[JointTerm, ...]
+    held_out: HeldOut
+    away: HeldOut | None
+    rms: float
+    taken: bool
+
+    def record(self) -> dict[str, object]:
+        """Return it as plain data, in SI units."""
+        return {
+            "readings": list(self.readings),
+            "order": self.order,
+            "coefficients": len(self.terms),
+            "held_out": self.held_out.rms,
+            "standard_error": self.held_out.standard_error,
+            "away": None if self.away is None else self.away.rms,
+            "rms": self.rms,
+            "taken": self.taken,
+        }
+
+
+class Known(NamedTuple):
+    """What is known beside all rows: ``products`` (p + 1, p + 1), of which ``weak`` (p,) are of weak priors.
+
+    ``geometry``: its columns. ``least``: by what factor there can be less noise; ``fixed``: there is as much.
+    """
+
+    products: Array
+    weak: Array
+    geometry: IntArray
+    least: float
+    fixed: bool
+
+
+class Offer(NamedTuple):
+    """What is offered: waves of the ``kept`` readings up to an ``order``.
+
+    ``waves`` (readings, orders, 2): the columns of these and of all others. ``start``: widths that all rows teach, and
+    ``few`` (readings,): of which readings they keep the typical size.
+    """
+
+    known: Known
+    waves: IntArray
+    kept: IntArray
+    order: int
+    start: Widths
+    few: BoolArray
+
+    @classmethod
+    def of(cls, known: Known, waves: IntArray, products: Products, chosen: IntArray, most: int) -> "Offer | None":
+        """Return what is offered beside ``chosen`` columns, at most so many with these; None where that is nothing.
+
+        Waves of readings of which rows tell too little to teach a width are left out.
+        """
+        every = np.arange(len(waves))
+        order = _order(waves, every, chosen, most)
+        if not order:
+            return None
+        columns = _columns(waves, every, order, chosen)
+        few = too_few(_Equations(known, waves, products, columns).of(columns, None), len(waves))
+        kept = np.flatnonzero(~few)
+        order = _order(waves, kept, chosen, most)
+        columns = _columns(waves, kept, order, chosen)
+        if columns.size == chosen.size:
+            return None
+        start = learned_widths(_Equations(known, waves, products, columns).of(columns, None), few)
+        return cls(known, waves, kept, order, start, few)
+
+    def columns(self, chosen: IntArray) -> IntArray:
+        """Return the columns (k,) of terms, with those that are chosen."""
+        return _columns(self.waves, self.kept, self.order, chosen)
+
+    def values(self, products: Products, chosen: Sequence[IntArray]) -> Array:
+        """Return what is found (folds, p) without the rows of every fold, which has ``chosen`` columns of its own."""
+        own = [self.columns(columns) for columns in chosen]
+        equations = _Equations(self.known, self.waves, products, np.unique(np.concatenate(own)))
+        found = np.zeros((len(own), len(self.known.weak)))
+        for k, columns in enumerate(own):
+            rows = without_few(equations.of(columns, k), self.few)
+            z = nearby(rows, self.start.widths[~self.few], self.start.factors)
+            found[k, np.concatenate([self.known.geometry, columns])] = z
+        return found
+
+
+def _columns(waves: IntArray, kept: IntArray, order: int, chosen: IntArray) -> IntArray:
+    return np.union1d(chosen, waves[kept, :order])
+
+
+def _order(waves: IntArray, kept: IntArray, chosen: IntArray, most: int) -> int:
+    """Return the highest order with which there are at most so many columns, 0 for none."""
+    orders = range(waves.shape[1] if kept.size else 0, 0, -1)
+    return next((k for k in orders if _columns(waves, kept, k, chosen).size <= most), 0)
+
+
+class _Equations:
+    """Normal equations of geometry and some terms, with the products of the rows of every fold."""
+
+    def __init__(self, known: Known, waves: IntArray, products: Products, terms: IntArray) -> None:
+        """Form the products of geometry and ``terms`` (k,), columns of which some may be asked for."""
+        self._known, self._counts = known, products.counts
+        self._columns = np.concatenate([known.geometry, terms, [len(known.weak)]])
+        self._of_folds = products.grams(self._columns)
+        self._sum = self._of_folds.sum(axis=0)
+        self._reading = np.full(len(known.weak), -1)
+        self._reading[waves] = np.arange(len(waves))[:, None, None]
+
+    def of(self, terms: IntArray, without: int | None) -> NormalEquations:
+        """Return the equations of geometry and ``terms`` (k,), of all rows or ``without`` those of a fold."""
+        known, p = self._known, len(self._known.geometry) + len(terms)
+        both = np.concatenate([known.geometry, terms, [len(known.weak)]])
+        own = np.flatnonzero(np.isin(self._columns, both))
+        place = np.ix_(own, own)
+        gram, count = self._sum[place], self._counts.sum()
+        if without is not None:
+            gram, count = gram - self._of_folds[without][place], count - self._counts[without]
+        reading = self._reading[both[:-1]]
+        beside = known.products[np.ix_(both, both)]
+        beside[range(p), range(p)] -= np.where(reading >= 0, known.weak[both[:-1]], 0.0)
+        least, fixed = np.array([known.least]), np.array([known.fixed])
+        return NormalEquations(gram[None], np.array([count]), beside, least, fixed, reading)
+
+
+def better(offered: Array, chosen: Array, group: IntArray) -> bool:
+    """Return whether squared errors (N,) of rows held out are surely less than as chosen, and no quantile is larger.
+
+    ``group`` (N,): from one to another errors are random.
+    """
+    harmless = unharmed([held_out(chosen, group), held_out(offered, group)]) == (0, 1)
+    return harmless and surely_less(offered, chosen, group)
