@@ -43,7 +43,7 @@ def verify(
     with loading():
         from calib.assessment.acceptance import verify as judged
         from calib.foundations.ranges import RANGES, parse_within
-        from calib.job.as_calibrated import columns_as_calibrated
+        from calib.job.columns import columns_of_results
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
@@ -63,7 +63,7 @@ def verify(
             in_order=in_order,
             columns=Columns(renamed(column), tuple(ignore or ()), orientation)
             if column or ignore or orientation
-            else columns_as_calibrated(results, observes),
+            else columns_of_results(results, observes),
         ).named(tool=tool, setup=setup)
         say("judging")
         found = judged(
