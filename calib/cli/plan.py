@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, MeshRoots, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.options import MeshRoots, argument, option, written
 from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
 
@@ -38,8 +38,7 @@ def plan(
     mesh_root: MeshRoots = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random candidates.")] = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Choose the poses that calibrate an arm best.
 
@@ -57,7 +56,6 @@ def plan(
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
     refuse_taken(out)
-    telling = Telling(as_json, quiet)
     if observes == "pixels":
         of_trackers = {
             "--tracker": tracker,

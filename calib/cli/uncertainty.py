@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName, option, written
+from calib.cli.application import IN_WORDS, JUDGE, Telling, command
+from calib.cli.options import ResultFolder, SetupName, option, written
 from calib.foundations.choices import MOST_POSES
 from calib_start import loading
 
@@ -23,8 +23,7 @@ def uncertainty(
     whole: Annotated[
         bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
     ] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Show the uncertainty of the tool, and its causes.
 
@@ -39,7 +38,6 @@ def uncertainty(
         from calib.presentation.sheets import budget_sheet
     if out is not None:
         refuse_taken(out)
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
         machine = load_machine(results).at(setup)
         found = uncertainty_map(

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import JUDGE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName, argument, option
+from calib.cli.application import IN_WORDS, JUDGE, NOT_TRUSTED, Telling, command
+from calib.cli.options import ResultFolder, SetupName, argument, option
 from calib.cli.proposing import ColumnNames, OrientationName, renamed
 from calib.foundations.choices import Observed
 from calib_start import loading
@@ -30,8 +30,7 @@ def verify(
     orientation: OrientationName = None,
     column: ColumnNames = None,
     ignore: Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Verify a calibrated machine by new measurements.
 
@@ -50,7 +49,6 @@ def verify(
         from calib.measurement.table import Columns
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
