@@ -252,7 +252,6 @@ def _finder(
     ``geometries``: what a model leaves there that has no terms, and one that adds terms to it takes from there, in the
     same order of rows.
     """
-
     whole: Fit | None = None
 
     def find(rows: ChosenRows) -> Fit:

@@ -117,14 +117,7 @@ def _identify(
     sets, parameters = whole.measurements, _chosen(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    for s in model_sigmas or ():
-        if s is not None:
-            # Of lengths, angles or pixels: which of them, each set says.
-            low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
-            if not (s == 0.0 or low <= s <= high):
-                raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
-    variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
-
+    variances = _stated(model_sigmas)
     if near is not None:
         whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
@@ -287,6 +280,16 @@ def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tu
         if not fnmatch.filter(names, pattern):
             raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
     return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
+
+
+def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, ...] | None:
+    """Return the variances of stated sigmas. Raises JobError when one is out of range."""
+    # Of lengths, angles or pixels: which of them, each set says.
+    low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
+    for s in model_sigmas or ():
+        if not (s is None or s == 0.0 or low <= s <= high):
+            raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
+    return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
 
 def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) -> None:
