@@ -45,7 +45,7 @@ from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
-from calib.identification.identify import identify
+from calib.identification.identify import identify, identify_near
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
@@ -293,11 +293,12 @@ def choose_terms(
             for k, figure in enumerate(figures)
         )
         found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, waves)
-        return _fitted(found, near.apart, model_sigmas, losses, progress)
+        return _fitted(found, measurements, near.apart, model_sigmas, losses, progress)
 
 
 def _fitted(
     choice: Choice,
+    measurements: Measurements | Sequence[Measurements],
     apart: bool,
     model_sigmas: Sequence[float | None] | None,
     losses: Sequence[Loss] | None,
@@ -308,9 +309,8 @@ def _fitted(
 
     def fitted(model: ErrorModel, choice: Choice) -> Fit:
         progress(f"choosing joint terms: fitting {len(choice.terms)} coefficients")
-        return identify(
-            with_terms(model, choice.terms), geometric.measurements, model_sigmas=model_sigmas, losses=losses
-        )
+        chosen = with_terms(model, choice.terms)
+        return identify_near(geometric, chosen, measurements, model_sigmas=model_sigmas, losses=losses)
 
     if waves is not None and waves.taken:
         learning = replace(geometric.model, priors=replace(geometric.model.priors, harmonics="learned"))

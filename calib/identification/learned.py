@@ -14,7 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
-from calib.identification.solver import Solution, Sought, seek, solve
+from calib.identification.solver import Near, Solution, Sought, seek, solve
 from calib.identification.system import Problem
 from calib.identification.widths import WIDEST, NormalEquations, Widths, likeliest_widths, likelihood
 
@@ -51,17 +51,19 @@ def solve_learning(
     problem: Problem,
     x0: Array,
     variances: Sequence[float | None] | None,
+    near: Near | None = None,
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
 
-    Raises what :func:`calib.identification.solver.solve` raises.
+    ``near``: where the first minimum is, if that is nearly known. Raises what
+    :func:`calib.identification.solver.solve` raises.
     """
     names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
     if not names:
-        return problem, solve(problem, x0, variances), ()
+        return problem, solve(problem, x0, variances, near), ()
     widths = np.ones(len(names))
     problem = _with_widths(problem, names, widths)
-    found = seek(problem, x0, variances, roughly=True)
+    found = seek(problem, x0, variances, near, roughly=True)
     rows = _equations(problem, found, variances, names)
     seen = _seen(rows, len(names))
     few = np.asarray(seen < _FEWEST)

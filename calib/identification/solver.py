@@ -95,20 +95,35 @@ class Solution(NamedTuple):
         return self.spread.of()
 
 
-def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+class Near(NamedTuple):
+    """What is known of a minimum beforehand: where it nearly is (p,), and the ``variances`` of components there."""
+
+    x: Array
+    variances: Sequence[float]
+
+
+def solve(
+    problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None, near: Near | None = None
+) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
 
-    Raises IdentificationError when there are no more rows and stated priors than the rank.
+    Where the minimum is nearly known, the search goes on from there; frames are still held where x0 has them. Raises
+    IdentificationError when there are no more rows and stated priors than the rank.
     """
-    return seek(problem, x0, variances).told
+    return seek(problem, x0, variances, near).told
 
 
 def seek(
-    problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None, *, roughly: bool = False
+    problem: LeastSquares,
+    x0: Array,
+    variances: Sequence[float | None] | None = None,
+    near: Near | None = None,
+    *,
+    roughly: bool = False,
 ) -> "Sought":
     """Seek the solution of a problem, as :func:`solve` does; what the data tell there is not asked for yet.
 
-    ``roughly``: only until nothing of significance is left.
+    ``roughly``: what is left is judged by its gain alone.
     """
     s = scales(problem.parameters)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
@@ -118,20 +133,31 @@ def seek(
     begin = search.beginning()
     first = search.evaluator(x0 / s, begin.sigmas)
     _refuse_too_few(problem, first, search.prior)
-    return _ended(search, first, _levenberg_marquardt(search, begin.sigmas, x0 / s), begin, roughly=roughly)
+    if near is not None:
+        end, converged = search.gauss_newton(near.x / s, search.beginning(near.variances), near=True)
+        if converged:
+            return _ended(search, search.prior, first, end, converged, 1.0)
+    return _narrowed(search, first, _levenberg_marquardt(search, begin.sigmas, x0 / s), begin, roughly=roughly)
 
 
-def _ended(search: "_Search", first: Evaluation, z: Array, begin: "_Noise", *, roughly: bool) -> "Sought":
-    """Return where a search ends that is near from z (p,) on; ``first``: the evaluation at the start."""
-    problem, prior = search.problem, search.prior
+def _narrowed(search: "_Search", first: Evaluation, z: Array, begin: "_Noise", *, roughly: bool) -> "Sought":
+    """Return where a search ends from z (p,) on, with priors as narrow as it needs."""
+    prior = search.prior
     for narrowed in _NARROWER:
         search = search._replace(prior=prior.weighed(narrowed))
-        end, converged = search.gauss_newton(z, begin, roughly=roughly)
+        end, converged = search.gauss_newton(z, begin, near=roughly)
         if converged:
             break
         z, begin = end.z, end.weighted_by
+    return _ended(search, prior, first, end, converged, narrowed)
+
+
+def _ended(
+    search: "_Search", prior: "_Prior", first: Evaluation, end: "_Point", converged: bool, narrowed: float
+) -> "Sought":
+    """Return where a search ends, from where priors narrower than ``prior`` may have held it."""
     freed, last = False, end
-    for held, wider, released in _wider(problem, prior, narrowed) if converged else ():
+    for held, wider, released in _wider(search.problem, prior, narrowed) if converged else ():
         ended = search._replace(prior=wider).released(last)
         if ended is None:
             continue
@@ -139,7 +165,7 @@ def _ended(search: "_Search", first: Evaluation, z: Array, begin: "_Noise", *, r
         if done:
             search, end, narrowed, freed = search._replace(prior=wider), last, held, released
     # What is seen at the start may be less than at the solution.
-    _refuse_too_few(problem, end.evaluation, search.prior)
+    _refuse_too_few(search.problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
     z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
@@ -327,9 +353,9 @@ class _Search(NamedTuple):
     prior: _Prior
     fixed: Sequence[float | None]
 
-    def beginning(self) -> _Noise:
-        """Return the noise to begin with, which no residual has to do with."""
-        v = _keep(self.fixed, weights.search_variances(self.problem))
+    def beginning(self, variances: Sequence[float] | None = None) -> _Noise:
+        """Return the noise to begin with: of known variances, or what no residual has to do with."""
+        v = _keep(self.fixed, weights.search_variances(self.problem) if variances is None else variances)
         sigmas = weights.sigmas_of(self.problem, v, search=True)
         none = np.ones(len(v))
         return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior)
@@ -402,8 +428,10 @@ class _Search(NamedTuple):
         clearly = begin.gain >= _CLEARLY_HELD * (begin.most_gained + noise.prior.cost(held.z))
         return self.gauss_newton(held.z, noise) if clearly else None
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise, *, roughly: bool = False) -> tuple[_Point, bool]:
+    def gauss_newton(self, z: Array, weighted_by: _Noise, *, near: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
+
+        ``near``: the minimum is at hand, and what is left is judged by its gain alone.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
         the data: it is judged after corrections that lead back to the valley's floor, and damped where it fails then.
@@ -413,7 +441,7 @@ class _Search(NamedTuple):
             return _Point.of(z, evaluation, weighted_by, self.noise(z, evaluation, weighted_by))
 
         def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
-            return roughly or (self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path)))
+            return near or (self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path)))
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0
@@ -509,7 +537,7 @@ class Sought(NamedTuple):
     def again(self, problem: LeastSquares, *, roughly: bool) -> "Sought":
         """Seek from here on the solution of the same problem with priors of other widths; scales stay the same."""
         search = self.search._replace(problem=problem, prior=_Prior.of(problem, self.z))
-        return _ended(search, self.first, self.z, self.noise, roughly=roughly)
+        return _narrowed(search, self.first, self.z, self.noise, roughly=roughly)
 
     @property
     def told(self) -> Solution:

@@ -93,13 +93,13 @@ def test_where_a_fit_with_them_does_not_converge_steps_are_taken(
     many: tuple[calib.ErrorModel, calib.Measurements, machines.Machine, Choice], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model, data, _, choice = many
-    identify = choice_module.identify
+    identify_near = choice_module.identify_near
 
-    def stubborn(model: calib.ErrorModel, *given: object, **options: object) -> calib.Fit:
-        fit = identify(model, *given, **options)  # type: ignore[arg-type]
+    def stubborn(begun: calib.Fit, model: calib.ErrorModel, *given: object, **options: object) -> calib.Fit:
+        fit = identify_near(begun, model, *given, **options)  # type: ignore[arg-type]
         return replace(fit, converged=model.priors.harmonics != "learned")
 
-    monkeypatch.setattr(choice_module, "identify", stubborn)
+    monkeypatch.setattr(choice_module, "identify_near", stubborn)
     less = choose_terms(model, data, geometric=choice.geometric)
     assert less.waves is not None
     assert not less.waves.taken
