@@ -98,7 +98,7 @@ def choice_sheet(choice: Choice) -> Sheet:
         step = steps[k]
         name = "geometry alone" if step.added is None else step.added.name
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
-        said = "yes" if choice.steps_taken[k] else "no: waves" if k <= choice.taken else "no: the least"
+        said = "yes" if choice.steps_taken[k] else "no: all harmonics" if k <= choice.taken else "no: the least"
         rows.append((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said))
     if choice.waves is not None:
         waves = choice.waves

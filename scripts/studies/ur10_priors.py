@@ -26,6 +26,7 @@ from calib.identification.identify import residuals_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.presentation.sheets import prior_sentences
 from scripts.examples.ur10_leica_job import NotTheDatasetError, read, table_columns
+from scripts.studies.waves import by_steps
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,8 @@ learned from the rows to identify from alone.
 
 Two thirds of the rows to identify, {splits} random splits, the same for all columns; split 0 is that of the README.
 
-* **chosen**: joint terms that the tool chooses, by what rows held out of the other two thirds say of each of them
-  ([joint_terms.md](joint_terms.md)); then without a prior.
+* **chosen**: joint terms that the tool chooses one by one, by what rows held out of the other two thirds say of each of
+  them ([joint_terms.md](joint_terms.md)); then without a prior, and without its offer of all harmonics.
 * **stated**: harmonics 1 to 40 of every joint, none left out, with a prior of 0.1 mrad, the typical size.
 * **wide**: a prior of 1 mrad, ten times as wide, which is what somebody might state who does not know.
 * **learned**: the same harmonics, with one learned width for those of each joint.
@@ -114,7 +115,7 @@ def of_terms(dataset: Path, seed: int) -> dict[str, Judged]:
     every = {**geometry, "terms": waves}
     rest = {**geometry, "terms": {**waves, "gain": "all", "elastic": "all"}}
     models = {
-        "chosen": choose_terms(calib.error_model(robot, **geometry), seen).model,
+        "chosen": by_steps(choose_terms(calib.error_model(robot, **geometry), seen)),
         "stated": calib.error_model(robot, **every, priors=calib.Priors(harmonics=HARMONICS)),
         "wide": calib.error_model(robot, **every, priors=calib.Priors(harmonics=10 * HARMONICS)),
         "learned": calib.error_model(robot, **every, priors=calib.Priors(harmonics="learned")),

@@ -1,10 +1,10 @@
-"""Do all waves with learned widths harm where nothing was measured? Machines with uneven gears, and without.
+"""Do all harmonics with learned widths harm where nothing was measured? Machines with uneven gears, and without.
 
     python scripts/studies/waves.py [--machines 40] [--first 0] [--kind none|few|many]
 
 A UR10 is simulated, each time with other errors, and measured at 60 to 600 random poses of a box of joint space,
 0.05 mm of noise. Its gears are even (none), uneven in four orders (few), or in all orders up to 40, the less the higher
-the order (many). Where the tool takes all waves, it is judged by 400 other poses of that box, and by 400 of the whole
+the order (many). Where the tool takes all harmonics, it is judged by 400 other poses of that box, and by 400 of the whole
 joint space: how often is the rms larger than with the terms that it would have chosen without that offer?
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
-from calib.assessment.choice import choose_terms
+from calib.assessment.choice import Choice, choose_terms
 from calib.identification.error_model import with_terms
 from tests.support import machines
 from tests.support.gears import UR10, geared
@@ -67,8 +67,14 @@ def simulated(seed: int, kind: str) -> Simulated:
     return Simulated(data, machine, box(UNSEEN), plain.draw(rng, UNSEEN))
 
 
+def by_steps(choice: Choice) -> calib.ErrorModel:
+    """Return the model with the terms that were chosen one by one, without priors."""
+    steps = [step.added.terms for step in choice.steps[: choice.taken + 1] if step.added is not None]
+    return with_terms(choice.geometric.model, [term for terms in steps for term in terms])
+
+
 def count(seeds: range, kind: str) -> None:
-    """Print how often all waves are taken, and harm."""
+    """Print how often all harmonics are taken, and harm."""
     model = calib.error_model(machines.load(*UR10), offsets="all", placements="all")
     ratios: dict[str, list[float]] = {"in the box": [], "elsewhere": []}
     given = 0
@@ -78,19 +84,18 @@ def count(seeds: range, kind: str) -> None:
         given += bool(choice.terms)
         if choice.waves is None or not choice.waves.taken:
             continue
-        steps = [step.added.terms for step in choice.steps[1 : choice.taken + 1] if step.added is not None]
-        alone = calib.identify(with_terms(model, [term for terms in steps for term in terms]), data)
+        alone = calib.identify(by_steps(choice), data)
         found = []
         for own, readings in zip(ratios.values(), unseen, strict=True):
             own.append(machines.miss(choice.fit, machine, readings) / machines.miss(alone, machine, readings))
             found.append(f"{own[-1]:.3f}")
         print(
             f"machine {seed}: {len(data)} rows, {len(alone.model.terms)} terms chosen, {len(choice.terms)} with all "
-            f"waves up to {choice.waves.order}: {' and '.join(found)} of the rms of those chosen",
+            f"harmonics up to {choice.waves.order}: {' and '.join(found)} of the rms of those chosen",
             flush=True,
         )
     taken = len(ratios["elsewhere"])
-    print(f"{len(seeds)} machines, {kind}: {given} given terms, {taken} all waves")
+    print(f"{len(seeds)} machines, {kind}: {given} given terms, {taken} all harmonics")
     for where, own in ratios.items():
         if own:
             mean, worse = np.exp(np.mean(np.log(own))), np.sum(np.array(own) > 1.0)
