@@ -114,9 +114,14 @@ def evidence(choice: Choice) -> list[str]:
     for k in dict.fromkeys((*range(choice.taken + 1), least)):
         step = choice.steps[k]
         name = "geometry alone" if step.added is None else step.added.name
-        taken = "yes" if k <= choice.taken else "no: the least"
+        taken = "yes" if choice.steps_taken[k] else "no: all harmonics" if k <= choice.taken else "no: the least"
         figures = step.held_out.rms / start, step.held_out.standard_error / start, 1e3 * step.rms["position"]
         lines.append(f"| {k} | {name} | {' | '.join(f'{value:.3f}' for value in figures)} | {taken} |")
+    if choice.waves is not None:
+        waves = choice.waves
+        figures = waves.held_out.rms / start, waves.held_out.standard_error / start, 1e3 * waves.rms
+        shown = " | ".join(f"{value:.3f}" for value in figures)
+        lines.append(f"| or | all harmonics up to {waves.order} | {shown} | {'yes' if waves.taken else 'no'} |")
     return lines
 
 

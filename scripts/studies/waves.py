@@ -4,8 +4,8 @@
 
 A UR10 is simulated, each time with other errors, and measured at 60 to 600 random poses of a box of joint space,
 0.05 mm of noise. Its gears are even (none), uneven in four orders (few), or in all orders up to 40, the less the higher
-the order (many). Where the tool takes all harmonics, it is judged by 400 other poses of that box, and by 400 of the whole
-joint space: how often is the rms larger than with the terms that it would have chosen without that offer?
+the order (many). Where the tool takes all harmonics, it is judged by 400 other poses of that box, and by 400 of the
+whole joint space: how often is the rms larger than with the terms that it would have chosen without that offer?
 """
 
 import argparse
