@@ -51,6 +51,27 @@ def refuse_fields(made: Any) -> None:
             raise _other(value, hint, f"{cls.__name__}: {name}")
 
 
+def own_fields(made: Any) -> None:
+    """Take copies of the arrays and mappings that a dataclass was given, arrays read-only.
+
+    Whoever made it may change theirs later, and what was asked of it before and after would not agree.
+    """
+    cls: Any = type(made)
+    for name, _, _ in _fields(cls):
+        value = getattr(made, name)
+        if (own := _owned(value)) is not value:
+            object.__setattr__(made, name, own)
+
+
+def _owned(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _owned(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.flags.writeable:
+        value = value.copy()
+        value.flags.writeable = False
+    return value
+
+
 @functools.cache
 def _fields(of: Any) -> tuple[tuple[str, Any, _Test], ...]:
     """Return the fields of a dataclass by name, with their hints and what tells whether a value fits."""
@@ -192,7 +213,7 @@ def _told(value: object) -> str:
             return text
     name = type(value).__name__
     if isinstance(value, np.ndarray):
-        return f"an array of {value.dtype}"
+        return f"{'a masked array' if _is_masked(value) else 'an array'} of {value.dtype}"
     if isinstance(value, list | tuple):
         return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
     return f"{_article(name)} {name}"

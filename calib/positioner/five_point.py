@@ -270,7 +270,8 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
         found = calib.positioner.five_point_of("five.csv")
 
     Which row is which, its readings say: one at zero, two at turns of the rotary axis alone, a positive and a negative
-    one, two of the tilt axis alone; up to 0.001 deg, an axis is at zero. Raises MeasurementError when there are others, and as :func:`five_point` does.
+    one, two of the tilt axis alone; up to 0.001 deg, an axis is at zero. Raises MeasurementError when there are others,
+    and as :func:`five_point` does.
     """
     table = source if isinstance(source, Table) else read_table(source)
     needed = ("tilt", "rotary", "x", "y", "z")
