@@ -13,14 +13,13 @@ import shutil
 import stat
 import tempfile
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
-from calib.foundations.errors import OutputError
+from calib.foundations.errors import DAMAGED, OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
@@ -45,7 +44,6 @@ _DEEPEST, _MOST_OFFERED = 12, 5000
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
 # Others are unpacked whole, however little is asked for.
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-_DAMAGED = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, NotImplementedError, RuntimeError)
 
 Kind = Literal["robot", "table", "photograph", "settings", "mesh", "archive"]
 _OTHERS: dict[Kind, tuple[str, ...]] = {
@@ -229,7 +227,7 @@ def unpacked(data: bytes, name: str, called: Mapping[str, str]) -> Iterator[tupl
                 yield kept[path], its_name, contents
     except OutputError:
         raise
-    except _DAMAGED as e:
+    except (zipfile.BadZipFile, *DAMAGED) as e:
         locked = "is locked by a password" if "password" in str(e) else "is no archive that can be read"
         raise OutputError(f"{shown(name)}: {locked}.") from e
 

@@ -248,14 +248,18 @@ def _finder(
     ``geometries``: what a model leaves there that has no terms, and one that adds terms to it takes from there, in the
     same order of rows.
     """
+    whole: Fit | None = None
 
     def find(rows: ChosenRows) -> Fit:
+        nonlocal whole
         progress(*next(told))
         if choosing:
             known, here = geometries.pop(0) if geometries else None, model.within(rows.sets)
             sigmas, losses = rows.model_sigmas, rows.losses
             return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known).fit
-        fit = rows.fit(model)
+        fit = rows.fit(model, near=whole)
+        if whole is None:
+            whole = fit
         if geometries is not None:
             geometries.append(fit)
         return fit

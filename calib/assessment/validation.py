@@ -12,6 +12,7 @@ size take the smallest whose held-out error is within one standard error of the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, residuals_of
+from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements
@@ -379,9 +380,10 @@ class ChosenRows:
             which,
         )
 
-    def fit(self, model: ErrorModel) -> Fit:
-        """Identify a model from them."""
-        return identify(model.within(self.sets), self.sets, model_sigmas=self.model_sigmas, losses=self.losses)
+    def fit(self, model: ErrorModel, near: Fit | None = None) -> Fit:
+        """Identify a model from them; ``near``: a fit to more rows of that machine, to begin at."""
+        find = identify if near is None else partial(identify_near, near)
+        return find(model.within(self.sets), self.sets, model_sigmas=self.model_sigmas, losses=self.losses)
 
 
 def predict_held_out(

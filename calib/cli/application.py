@@ -2,12 +2,15 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
+from functools import update_wrapper
+from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from typer.core import TyperGroup
 
+from calib.cli.options import Json, Quiet
 from calib.foundations.json_text import document
 
 if TYPE_CHECKING:
@@ -53,16 +56,47 @@ app = typer.Typer(
 
 
 def command(name: str, group: str, example: str) -> Callable[[_Command], _Command]:
-    """Return the decorator of a command, with the group that lists it and the example at the end of its help."""
-    return app.command(name, rich_help_panel=group, epilog=f"Example: {example}")
+    """Return the decorator of a command, with the group that lists it and the example at the end of its help.
+
+    A parameter whose type is a dataclass of options, such as :class:`Telling`, stands for all of these.
+    """
+    register = app.command(name, rich_help_panel=group, epilog=f"Example: {example}")
+
+    def decorated(function: _Command) -> _Command:
+        register(_spread(function))
+        return function
+
+    return decorated
+
+
+def _spread(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with single options in the places of those that a parameter bundles."""
+    own = signature(function).parameters.values()
+    bundles = {one.name: one for one in own if is_dataclass(one.annotation)}
+
+    def run(**given: Any) -> None:
+        for name, bundle in bundles.items():
+            given[name] = bundle.annotation(**{option.name: given.pop(option.name) for option in _options(bundle)})
+        function(**given)
+
+    spread = update_wrapper(run, function)
+    vars(spread)["__signature__"] = Signature([option for one in own for option in _options(one)])
+    return spread
+
+
+def _options(one: Parameter) -> list[Parameter]:
+    kind: Callable[..., Any] = one.annotation
+    every = [*signature(kind).parameters.values()] if is_dataclass(kind) else [one]
+    # Each is given by its name: those without a default may follow others.
+    return [option.replace(kind=Parameter.KEYWORD_ONLY) for option in every]
 
 
 @dataclass(frozen=True, slots=True)
 class Telling:
     """How a command tells what it does and found: for a person, as one JSON document, or not at all."""
 
-    as_json: bool
-    quiet: bool
+    as_json: Json = False
+    quiet: Quiet = False
 
     def progress(self, steps: int, *, alike: bool = False) -> "contextlib.AbstractContextManager[Steps]":
         """Give what is told every step, shown to a person at a terminal. ``steps``: how many, as far as is known.
@@ -81,3 +115,6 @@ class Telling:
             write(document(contents()))
         elif not self.quiet:
             show(*shown())
+
+
+IN_WORDS = Telling()

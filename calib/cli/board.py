@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet, written
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.options import written
 from calib_start import loading
 
 
@@ -20,8 +20,7 @@ def board(
     dictionary: Annotated[
         str, typer.Option("--dictionary", help="OpenCV's name of the markers, like DICT_APRILTAG_36h11.")
     ] = "DICT_4X4_50",
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Write a board to print, as PDF and SVG.
 
@@ -47,9 +46,7 @@ def board(
     write_folder(out, {"board.pdf": pdf(of), "board.svg": svg(of), "board.toml": board_toml(print_)})
     width, height = of.size
     said = f"{out} holds board.pdf and board.svg, {width:g} x {height:g} mm, and board.toml. Print at 100 %."
-    Telling(as_json, quiet).tell(
-        lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [said]
-    )
+    telling.tell(lambda: {"folder": str(out), "size": [width, height], "marks": len(print_.marks)}, lambda: [said])
 
 
 def _kind(text: str) -> Literal["charuco", "chessboard"]:

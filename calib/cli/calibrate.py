@@ -5,15 +5,15 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import NOT_TRUSTED, PATH, Telling, command
-from calib.cli.options import JobFile, Json, Quiet, written
+from calib.cli.application import IN_WORDS, NOT_TRUSTED, PATH, Telling, command
+from calib.cli.options import JobFile, written
 from calib_start import loading
 
 OutFolder = Annotated[Path, written("FOLDER", "Folder of results; older results there are replaced.")]
 
 
 @command("calibrate", PATH, "calib calibrate calibration.toml -o out/")
-def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet = False) -> None:
+def calibrate(job: JobFile, out: OutFolder, telling: Telling = IN_WORDS) -> None:
     """Identify what deviates and write a folder of results.
 
     The folder holds the calibrated URDF, the model, the figures, the residuals and a 3D scene. Exit codes: 0 good,
@@ -25,7 +25,6 @@ def calibrate(job: JobFile, out: OutFolder, as_json: Json = False, quiet: Quiet 
         from calib.presentation.console import short_report
         from calib.results.folder import result
         from calib.results.report import report_of
-    telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING) as say:
         outcome = calibrate_job(job, out, say, say.expect)
     where = f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json."

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, MeshRoots, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, MORE, Telling, command
+from calib.cli.options import MeshRoots, argument, option, written
 from calib.foundations.choices import PlacedIn
 from calib_start import loading
 
@@ -22,8 +22,7 @@ def cell(
     ] = "arm",
     prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use.")] = None,
     mesh_root: MeshRoots = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Put an arm and the positioner it touched into one URDF.
 
@@ -51,7 +50,7 @@ def cell(
     write_new(out, found.cell.document)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
-    Telling(as_json, quiet).tell(
+    telling.tell(
         lambda: {"file": str(out), "scene": None if scene is None else str(scene), **found.contents()},
         lambda: [f"The cell is in {out}.{changed}"],
     )

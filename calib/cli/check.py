@@ -5,19 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet
-from calib.cli.proposing import (
-    Angles,
-    ColumnNames,
-    Lengths,
-    Observes,
-    OrientationName,
-    Tip,
-    answers,
-    proposed,
-    tell_check,
-)
+from calib.cli.application import IN_WORDS, PATH, Telling, command
+from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
 
 _ROBOT = (".urdf", ".xacro")
@@ -32,15 +21,9 @@ def check(
         list[str],
         typer.Argument(metavar="FILE...", help="A job (TOML); or a URDF, tables, or both.", show_default=False),
     ],
-    tip: Tip = None,
-    angles: Angles = None,
-    lengths: Lengths = None,
-    orientation: OrientationName = None,
-    observes: Observes = None,
-    column: ColumnNames = None,
+    said: Said = NOTHING_SAID,
     every: Every = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Check a job, or tell what a URDF and tables hold.
 
@@ -52,8 +35,7 @@ def check(
     jobs = [file for file in files if file not in robots and file not in tables]
     if len(jobs) > 1 or len(robots) > 1 or (jobs and (robots or tables)):
         raise typer.BadParameter("take one job; or one URDF, tables, or a URDF and tables.")
-    telling = Telling(as_json, quiet)
-    given = answers(tip, angles, lengths, orientation, observes, column)
+    given = said.answers()
     if jobs:
         if given:
             raise typer.BadParameter("a job says this itself.")

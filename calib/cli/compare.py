@@ -1,14 +1,11 @@
 """``calib compare``: what has moved between two calibrations of one machine."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, argument, written
+from calib.cli.application import IN_WORDS, JUDGE, Telling, command
+from calib.cli.options import argument, written
 from calib_start import loading
-
-if TYPE_CHECKING:
-    from calib.assessment.drift import Comparison
 
 
 @command("compare", JUDGE, "calib compare old/ new/")
@@ -16,8 +13,7 @@ def compare(
     old: Annotated[Path, argument("OLD", "Results of the earlier calibration.")],
     new: Annotated[Path, argument("NEW", "Results of the later calibration.")],
     out: Annotated[Path | None, written("FILE", "A page with both side by side (.html).")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Compare two calibrations of one machine.
 
@@ -32,21 +28,16 @@ def compare(
         from calib.presentation.console import strong
     if out is not None:
         refuse_taken(out)
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading both models")
         before, after = (load_machine(folder) for folder in (old, new))
         say("comparing")
         found = compared(before, after)
     if out is not None:
-        write_new(out, _page(old, new, found))
+        from calib.presentation.report.page import render_page
+        from calib.results.side_by_side import side_by_side
+
+        write_new(out, render_page(side_by_side((old, new), found)))
     changes = [change_sheet(found)] if found.changes else []
     *said, moved = comparison_sentences(found)
     telling.tell(found.contents, lambda: [*changes, *said, strong(moved)])
-
-
-def _page(old: Path, new: Path, found: "Comparison") -> str:
-    from calib.presentation.report.page import render_page
-    from calib.results.side_by_side import side_by_side, told
-
-    return render_page(side_by_side(told(old), told(new), found))

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName, argument, option, written
+from calib.cli.application import IN_WORDS, PATH, Telling, command
+from calib.cli.options import ResultFolder, SetupName, argument, option, written
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
 
@@ -27,8 +27,7 @@ def compensate(
             help="Outside a residual grid use its nearest edge; far from rows of a Gaussian process, no correction.",
         ),
     ] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Correct commands: joint targets, poses or positions.
 
@@ -43,7 +42,6 @@ def compensate(
         from calib.machine.tool_uncertainty import outside_identified
         from calib.presentation.console import warning
     refuse_taken(out)
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
         model = load_machine(results).at(setup)

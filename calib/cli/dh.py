@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, MORE, Telling, command
+from calib.cli.options import argument, option, written
 from calib.foundations.choices import Convention
 from calib_start import loading
 
@@ -18,8 +18,7 @@ def dh(
     tip: Annotated[str | None, option("--tip", "LINK", "Tip link of a URDF.")] = None,
     base: Annotated[str | None, option("--base", "LINK", "Base link of a URDF.")] = None,
     convention: Annotated[Convention | None, typer.Option(help="Convention of the table: standard by default.")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Turn a DH table into a URDF, or a URDF into a table.
 
@@ -40,7 +39,7 @@ def dh(
     else:
         table = dh_of.dh_of(load_robot(source, tip, base), convention or "standard")
         write_new(out, dh_of.write_dh(table))
-    Telling(as_json, quiet).tell(
+    telling.tell(
         lambda: {"file": str(out), **table.contents()},
         lambda: [f"{len(table.rows)} rows, {table.convention} convention; the file is {out}."],
     )

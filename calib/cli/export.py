@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, option, written
+from calib.cli.application import IN_WORDS, PATH, Telling, command
+from calib.cli.options import ResultFolder, option, written
 from calib.foundations.choices import Target
 from calib.foundations.units import MM
 from calib_start import loading
@@ -24,8 +24,7 @@ def export(
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
     out: Annotated[Path, written("FILE", "The file, to be written.")],
     tool: Annotated[str | None, option("--tool", "NAME", "Whose arm, where the robot has several.")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Write a calibrated machine in the format of a controller.
 
@@ -54,7 +53,7 @@ def export(
     write_new(out, found.text)
     where = "within the joints' limits" if model.uncertainty is None else "of the identified range"
     machine = "the nominal URDF with this file alone" if to == "ros" else "the machine of the file"
-    Telling(as_json, quiet).tell(
+    telling.tell(
         lambda: {"file": str(out), **found.contents()},
         lambda: [
             *(

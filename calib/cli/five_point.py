@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from calib.cli.application import MORE, Telling, command
-from calib.cli.options import Json, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, MORE, Telling, command
+from calib.cli.options import argument, option, written
 from calib_start import loading
 
 
@@ -13,8 +13,7 @@ def five_point(
     points: Annotated[Path, argument("POINTS", "tilt, rotary, x, y, z of the five places (CSV).")],
     out: Annotated[Path | None, written("FILE", "Also the positioner's URDF, to be written.")] = None,
     sigma: Annotated[str, option("--sigma", "LENGTH", "Standard deviation of a touched coordinate.")] = "0.1 mm",
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Find a positioner's axes from five touched points.
 
@@ -33,7 +32,7 @@ def five_point(
     found = five_point_of(points, sigma=parse_within(sigma, RANGES["sigma"], "sigma"))
     if out is not None:
         write_new(out, found.robot().urdf.source)
-    Telling(as_json, quiet).tell(
+    telling.tell(
         found.contents,
         lambda: [
             *(warning(finding.sentence) for finding in found.findings),

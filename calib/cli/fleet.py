@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import BAD_INPUT, INTERRUPTED, MORE, NOT_TRUSTED, Telling, command
-from calib.cli.options import Json, Quiet, argument, option, written
+from calib.cli.application import BAD_INPUT, IN_WORDS, INTERRUPTED, MORE, NOT_TRUSTED, Telling, command
+from calib.cli.options import argument, option, written
 from calib_start import loading
 
 
@@ -20,8 +20,7 @@ def fleet(
     ] = None,
     dask: Annotated[str | None, option("--dask", "ADDRESS", "A Dask scheduler, as tcp://host:8786.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Also run jobs whose inputs have not changed.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Calibrate many jobs at once.
 
@@ -35,7 +34,6 @@ def fleet(
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
         from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
-    telling = Telling(as_json, quiet)
     chosen = fleet_jobs(jobs, out)
     try:
         with made_folder(out):

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.images import NO_IMAGES, OfImages, import_images
+from calib.cli.options import argument, option, written
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ _IMAGES = "images"
 _FILES = "One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER."
 _STACK = "Put the files one below the other; a column TITLE has their names."
 _ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
-_READINGS = "Of images: a table of the joints, or of the flange's pose, with the column image."
 
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
@@ -32,17 +32,8 @@ def import_(
     topic: Annotated[
         str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, to be read.")
     ] = None,
-    board: Annotated[Path | None, option("--board", "FILE", "Of images: board.toml.")] = None,
-    readings: Annotated[Path | None, option("--readings", "FILE", _READINGS)] = None,
-    tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None,
-    orientation: Annotated[
-        str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")
-    ] = None,
-    camera_on: Annotated[
-        str, typer.Option("--camera-on", help="Of images: tip, or floor where the arm carries the board.")
-    ] = "tip",
-    as_json: Json = False,
-    quiet: Quiet = False,
+    of_images: OfImages = NO_IMAGES,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Make one table from files of other programs.
 
@@ -57,20 +48,18 @@ def import_(
         from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet, stacked
     if any(is_recording(file) for file in files):
-        _recording(files, topic, out, Telling(as_json, quiet))
+        _recording(files, topic, out, telling)
         return
     if out is None:
         raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
     if str(files[0]) == _IMAGES and len(files) > 1:
-        from calib.cli.images import import_images
-
-        import_images(files[1:], board, readings, out, robot, tip, orientation, camera_on, Telling(as_json, quiet))
+        import_images(files[1:], out, robot, of_images, telling)
         return
-    if board is not None or readings is not None:
+    if of_images.board is not None or of_images.readings is not None:
         raise typer.BadParameter("--board and --readings are of photographs: calib import images FOLDER ...")
     if robot is not None:
-        _own_urdf(files, robot, out, Telling(as_json, quiet))
+        _own_urdf(files, robot, out, telling)
         return
     if stack is not None and by is not None:
         raise typer.BadParameter("--stack puts rows one below the other, and --by joins them; take one.")
@@ -79,7 +68,7 @@ def import_(
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
-    _tell(sheet, f"{len(sheet.titles)} columns", out, Telling(as_json, quiet))
+    _tell(sheet, f"{len(sheet.titles)} columns", out, telling)
 
 
 def _recording(files: list[Path], topic: str | None, out: Path | None, telling: Telling) -> None:

@@ -5,19 +5,9 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PATH, Telling, command
-from calib.cli.options import Json, Quiet, argument
-from calib.cli.proposing import (
-    Angles,
-    ColumnNames,
-    Lengths,
-    Observes,
-    OrientationName,
-    Tip,
-    answers,
-    proposed,
-    tell_check,
-)
+from calib.cli.application import IN_WORDS, PATH, Telling, command
+from calib.cli.options import argument
+from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
 
 
@@ -32,14 +22,8 @@ def init(
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
     ] = False,
-    tip: Tip = None,
-    angles: Angles = None,
-    lengths: Lengths = None,
-    orientation: OrientationName = None,
-    observes: Observes = None,
-    column: ColumnNames = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    said: Said = NOTHING_SAID,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Write a job from a robot and tables of measurements.
 
@@ -53,14 +37,12 @@ def init(
     refuse_taken(output)
     if xacro:
         urdf = str(_expanded(Path(urdf), output))
-    telling = Telling(as_json, quiet)
-    given = answers(tip, angles, lengths, orientation, observes, column)
-    found = proposed(urdf, data, given, ask=not (yes or as_json or quiet))
+    found = proposed(urdf, data, said.answers(), ask=not (yes or telling.as_json or telling.quiet))
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         looked = looked_at(loaded(found, output, say), say)
     write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
-    if not as_json:
+    if not telling.as_json:
         telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
 
 

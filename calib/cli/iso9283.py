@@ -3,16 +3,15 @@
 from pathlib import Path
 from typing import Annotated
 
-from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, argument
+from calib.cli.application import IN_WORDS, JUDGE, Telling, command
+from calib.cli.options import argument
 from calib_start import loading
 
 
 @command("iso9283", JUDGE, "calib iso9283 cycles.csv")
 def iso9283(
     cycles: Annotated[Path, argument("CYCLES", "Attained poses of repeated cycles (CSV).")],
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Evaluate repeated cycles after ISO 9283.
 
@@ -24,4 +23,4 @@ def iso9283(
         from calib.measurement.cycles import read_cycles
         from calib.presentation.acceptance_tables import iso_sheet
     found = figures(read_cycles(cycles))
-    Telling(as_json, quiet).tell(lambda: {"figures": records(found)}, lambda: [iso_sheet(found)])
+    telling.tell(lambda: {"figures": records(found)}, lambda: [iso_sheet(found)])

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import JobFile, Json, Quiet
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.options import JobFile
 from calib.foundations.choices import FOLDS
 from calib_start import loading
 
@@ -20,8 +20,7 @@ def models(
     leave_one_group_out: Annotated[
         bool, typer.Option("--leave-one-group-out", help="Hold out every pose, socket or group by itself.")
     ] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Compare error models by their errors at held-out rows.
 
@@ -38,7 +37,6 @@ def models(
         from calib.presentation.console import warning
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
-    telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING) as say:
 
         def told(text: str, left: int) -> None:

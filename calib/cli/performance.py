@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, argument, option
+from calib.cli.application import IN_WORDS, JUDGE, Telling, command
+from calib.cli.options import ResultFolder, argument, option
 from calib_start import loading
 
 
@@ -13,8 +13,7 @@ def performance(
     results: ResultFolder,
     touches: Annotated[list[Path], argument("TOUCHES...", "Touched points (CSV).")],
     probe: Annotated[Path | None, option("--probe", "FILE", "A cone touched to find the probe point.")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Evaluate acceptance tests of an arm CMM.
 
@@ -26,7 +25,6 @@ def performance(
         from calib.machine.model_file import load_machine
         from calib.measurement.touches import read_touches
         from calib.presentation.performance_tables import performance_sheet
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
         model = load_machine(results)

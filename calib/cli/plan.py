@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import Json, MeshRoots, Quiet, argument, option, written
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.options import MeshRoots, argument, option, written
 from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
 
@@ -38,8 +38,7 @@ def plan(
     mesh_root: MeshRoots = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random candidates.")] = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Choose the poses that calibrate an arm best.
 
@@ -57,7 +56,6 @@ def plan(
         from calib.foundations.ranges import RANGES, parse_within
         from calib.identification.machine import Frames
     refuse_taken(out)
-    telling = Telling(as_json, quiet)
     if observes == "pixels":
         of_trackers = {
             "--tracker": tracker,
@@ -74,9 +72,9 @@ def plan(
         return
     with telling.progress(steps=4) as say:
         say("reading the arm")
-        robot, model, roots = given.arm(arm, tip, observes, tuple(mesh_root or ()))
+        robot, model, roots, columns = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
-        right = None if working is None else given.table_readings(working, robot)
+        right = None if working is None else given.table_readings(working, robot, columns)
         noise = (given.parsed_length(sigma, "sigma"), given.parsed_angle(sigma_angle, "sigma_angle"))
         measurement = PlannedMeasurement(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
@@ -91,7 +89,7 @@ def plan(
         if _NUMBER.fullmatch(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.table_readings(Path(candidates), robot), sight, collision)
+            found = possible(robot, frames, given.table_readings(Path(candidates), robot, columns), sight, collision)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
@@ -99,7 +97,7 @@ def plan(
             candidates=found.readings,
             measurement=measurement,
             criterion=criterion,
-            measured=None if measured is None else given.table_readings(measured, robot),
+            measured=None if measured is None else given.table_readings(measured, robot, columns),
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))

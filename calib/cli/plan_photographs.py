@@ -11,6 +11,7 @@ from calib.foundations.errors import JobError
 from calib.foundations.files import write_new
 from calib.foundations.ranges import RANGES, parse_within
 from calib.identification.identify import identify
+from calib.job.columns import columns_alike
 from calib.job.inputs import load
 
 
@@ -36,7 +37,11 @@ def plan_photographs(
         say("finding camera, board and lens")
         fit = identify(inputs.model, [*inputs.identify, *inputs.validate])
         views = Views(fit)
-        right = None if working is None else given.table_readings(working, fit.robot)
+        right = (
+            None
+            if working is None
+            else given.table_readings(working, fit.robot, columns_alike(inputs.job.measurements))
+        )
         touching, notes = given.collision(fit.robot, (*inputs.mesh_roots, *mesh_roots), wanted=collisions)
         say("sampling views")
         found = view_candidates(views, given.parsed_count(candidates), touching, seed=seed)

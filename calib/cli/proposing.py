@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +16,6 @@ if TYPE_CHECKING:
     from calib.job.proposal import Proposal, Question
     from calib.presentation.console import Shown
 
-Tip = Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.")]
-Angles = Annotated[str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.")]
-Lengths = Annotated[str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.")]
 OrientationName = Annotated[
     str | None,
     typer.Option(
@@ -25,28 +23,33 @@ OrientationName = Annotated[
         help="What three angles are: rotation_vector, abc (KUKA), wpr (FANUC), rpy, or an order like ZYX or xyz.",
     ),
 ]
-Observes = Annotated[
-    str | None,
-    typer.Option("--observes", help="What was measured: position, pose, socket, distance."),
-]
 ColumnNames = Annotated[
     list[str] | None,
     typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable."),
 ]
 
 
-def answers(
-    tip: str | None,
-    angles: str | None,
-    lengths: str | None,
-    orientation: str | None,
-    observes: str | None,
-    column: Sequence[str] | None,
-) -> dict[str, Any]:
-    """Return what options answer, as :func:`calib.measuring.propose` takes it."""
-    columns = renamed(column)
-    given = {"tip": tip, "angles": angles, "lengths": lengths, "orientation": orientation, "observes": observes}
-    return {key: value for key, value in given.items() if value is not None} | ({"columns": columns} if columns else {})
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a person says beforehand of files of others, in options."""
+
+    tip: Annotated[str | None, typer.Option("--tip", help="The link that carries the tool.")] = None
+    angles: Annotated[str | None, typer.Option("--angles", help="Unit of angles that have none: deg, rad.")] = None
+    lengths: Annotated[str | None, typer.Option("--lengths", help="Unit of lengths that have none: mm, m.")] = None
+    orientation: OrientationName = None
+    observes: Annotated[
+        str | None, typer.Option("--observes", help="What was measured: position, pose, socket, distance.")
+    ] = None
+    column: ColumnNames = None
+
+    def answers(self) -> dict[str, Any]:
+        """Return it as :func:`calib.measuring.propose` takes it."""
+        given = asdict(self)
+        columns = renamed(given.pop("column"))
+        return {name: said for name, said in {**given, "columns": columns or None}.items() if said is not None}
+
+
+NOTHING_SAID = Said()
 
 
 def renamed(column: Sequence[str] | None) -> dict[str, str]:

@@ -5,8 +5,8 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from calib.cli.application import PREPARE, Telling, command
-from calib.cli.options import JobFile, Json, Quiet, option
+from calib.cli.application import IN_WORDS, PREPARE, Telling, command
+from calib.cli.options import JobFile, option
 from calib_start import loading
 
 _ERRORS = "Results of calib calibrate on this job, or assumed errors (CSV: parameter, error)."
@@ -17,8 +17,7 @@ def sensitivity(
     job: JobFile,
     errors: Annotated[Path | None, option("--errors", "FOLDER|FILE", _ERRORS)] = None,
     plot: Annotated[Path | None, option("--plot", "FILE", "Also draw it, as .svg, .png or .pdf.")] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
 
@@ -44,7 +43,6 @@ def sensitivity(
         from calib.results.folder import robot_errors
     if plot is not None:
         refuse_taken(plot)
-    telling = Telling(as_json, quiet)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.application import JUDGE, Telling, command
-from calib.cli.options import Json, Quiet, ResultFolder, SetupName, option, written
+from calib.cli.application import IN_WORDS, JUDGE, Telling, command
+from calib.cli.options import ResultFolder, SetupName, option, written
 from calib.foundations.choices import MOST_POSES
 from calib_start import loading
 
@@ -23,8 +23,7 @@ def uncertainty(
     whole: Annotated[
         bool, typer.Option("--whole", help="Sample up to the joints' limits, not only the identified range.")
     ] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    telling: Telling = IN_WORDS,
 ) -> None:
     """Show the uncertainty of the tool, and its causes.
 
@@ -33,13 +32,12 @@ def uncertainty(
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
+        from calib.machine.tool_uncertainty import uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
     if out is not None:
         refuse_taken(out)
-    telling = Telling(as_json, quiet)
     with telling.progress(steps=1) as say:
         machine = load_machine(results).at(setup)
         found = uncertainty_map(
@@ -49,14 +47,13 @@ def uncertainty(
             limits=None if whole else machine.known_uncertainty.identified,
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
-        near = tool_uncertainty(machine, found.readings, tool)
     budget = rms_by_cause(found.budget)
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "known": near.known_shares(), "budget": budget},
+        lambda: {"sigmas": found.percentiles(), "known": found.known_shares(), "budget": budget},
         lambda: [
-            map_sheet(found, near.known),
+            map_sheet(found, found.known),
             budget_sheet(budget, len(found.readings)),
             *([] if out is None else [f"Every pose is in {out}."]),
         ],

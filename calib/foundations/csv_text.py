@@ -24,15 +24,20 @@ _TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
 _SIDES = ("+", "-")
 
 
+def text_of(data: bytes, where: str, error: type[CalibError]) -> str:
+    """Return UTF-8 text without its mark. Raises ``error``, which names ``where`` the text is, for what is none."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        raise error(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+
+
 def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> list[tuple[str, list[str]]]:
     """Return the lines of a small table, but for comments and blank ones: where each is, and its cells.
 
     ``where``: the file; ``what`` it is, as "a DH table". Raises ``error`` for what is no text, or no CSV.
     """
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise error(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+    text = text_of(data, where, error)
     if (nul := text.find("\0")) >= 0:
         raise error(f"{where}: has a NUL byte after {nul} characters; {what} is UTF-8 text.")
     lines = []

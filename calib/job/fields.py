@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from datetime import date
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
@@ -94,15 +94,20 @@ def at_most(count: int) -> Callable[[object], object]:
     return checked
 
 
-def list_of(count: int, what: str) -> Callable[[object], object]:
-    """Return a validator of a list of so many; ``what`` they are."""
+def being(what: str, holds: Callable[[Any], bool]) -> Callable[[object], object]:
+    """Return a validator of a value that ``holds`` accepts; ``what`` that is, for the sentence about another one."""
 
     def checked(value: object) -> object:
-        if not isinstance(value, tuple) or len(value) != count:
-            raise ValueError(f"{as_toml(value)} is not a list of {what}.")
+        if not holds(value):
+            raise ValueError(f"{as_toml(value)} is not {what}.")
         return value
 
     return checked
+
+
+def list_of(count: int, what: str) -> Callable[[object], object]:
+    """Return a validator of a list of so many; ``what`` they are."""
+    return being(f"a list of {what}", lambda value: isinstance(value, tuple) and len(value) == count)
 
 
 def _unit_quaternion(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -118,26 +123,14 @@ def _some_length(value: tuple[float, float, float]) -> tuple[float, float, float
     return value
 
 
-def _share(value: object) -> object:
-    if not isinstance(value, float) or not 0.0 < value < 1.0:
-        raise ValueError(f"{as_toml(value)} is not a share between 0 and 1, like 0.25.")
-    return value
-
-
 def selection(*words: str) -> Callable[[object], object]:
     """Return a validator of names, or of one of these words in their place."""
-
-    def checked(value: object) -> object:
-        names = isinstance(value, tuple) and all(isinstance(name, str) for name in value)
-        if isinstance(value, tuple) and len(value) > MOST_NAMES:
-            raise ValueError(f"has {len(value)} entries; allowed are {MOST_NAMES}.")
-        if not names and value not in words:
-            raise ValueError(
-                f"{as_toml(value)} is not {', '.join(json.dumps(word) for word in words)} or a list of names."
-            )
-        return value
-
-    return checked
+    named = being(
+        f"{', '.join(json.dumps(word) for word in words)} or a list of names",
+        lambda value: value in words or (isinstance(value, tuple) and all(isinstance(name, str) for name in value)),
+    )
+    few = at_most(MOST_NAMES)
+    return lambda value: named(few(value))
 
 
 def _not_empty(text: str) -> str:
@@ -146,19 +139,13 @@ def _not_empty(text: str) -> str:
     return text
 
 
-def camera_place(value: object) -> object:
-    """Accept the words floor and tip, or a section that names a link."""
+def _is_place(value: Any) -> bool:
+    """Return whether a value is one of the words floor and tip, or a section that names a link."""
     of_link = isinstance(value, dict) and list(value) == ["link"] and isinstance(value["link"], str) and value["link"]
-    if value not in ("floor", "tip") and not of_link:
-        raise ValueError(f'{as_toml(value)} is not "floor", "tip" or a link, like {{ link = "head" }}.')
-    return value
+    return value in ("floor", "tip") or bool(of_link)
 
 
-def pair_of_counts(value: object) -> object:
-    """Accept two whole numbers above zero."""
-    if not isinstance(value, tuple) or len(value) != 2 or not all(type(n) is int and n > 0 for n in value):
-        raise ValueError(f"{as_toml(value)} is not a list of two whole numbers, like [7, 5].")
-    return value
+camera_place = being('"floor", "tip" or a link, like { link = "head" }', _is_place)
 
 
 def free_of_lens(value: object) -> object:
@@ -172,40 +159,24 @@ def free_of_lens(value: object) -> object:
     return value
 
 
-def iterations(value: object) -> object:
-    """Accept a number of iterations."""
-    if type(value) is not int or not 1 <= value <= _MOST_ITERATIONS:
-        raise ValueError(f"{as_toml(value)} is not a whole number from 1 to {_MOST_ITERATIONS}.")
-    return value
-
-
-def orientation_name(value: object) -> object:
-    """Accept what three angles, or nine numbers, of an orientation are."""
-    if value is not None and value not in ORIENTATIONS:
-        raise ValueError(
-            f"{as_toml(value)} is not one of {', '.join(ORIENTATIONS[:5])}, nor the order of three turns, like "
-            '"ZYX" about the turned axes (intrinsic) or "xyz" about fixed axes (extrinsic).'
-        )
-    return value
+iterations = being(
+    f"a whole number from 1 to {_MOST_ITERATIONS}", lambda value: type(value) is int and 1 <= value <= _MOST_ITERATIONS
+)
+# What three angles, or nine numbers, of an orientation are.
+orientation_name = being(
+    f"one of {', '.join(ORIENTATIONS[:5])}, nor the order of three turns, like "
+    '"ZYX" about the turned axes (intrinsic) or "xyz" about fixed axes (extrinsic)',
+    lambda value: value is None or value in ORIENTATIONS,
+)
+# As Python has it, 1 == 1.0 == True.
+this_schema = being("a schema that this version reads; it must be 1", lambda value: type(value) is int and value == 1)
 
 
 def term_option(name: str, option: Option) -> Callable[[object], object]:
     """Return a validator of a key beside that of a kind of joint terms."""
-
-    def checked(value: object) -> object:
-        if value == () or not option.holds(value):
-            raise ValueError(f"{as_toml(value)} is not {option.what}.")
-        return at_most(COUNTS.get(f"error_model.{name}", MOST_NAMES))(value)
-
-    return checked
-
-
-def this_schema(value: object) -> object:
-    """Accept the schema that this version reads."""
-    # As Python has it, 1 == 1.0 == True.
-    if type(value) is not int or value != 1:
-        raise ValueError(f"{as_toml(value)} is not a schema that this version reads; it must be 1.")
-    return value
+    usable = being(option.what, lambda value: value != () and option.holds(value))
+    few = at_most(COUNTS.get(f"error_model.{name}", MOST_NAMES))
+    return lambda value: few(usable(value))
 
 
 def either(usual: str, other: str) -> Callable[[object], Quantity]:
@@ -234,10 +205,16 @@ def _or_learned(check: Callable[[object], Quantity]) -> Callable[[object], Prior
     return checked
 
 
-def _words(text: object) -> str:
-    if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MOST_WORDS:
-        raise ValueError(f"{as_toml(text)} is not one line of text of at most {_MOST_WORDS} characters.")
-    return text
+def _are_counts(value: object) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+
+
+def _is_share(value: object) -> bool:
+    return isinstance(value, float) and 0.0 < value < 1.0
+
+
+def _is_one_line(text: object) -> bool:
+    return isinstance(text, str) and bool(text.strip()) and text.isprintable() and len(text) <= _MOST_WORDS
 
 
 def _date(day: object) -> str:
@@ -248,7 +225,9 @@ def _date(day: object) -> str:
         raise ValueError(f"{as_toml(str(day))} is not a date like 2025-03-31.") from None
 
 
-AboutWords = Annotated[str, BeforeValidator(_words)]
+AboutWords = Annotated[
+    str, BeforeValidator(being(f"one line of text of at most {_MOST_WORDS} characters", _is_one_line))
+]
 AboutDate = Annotated[str, BeforeValidator(_date)]
 Name = Annotated[str, AfterValidator(_not_empty)]
 Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
@@ -267,7 +246,7 @@ CompliancePrior = Annotated[
 ]
 PrintedLength = Annotated[Quantity, PlainValidator(quantity("square, marker"))]
 PrintedShare = Annotated[float, AfterValidator(number("square_sigma"))]
-Counts = Annotated[tuple[int, int], BeforeValidator(pair_of_counts)]
+Counts = Annotated[tuple[int, int], BeforeValidator(being("a list of two whole numbers, like [7, 5]", _are_counts))]
 Sigma = Annotated[Quantity, PlainValidator(quantity("sigma"))]
 SigmaAngle = Annotated[Quantity, PlainValidator(quantity("sigma_angle"))]
 InstrumentSigma = Annotated[Quantity, PlainValidator(either("instruments.sigma", "instruments.sigma of a camera"))]
@@ -291,7 +270,7 @@ Direction = Annotated[
     BeforeValidator(list_of(3, "three numbers x, y, z")),
     AfterValidator(_some_length),
 ]
-Share = Annotated[float, BeforeValidator(_share)]
+Share = Annotated[float, BeforeValidator(being("a share between 0 and 1, like 0.25", _is_share))]
 Selection = Annotated[Literal["all", "none"] | tuple[str, ...], BeforeValidator(selection("all", "none"))]
 
 

@@ -108,11 +108,11 @@ def unchanged(job: FleetJob) -> bool:
             result = read_result(job.out)
         return (
             there.issuperset((*ALWAYS, *TO_BE_SEEN))
-            and result["versions"] == versions()
-            and job.path.name in result["inputs"]
-            and all(_hash(job, name) == known for name, known in result["inputs"].items())
+            and result.versions == versions()
+            and job.path.name in result.inputs
+            and all(_hash(job, name) == known for name, known in result.inputs.items())
         )
-    except (CalibError, OSError, TypeError, KeyError, ValueError, AttributeError):
+    except (CalibError, OSError, ValueError):
         return False
 
 

@@ -17,9 +17,7 @@ from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
 from calib.results.folder import REPORT_FILE, read_result
-
-# Of rows and parameters, and of errors in m and rad: beyond all results.
-_MOST, _LARGEST = 10**9, 1e9
+from calib.results.result_file import ResultFile
 
 
 def fleet_lines(finished: Sequence[Done]) -> tuple[JobLine, ...]:
@@ -36,60 +34,25 @@ def _line(done: Done) -> JobLine:
         return _calibrated(job.name, file, read_result(job.out))
     except OutputError as e:
         return JobLine(job.name, file, "failed", (str(e),))
-    except (KeyError, TypeError, AttributeError):  # somebody else writes to this folder
+    except KeyError:  # somebody else writes to this folder
         return JobLine(job.name, file, "failed", (f"{job.out}: holds no whole result of this version.",))
 
 
-def _calibrated(name: str, file: str, result: dict[str, Any]) -> JobLine:
-    data = "validation" if "validation" in result["metrics"] else "identification"
-    before, after = (result["metrics"][data][when] for when in ("before", "after"))
-    errors = tuple(
-        QuantityError(
-            quantity,
-            _unit(m["unit"]),
-            _whole(m["n"]),
-            *(_number(figure) for figure in (before[quantity]["rms"], m["rms"], m["max"])),
-        )
-        for quantity, m in after.items()
-    )
+def _calibrated(name: str, file: str, result: ResultFile) -> JobLine:
+    data = "validation" if "validation" in result.metrics else "identification"
+    before, after = (result.metrics[data][when] for when in ("before", "after"))
     return JobLine(
         name,
         file,
-        "trusted" if result["trusted"] else "not trusted",
-        tuple(_word(doubt) for doubt in result["doubts"]),
+        "trusted" if result.trusted else "not trusted",
+        result.doubts,
         data,
-        errors,
-        _whole(result["rank"]),
-        len(result["parameters"]),
-        sum(one["told"] is True for every in result["outliers"].values() for one in every),
+        tuple(QuantityError(of, m.unit, m.n, before[of].rms, m.rms, m.max) for of, m in after.items()),
+        result.rank,
+        len(result.parameters),
+        sum(one.told for every in result.outliers.values() for one in every),
         f"{name}/{REPORT_FILE}",
     )
-
-
-# What a file says may be of any kind; these raise TypeError or KeyError for another one.
-
-
-def _unit(value: Any) -> str:
-    SHOWN[value]
-    return _word(value)
-
-
-def _word(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError("not a text")
-    return value
-
-
-def _whole(value: Any) -> int:
-    if type(value) is not int or not 0 <= value <= _MOST:
-        raise TypeError("not a number of things")
-    return value
-
-
-def _number(value: Any) -> float:
-    if type(value) not in (int, float) or not 0.0 <= value <= _LARGEST:
-        raise TypeError("not an error")
-    return float(value)
 
 
 def summary(lines: Sequence[JobLine]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import shown
@@ -59,10 +60,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     for number, line in enumerate(source.split(b"\n"), start=1):
         if len(line) > _LONGEST_LINE:
             raise JobError(f"{path}:{number}: is longer than the {_LONGEST_LINE} bytes that are allowed.")
+    text = text_of(source, str(path), JobError)
     try:
-        return tomllib.loads(source.decode("utf-8-sig"))
-    except UnicodeDecodeError as e:
-        raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
+        return tomllib.loads(text)
     except RecursionError as e:
         raise JobError(f"{path}: is nested too deep.") from e
     except ValueError as e:  # beside TOMLDecodeError also that of a number with thousands of digits

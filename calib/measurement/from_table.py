@@ -29,7 +29,7 @@ from calib.measurement.columns import (
 from calib.measurement.conditions import conditions
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import WITH_TARGET, Kind, size
-from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, End, Measurements
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.projection import undistort
 from calib.measurement.scalars import of_length
@@ -293,13 +293,7 @@ def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:
                 "in one."
             )
     first, second = np.array(list(ends.values()), dtype=np.intp).T
-    other = End(
-        read_only_view(rows.readings[second]),
-        read_only_view(rows.tool[second]),
-        rows.conditions.subset(second),
-        None if rows.points is None else read_only_view(rows.points[second]),
-    )
-    return replace(rows.subset(first), other=other)
+    return replace(rows.subset(first), other=rows.ends[0].subset(second))
 
 
 def _noise(

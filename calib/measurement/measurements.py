@@ -1,7 +1,8 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -34,6 +35,10 @@ class End:
     tool: IntArray
     conditions: Conditions = NO_CONDITIONS
     points: Array | None = None
+
+    def subset(self, rows: IntArray) -> "End":
+        """Return the end of some rows."""
+        return _of_rows(self, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,33 +297,23 @@ class Measurements:
             index = np.arange(len(self))[np.asarray(rows, dtype=None if len(rows) else np.intp)]
         except IndexError as e:
             raise MeasurementError(f"{self.where}: there are no such rows among {len(self)} ({e}).") from e
-        other = self.other
-        return replace(
-            self,
-            readings=read_only_view(self.readings[index]),
-            position=None if self.position is None else read_only_view(self.position[index]),
-            orientation=None if self.orientation is None else read_only_view(self.orientation[index]),
-            value=read_only_view(self.value[index]),
-            sigma=read_only_view(self.sigma[index]),
-            tool=read_only_view(self.tool[index]),
-            setup=read_only_view(self.setup[index]),
-            target=read_only_view(self.target[index]),
-            other=None
-            if other is None
-            else End(
-                read_only_view(other.readings[index]),
-                read_only_view(other.tool[index]),
-                other.conditions.subset(index),
-                None if other.points is None else read_only_view(other.points[index]),
-            ),
-            group=None if self.group is None else tuple(self.group[i] for i in index),
-            lines=read_only_view(self.lines[index]),
-            mark=None if self.mark is None else read_only_view(self.mark[index]),
-            conditions=self.conditions.subset(index),
-            points=None if self.points is None else read_only_view(self.points[index]),
-            times=None if self.times is None else read_only_view(self.times[index]),
-            stream=None if self.stream is None else self.stream.subset(index),
-        )
+        group = None if self.group is None else tuple(self.group[i] for i in index)
+        return replace(_of_rows(self, index), group=group)
+
+
+_Rows = TypeVar("_Rows", "End", "Measurements")
+
+
+def _of_rows(whole: _Rows, rows: IntArray) -> _Rows:
+    """Return some rows of a record whose arrays, and records inside, have a row for each of its own."""
+    taken: dict[str, Any] = {}
+    for name in (one.name for one in fields(whole)):
+        value = getattr(whole, name)
+        if isinstance(value, np.ndarray):
+            taken[name] = read_only_view(value[rows])
+        elif isinstance(value, End | Conditions | Stream):
+            taken[name] = value.subset(rows)
+    return replace(whole, **taken)
 
 
 def numbered(numbers: IntArray) -> Iterator[tuple[int, IntArray]]:

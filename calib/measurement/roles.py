@@ -15,52 +15,29 @@ from calib.foundations.arrays import Array
 from calib.measurement.raw import RawTable
 
 _TOKEN = re.compile(r"[^\W\d_]+|\d+")
-# fmt: off
-_MEASURED = frozenset(
-    (
-        "measured", "measurement", "measure", "meas", "actual", "act", "real", "feedback", "fbk", "tracker",
-        "leica", "faro", "cmm",
-    )
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_MEASURED = _words("measured measurement measure meas actual act real feedback fbk tracker leica faro cmm")
+_COMMANDED = _words(
+    "goal target cmd command commanded desired des setpoint set ref reference nominal theoretical planned model"
 )
-# fmt: on
-# fmt: off
-_COMMANDED = frozenset(
-    (
-        "goal", "target", "cmd", "command", "commanded", "desired", "des", "setpoint", "set", "ref", "reference",
-        "nominal", "theoretical", "planned", "model",
-    )
-)
-# fmt: on
 # Numbers of a joint, or along an axis, that are no position.
-# fmt: off
-_NO_POSITION = frozenset(
-    (
-        "velocity", "vel", "speed", "v", "qd", "dq", "torque", "tau", "effort", "current", "i", "acc",
-        "acceleration", "force", "f", "temp", "temperature", "std", "sigma", "unc", "uncertainty", "u", "dev",
-        "deviation", "error", "err", "normal", "n", "delta", "d", "tilt", "var", "variance", "gyro", "accel",
-    )
+_NO_POSITION = _words(
+    "velocity vel speed v qd dq torque tau effort current i acc acceleration force f temp temperature std sigma unc "
+    "uncertainty u dev deviation error err normal n delta d tilt var variance gyro accel"
 )
-# fmt: on
-# fmt: off
-_TURNS = frozenset(
-    (
-        "r", "rot", "rotation", "phi", "theta", "euler", "ang", "angle", "angles", "orientation", "ori", "rv",
-        "rvec", "rotvec", "w", "o",
-    )
-)
-# fmt: on
+_TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
 # Titles of what is neither a joint nor measured: never joints by their place alone.
-# fmt: off
-_BESIDE = frozenset(
-    (
-        "time", "t", "timestamp", "stamp", "sec", "secs", "nsec", "date", "no", "nr", "id", "idx", "index",
-        "number", "row", "seq", "count", "point", "temperature", "temp", "humidity", "pressure", "rms", "image",
-        "user", "tool", "ecokey",
-    )
+_BESIDE = _words(
+    "time t timestamp stamp sec secs nsec date no nr id idx index number row seq count point temperature temp "
+    "humidity pressure rms image user tool ecokey"
 )
-# fmt: on
 _LETTERS: tuple[tuple[tuple[str, str, str], str | None], ...] = (
     (("a", "b", "c"), "abc"),
     (("w", "p", "r"), "wpr"),

@@ -13,7 +13,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
 from calib.machine.uncertainty import UncertaintyMap
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import signed
+from calib.presentation.sheets import figures_in, signed
 from calib.robot.robot import Reading
 
 
@@ -22,12 +22,10 @@ def verification_sheet(found: Verification) -> Sheet:
     rows = []
     for when, judgement in (("as calibrated", found.as_calibrated), ("found anew", found.base_refitted)):
         for m in () if judgement is None else judgement.metrics.values():
-            factor, unit = DISPLAY[m.unit]
-            shown = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
-            rows.append(Row((when, str(m.n), *shown, unit), strong=judgement is found.decisive))
-    numbers = ("n", "mean", "rms", "p95", "max")
-    title = "Tip errors, measured minus predicted"
-    return Sheet(title, ("base", *numbers, "unit"), frozenset(numbers), tuple(rows))
+            shown = figures_in(m.unit, m.mean, m.rms, m.p95, m.max)
+            rows.append(Row((when, str(m.n), *shown), strong=judgement is found.decisive))
+    columns = ("base", ">n", ">mean", ">rms", ">p95", ">max", "unit")
+    return Sheet.of("Tip errors, measured minus predicted", columns, rows)
 
 
 def verification_lines(found: Verification) -> list[str | Text]:
@@ -61,7 +59,6 @@ def _tested(test: ChiSquare) -> str:
 
 def change_sheet(found: Comparison) -> Sheet:
     """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
-    numbers = ("old", "new", "change", "sigma", "tip [mm]")
     rows = []
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
         factor, unit = DISPLAY[change.unit]
@@ -69,9 +66,8 @@ def change_sheet(found: Comparison) -> Sheet:
         shown = (signed(value * factor, 4) for value in values[:3])
         told = f"{change.sigma * factor:.4f}", f"{change.at_tip / MM:.3f}", unit, "yes" if change.moved else "no"
         rows.append(Row((change.name, *shown, *told), strong=change.moved))
-    columns = ("parameter", *numbers, "unit", "moved")
-    caption = "tip: rms motion of the tip by this change alone"
-    return Sheet("Changes", columns, frozenset(numbers), tuple(rows), caption, sortable=True)
+    columns = ("parameter", ">old", ">new", ">change", ">sigma", ">tip [mm]", "unit", "moved")
+    return Sheet.of("Changes", columns, rows, "tip: rms motion of the tip by this change alone", sortable=True)
 
 
 def comparison_sentences(found: Comparison) -> tuple[str, ...]:
@@ -100,27 +96,21 @@ def comparison_sentences(found: Comparison) -> tuple[str, ...]:
 
 def iso_sheet(figures: Sequence[IsoFigure]) -> Sheet:
     """Return the figures of ISO 9283 in mm and degrees."""
-    rows = []
-    for figure in figures:
-        factor, unit = DISPLAY[figure.unit]
-        rows.append(Row((figure.name, figure.place, str(figure.n), f"{figure.value * factor:.4f}", unit)))
-    columns, said = ("figure", "pose", "n", "value", "unit"), "after the method of the standard; no certificate"
-    return Sheet("Figures after ISO 9283", columns, frozenset(("n", "value")), tuple(rows), said)
+    rows = [(one.name, one.place, str(one.n), *figures_in(one.unit, one.value)) for one in figures]
+    columns, said = ("figure", "pose", ">n", ">value", "unit"), "after the method of the standard; no certificate"
+    return Sheet.of("Figures after ISO 9283", columns, rows, said)
 
 
 def map_sheet(found: UncertaintyMap, known: BoolArray) -> Sheet:
     """Return percentiles of the standard deviations over the workspace."""
     rows = []
     for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        factor, shown = DISPLAY[unit]
-        values = (f"{value * factor:.4f}" for value in np.percentile(found.sigmas[:, k], (5, 50, 95, 100)))
-        rows.append(Row((quantity, *values, shown, f"{100 * np.mean(known[:, k]):.0f} %")))
-    numbers = ("5 %", "median", "95 %", "max")
-    return Sheet(
+        values = figures_in(unit, *np.percentile(found.sigmas[:, k], (5, 50, 95, 100)))
+        rows.append((quantity, *values, f"{100 * np.mean(known[:, k]):.0f} %"))
+    return Sheet.of(
         "Standard deviation of the tool, in the instrument's frame",
-        ("quantity", *numbers, "unit", "known"),
-        frozenset((*numbers, "known")),
-        tuple(rows),
+        ("quantity", ">5 %", ">median", ">95 %", ">max", "unit", ">known"),
+        rows,
         "all coordinates together, over sampled poses",
     )
 

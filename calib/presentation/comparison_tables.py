@@ -18,12 +18,10 @@ def comparison_sheet(found: ModelComparison) -> Sheet:
         rows.append(Row((m.name, str(m.parameters), str(m.rank), *shown), strong=m is found.recommended))
     some = f" of {found.all_rows}, taken at random," if found.rows < found.all_rows else ""
     rows_of = f"{found.rows} rows{some} in {found.groups} groups, {found.folds} folds"
-    columns = ("model", "free", "rank", "held out", "std. error", "worse by", "std. error")
-    return Sheet(
+    return Sheet.of(
         f"Errors at held-out rows, rms [{unit}]",
-        columns,
-        frozenset(columns[1:]),
-        tuple(rows),
+        ("model", ">free", ">rank", ">held out", ">std. error", ">worse by", ">std. error"),
+        rows,
         f"{rows_of}; worse by: difference from the best model, at the same rows",
     )
 

@@ -4,16 +4,14 @@ from html import escape
 
 from calib.identification.fit import Fit
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import noise_sentences, prior_sentences, rank_sentences
-from calib.presentation.tables import fit_sheets, table
+from calib.presentation.tables import fit_sentences, fit_sheets, table
 
 __all__ = ["html", "table"]
 
 
 def html(fit: Fit) -> str:
     """Return a fit as HTML for a notebook: errors before and after on its own data, its parameters and its doubts."""
-    sentences = (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
-    parts = [*map(_sheet, fit_sheets(fit)), *(f"<p>{escape(sentence)}</p>" for sentence in sentences)]
+    parts = [*map(_sheet, fit_sheets(fit)), *(f"<p>{escape(sentence)}</p>" for sentence in fit_sentences(fit))]
     return f"<div>{''.join(parts)}</div>"
 
 

@@ -57,10 +57,10 @@ def fleet_sheet(lines: Sequence[JobLine]) -> Sheet:
             shown = ("", "", "") if error is None else _shown(error)
             seen = (_rank(line), line.word) if k == 0 else ("", "")
             rows.append(Row((line.name if k == 0 else "", *shown, *seen), strong=line.word != "trusted"))
-    columns = ("job", "error", "before", "after", "rank", "verdict")
     found = [f"{line.name} {line.outliers}" for line in lines if line.outliers]
     caption = "rms, of held-out data where there are any" + (f"; outliers: {', '.join(found)}" if found else "")
-    return Sheet("Fleet", columns, frozenset(("before", "after", "rank")), tuple(rows), caption, brief=True)
+    columns = ("job", "error", ">before", ">after", ">rank", "verdict")
+    return Sheet.of("Fleet", columns, rows, caption, brief=True)
 
 
 def fleet_report(lines: Sequence[JobLine]) -> Report:
@@ -98,7 +98,7 @@ def _verdict(lines: Sequence[JobLine]) -> Verdict:
 def _table(lines: Sequence[JobLine]) -> Sheet:
     """Return the table of the page, whose columns have one unit each, so that it can be sorted by any of them."""
     units = [unit for unit in SHOWN if any(error.unit == unit for line in lines for error in line.errors)]
-    figures = [f"{when} [{SHOWN[unit][1]}]" for unit in units for when in ("before", "after", "largest")]
+    figures = [f">{when} [{SHOWN[unit][1]}]" for unit in units for when in ("before", "after", "largest")]
     rows = []
     for line in lines:
         errors: tuple[QuantityError | None, ...] = line.errors or (None,)
@@ -112,15 +112,13 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
             seen = (_rank(line), _number(line.outliers))
             link = "" if line.report is None else quote(line.report)
             rows.append(Row((line.name, line.word, *seen, *what, *values), strong=line.word != "trusted", link=link))
-    columns = ("job", "verdict", "rank", "outliers", "error", "data", "n", *figures)
+    columns = ("job", "verdict", ">rank", ">outliers", "error", "data", ">n", *figures)
     caption = (
         "A job's name leads to its report. A click on the head of a column sorts by it. before and after: rms; "
         "largest: after calibration; rank: formal rank, of how many parameters; outliers: rows, jumps and groups that "
         "are too large to be chance, at most ten of each."
     )
-    return Sheet(
-        "Jobs", columns, frozenset(("n", *figures, "rank", "outliers")), tuple(rows), caption, brief=True, sortable=True
-    )
+    return Sheet.of("Jobs", columns, rows, caption, brief=True, sortable=True)
 
 
 def _picture(lines: Sequence[JobLine], unit: str) -> Picture | None:

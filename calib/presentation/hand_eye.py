@@ -30,23 +30,16 @@ def optics_section(found: Sequence[OpticsChoice]) -> Section | None:
     """Return what was compared to choose how many numbers lens and board have; None where nothing was."""
     sheets = []
     for one in found:
-        rows = [
-            Row(
-                (
-                    f"{candidate.shape}, {candidate.distortion} of distortion",
-                    f"{candidate.rms:.4f}",
-                    "-" if candidate.held_out is None else f"{candidate.held_out:.4f}",
-                ),
-                strong=k == one.chosen,
-            )
-            for k, candidate in enumerate(one.candidates)
-        ]
+        rows = []
+        for k, candidate in enumerate(one.candidates):
+            what = f"{candidate.shape}, {candidate.distortion} of distortion"
+            held_out = "-" if candidate.held_out is None else f"{candidate.held_out:.4f}"
+            rows.append(Row((what, f"{candidate.rms:.4f}", held_out), strong=k == one.chosen))
         sheets.append(
-            Sheet(
+            Sheet.of(
                 f"{one.camera} and {one.board}, {one.photographs} photographs",
-                ("board and lens", "rms [px]", "held out [px]"),
-                frozenset(("rms [px]", "held out [px]")),
-                tuple(rows),
+                ("board and lens", ">rms [px]", ">held out [px]"),
+                rows,
                 "photographs alone, each with a pose of its own; held out by whole photographs; strong: what was taken",
             )
         )
@@ -55,23 +48,15 @@ def optics_section(found: Sequence[OpticsChoice]) -> Section | None:
 
 def blame_section(found: Blame) -> Section:
     """Return what lens, print, arm and corners explain of the photographs held out."""
-    rows = [
-        Row(
-            (
-                _CAUSES[cause.name],
-                *("-" if value is None else f"{value:.3f}" for value in (cause.alone, cause.beside)),
-                "held" if cause.tool is None else f"{cause.tool / MM:.3f}",
-            ),
-            strong=cause.name == found.named,
-        )
-        for cause in found.causes
-    ]
-    numbers = ("alone [px]", "beside others [px]", "tool's doubt [mm]")
-    sheet = Sheet(
+    rows = []
+    for cause in found.causes:
+        shown = ("-" if value is None else f"{value:.3f}" for value in (cause.alone, cause.beside))
+        tool = "held" if cause.tool is None else f"{cause.tool / MM:.3f}"
+        rows.append(Row((_CAUSES[cause.name], *shown, tool), strong=cause.name == found.named))
+    sheet = Sheet.of(
         "What each explains",
-        ("cause", *numbers),
-        frozenset(numbers),
-        tuple(rows),
+        ("cause", ">alone [px]", ">beside others [px]", ">tool's doubt [mm]"),
+        rows,
         f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; photographs by "
         f"themselves, without the arm, leave {found.corners:.3f} px. The tool's doubt, in all "
         f"{found.tool / MM:.3f} mm, is what would go if the cause were known; what is held counts for nothing there. A "
@@ -94,30 +79,29 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
     w, i, j, k = rigid.quaternion_of(one.pose[:3, :3])
     along, about = one.pose_sigmas[:3] / MM, one.pose_sigmas[3:] / MRAD
     sure = [
-        Row((f"{what}, +- one sigma", f"{', '.join(map(_or_unknown, sigmas))} {unit}"))
+        (f"{what}, +- one sigma", f"{', '.join(map(_or_unknown, sigmas))} {unit}")
         for what, sigmas, unit in (
             ("position x, y, z", along, "mm"),
             ("turn about the camera's x, y, z", about, "mrad"),
         )
         if sigmas.any()
     ]
-    rows = [
-        Row(("position x, y, z", f"{x / MM:.3f}, {y / MM:.3f}, {z / MM:.3f} mm")),
-        Row(("quaternion x, y, z, w", f"{i:.7f}, {j:.7f}, {k:.7f}, {w:.7f}")),
-        Row(("roll, pitch, yaw", ", ".join(f"{a:.7f}" for a in rigid.rpy_of(one.pose[:3, :3])) + " rad")),
+    rows: list[Row | tuple[str, ...]] = [
+        ("position x, y, z", f"{x / MM:.3f}, {y / MM:.3f}, {z / MM:.3f} mm"),
+        ("quaternion x, y, z, w", f"{i:.7f}, {j:.7f}, {k:.7f}, {w:.7f}"),
+        ("roll, pitch, yaw", ", ".join(f"{a:.7f}" for a in rigid.rpy_of(one.pose[:3, :3])) + " rad"),
         *sure,
-        Row(("distance of the marks", f"{one.distance / MM:.0f} mm")),
+        ("distance of the marks", f"{one.distance / MM:.0f} mm"),
         Row(("error in the image", f"{one.pixels:.3f} px rms"), strong=True),
         Row(("error where the marks are", f"{one.across / MM:.3f} mm rms, across the line of sight"), strong=True),
         *(
-            Row((name, f"{value:.6g}" + (" as given" if sigma == 0.0 else f" +- {_or_unknown(sigma, '.2g')}")))
+            (name, f"{value:.6g}" + (" as given" if sigma == 0.0 else f" +- {_or_unknown(sigma, '.2g')}"))
             for name, value, sigma in zip(one.lens._fields, one.lens, one.sigmas, strict=True)
             if value != 0.0 or sigma != 0.0
         ),
     ]
-    title = f"{one.camera} in {one.parent}"
     return (
-        Sheet(title, ("what", "value"), frozenset(), tuple(rows), _told(one)),
+        Sheet.of(f"{one.camera} in {one.parent}", ("what", "value"), rows, _told(one)),
         Prose(("The same for others: a matrix, ROS 2, a URDF, and ROS's camera_info.",)),
         Prose(tuple(line for text in others(one) for line in text.split("\n")), "code"),
     )

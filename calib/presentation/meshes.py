@@ -5,7 +5,6 @@ A mesh is decoration: whatever is wrong with one (missing, outside the roots, br
 
 import io
 import itertools
-import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import DAMAGED
 from calib.foundations.units import DEG
 from calib.robot.mesh_counts import MOST_CORNERS, counts
 
@@ -26,11 +26,6 @@ Rgb = tuple[float, float, float]
 # Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
 _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
 LARGEST_FILE = 200_000_000
-# What the readers were seen to raise on damaged files; they have no exception of their own.
-_DAMAGED = (
-    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, OSError),
-    *(RuntimeError, SyntaxError, TypeError, ValueError, struct.error),
-)
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = 30.0 * DEG
 # Of a mesh's size: vertices nearer than this are one.
@@ -163,7 +158,7 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
                 for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
                 if isinstance(scene.geometry[name], trimesh.Trimesh)
             ]
-    except (DaeError, *_DAMAGED):
+    except (DaeError, *DAMAGED):
         return None
     corners = 3 * sum(len(part.faces) for part in parts)
     usable = 0 < corners <= spare + len(data) and all(np.isfinite(part.vertices).all() for part in parts)

@@ -26,5 +26,5 @@ def performance_sheet(arms: Mapping[str, Performance]) -> Sheet:
         rows.append(Row(cells, ends_group=first.test != after))
     one, *rest = (arm.probe for arm in arms.values())
     said = _CAPTION + (_GIVEN if all(np.array_equal(one, other) for other in rest) else _FOUND)
-    columns = ("test", "place", "n", "figure", *arms)
-    return Sheet("Acceptance figures [mm]", columns, frozenset(("n", *arms)), tuple(rows), said)
+    columns = ("test", "place", ">n", "figure", *(f">{arm}" for arm in arms))
+    return Sheet.of("Acceptance figures [mm]", columns, rows, said)

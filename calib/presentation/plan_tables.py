@@ -11,23 +11,21 @@ def forecast_sheet(plan: Plan) -> Sheet:
     for forecast in plan.forecasts:
         values = (f"{value / MM:.4f}" for value in (forecast.chosen, forecast.random))
         rows.append(Row((str(forecast.poses), *values), strong=len(plan.readings) == forecast.poses))
-    columns = ("poses", "chosen", "at random")
-    return Sheet(
+    return Sheet.of(
         "Error of the tool that more poses would remove, rms [mm]",
-        columns,
-        frozenset(columns),
-        tuple(rows),
+        (">poses", ">chosen", ">at random"),
+        rows,
         f"over the working poses; not included is what no pose removes: {plan.floor / MM:.4f} mm",
     )
 
 
 def index_sheet(plan: Plan) -> Sheet:
     """Return the observability indices of the chosen poses beside those of random ones."""
-    rows = tuple(
-        Row((who, *(f"{value:.4g}" for value in found.values())))
+    rows = [
+        (who, *(f"{value:.4g}" for value in found.values()))
         for who, found in (("chosen", plan.indices), ("at random", plan.random_indices))
-    )
-    return Sheet("Observability (larger is better)", ("poses", *plan.indices), frozenset(plan.indices), rows)
+    ]
+    return Sheet.of("Observability (larger is better)", ("poses", *(f">{name}" for name in plan.indices)), rows)
 
 
 def enough_sentence(planned: Plan, target: str, *, more: bool) -> str:

@@ -2,7 +2,7 @@
 
 from calib.foundations.units import MM
 from calib.positioner.five_point import FivePoint
-from calib.presentation.report.document import Row, Sheet
+from calib.presentation.report.document import Sheet
 
 
 def axes_sheet(found: FivePoint) -> Sheet:
@@ -10,6 +10,6 @@ def axes_sheet(found: FivePoint) -> Sheet:
     rows = []
     for axis, T in (("tilt", found.B_L), ("rotary", found.B_R)):
         point = (f"{value / MM:.4f}" for value in T[:3, 3])
-        rows.append(Row((axis, *point, *(f"{value:+.7f}" for value in T[:3, 2]))))
-    numbers = ("x, mm", "y, mm", "z, mm", "direction x", "direction y", "direction z")
-    return Sheet("Axes in the robot's base", ("axis", *numbers), frozenset(numbers), tuple(rows))
+        rows.append((axis, *point, *(f"{value:+.7f}" for value in T[:3, 2])))
+    columns = ("axis", ">x, mm", ">y, mm", ">z, mm", ">direction x", ">direction y", ">direction z")
+    return Sheet.of("Axes in the robot's base", columns, rows)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calib.measurement.formats.recordings import Topic
-from calib.presentation.report.document import Row, Sheet
+from calib.presentation.report.document import Sheet
 
 
 def topic_sheet(topics: Sequence[Topic]) -> Sheet:
@@ -11,6 +11,5 @@ def topic_sheet(topics: Sequence[Topic]) -> Sheet:
     rows = []
     for topic in topics:
         rate = f"{topic.rate:.1f}" if topic.rate > 0.0 else "-"
-        rows.append(Row((topic.name, topic.of or "-", str(topic.messages), rate, f"{topic.gap:.3f}")))
-    numbers = ("messages", "a second", "longest gap [s]")
-    return Sheet("Topics", ("topic", "becomes", *numbers), frozenset(numbers), tuple(rows))
+        rows.append((topic.name, topic.of or "-", str(topic.messages), rate, f"{topic.gap:.3f}"))
+    return Sheet.of("Topics", ("topic", "becomes", ">messages", ">a second", ">longest gap [s]"), rows)

@@ -13,10 +13,9 @@ def sensitivity_sheet(sensitivity: Sensitivity) -> Sheet:
         # m per m is mm per mm, and m per rad is mm per mrad.
         unit = f"mm/{'1e-3' if parameter.unit == '1' else f'm{parameter.unit}'}"
         per_degree = f"{rms * UNITS['deg'].factor / MM:.3f} mm" if parameter.unit == "rad" else ""
-        rows.append(Row((parameter.name, f"{rms:.4f}", f"{largest:.4f}", unit, per_degree)))
-    columns = ("parameter", "rms", "max", "unit", "rms per deg")
-    numbers = frozenset(("rms", "max", "rms per deg"))
-    return Sheet(f"Tip motion over {sensitivity.poses} poses", columns, numbers, tuple(rows))
+        rows.append((parameter.name, f"{rms:.4f}", f"{largest:.4f}", unit, per_degree))
+    columns = ("parameter", ">rms", ">max", "unit", ">rms per deg")
+    return Sheet.of(f"Tip motion over {sensitivity.poses} poses", columns, rows)
 
 
 def sensitivity_sentence(sensitivity: Sensitivity) -> str:
@@ -32,11 +31,10 @@ def group_sheet(study: GroupStudy) -> Sheet:
         for factor, change in zip(study.factors, changes, strict=True):
             shown = (f"{value / MM:+.3f}" for value in (change.min(), change.mean(), change.max()))
             rows.append(Row((group, f"{factor:g}", *shown, "mm"), ends_group=factor == study.factors[-1]))
-    errors, numbers = study.errors / MM, ("factor", "smallest", "mean", "largest")
-    return Sheet(
+    errors = study.errors / MM
+    return Sheet.of(
         f"Change of the tip error over {len(errors)} poses",
-        ("errors scaled", *numbers, "unit"),
-        frozenset(numbers),
-        tuple(rows),
+        ("errors scaled", ">factor", ">smallest", ">mean", ">largest", "unit"),
+        rows,
         f"as given, the tip error is {errors.min():.3f} to {errors.max():.3f} mm, {errors.mean():.3f} on average",
     )

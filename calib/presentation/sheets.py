@@ -31,6 +31,12 @@ def figure(value: float, unit: str) -> str:
     return f"{value * factor:.4f} {name}"
 
 
+def figures_in(unit: str, *values: float) -> tuple[str, ...]:
+    """Return values in m, rad, px or units of joint terms as texts, and behind them the unit in which they are."""
+    factor, name = SHOWN[unit]
+    return (*(f"{value * factor:.4f}" for value in values), name)
+
+
 def signed(value: float, digits: int) -> str:
     """Return a number with its sign; what is rounded to nothing has none."""
     text = f"{value:+.{digits}f}"
@@ -44,18 +50,16 @@ def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> S
         for quantity in next(iter(whens.values())):
             for when, found in whens.items():
                 m = found[quantity]
-                factor, unit = SHOWN[m.unit]
-                values = (f"{value * factor:.4f}" for value in (m.mean, m.rms, m.p95, m.max))
                 after = when == "after"
                 # What is not the tip's is named: the distance from a socket is no tip error.
                 named = after and quantity not in ("position", "orientation")
                 of = quantity.replace("_", " ") if named else use
-                rows.append(Row((of, when, str(m.n), *values, unit), strong=after, ends_group=after))
-    return Sheet(
+                values = figures_in(m.unit, m.mean, m.rms, m.p95, m.max)
+                rows.append(Row((of, when, str(m.n), *values), strong=after, ends_group=after))
+    return Sheet.of(
         "Tip errors, measured minus predicted",
-        ("data", "robot", "n", "mean", "rms", "p95", "max", "unit"),
-        frozenset(("n", "mean", "rms", "p95", "max")),
-        tuple(rows),
+        ("data", "robot", ">n", ">mean", ">rms", ">p95", ">max", "unit"),
+        rows,
         "before: nominal robot, base and tool fitted",
         brief=True,
     )
@@ -63,16 +67,15 @@ def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> S
 
 def level_sheet(levels: Sequence[Level]) -> Sheet:
     """Return what every level brought."""
-    rows = []
-    for name, free, rank, figures in levels:
-        for m in figures.values():
-            factor, unit = SHOWN[m.unit]
-            rows.append(Row((name, str(free), str(rank), *(f"{v * factor:.4f}" for v in (m.mean, m.rms, m.max)), unit)))
-    return Sheet(
+    rows = [
+        (name, str(free), str(rank), *figures_in(m.unit, m.mean, m.rms, m.max))
+        for name, free, rank, figures in levels
+        for m in figures.values()
+    ]
+    return Sheet.of(
         "Levels",
-        ("level", "free", "rank", "mean", "rms", "max", "unit"),
-        frozenset(("free", "rank", "mean", "rms", "max")),
-        tuple(rows),
+        ("level", ">free", ">rank", ">mean", ">rms", ">max", "unit"),
+        rows,
         "tip errors of the data held out, base and tool fitted anew after each level",
         brief=True,
     )
@@ -96,12 +99,11 @@ def choice_sheet(choice: Choice) -> Sheet:
         name = "geometry alone" if step.added is None else step.added.name
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
         said = "yes" if k <= choice.taken else "no: the least"
-        rows.append(Row((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said)))
-    return Sheet(
+        rows.append((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said))
+    return Sheet.of(
         "Joint terms by what held-out data say",
-        ("step", "enters", "held out", "std. error", f"rms [{unit}]", "taken"),
-        frozenset(("step", "held out", "std. error", f"rms [{unit}]")),
-        tuple(rows),
+        (">step", "enters", ">held out", ">std. error", f">rms [{unit}]", "taken"),
+        rows,
         f"one-standard-error rule: {choice.taken} of {choice.offered} candidates; relative to geometry alone{some}",
         brief=True,
     )
@@ -116,12 +118,11 @@ def parameter_sheet(fit: Fit) -> Sheet:
         factor, unit = SHOWN[parameter.unit]
         known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
         sure = "-" if unidentifiable else f"{sigma * factor:.4f}"
-        rows.append(Row((parameter.name, signed(value * factor, 4), sure, unit, known)))
-    return Sheet(
+        rows.append((parameter.name, signed(value * factor, 4), sure, unit, known))
+    return Sheet.of(
         "Parameters",
-        ("parameter", "value", "sigma", "unit", "identifiable"),
-        frozenset(("value", "sigma")),
-        tuple(rows),
+        ("parameter", ">value", ">sigma", "unit", "identifiable"),
+        rows,
         "sigmas are conditional on the model: they assume that it leaves out nothing but noise",
     )
 
@@ -138,15 +139,13 @@ def budget_sheet(budget: Mapping[str, Sequence[float]], poses: int) -> Sheet:
     """Return what every cause adds to the tool's standard deviations, rms in m and rad over so many configurations."""
     (length, mm), (turn, degrees) = SHOWN["m"], SHOWN["rad"]
     total = [math.hypot(*(float(rms[k]) for rms in budget.values())) for k in range(2)]
-    rows = [(_CAUSES[cause], rms) for cause, rms in budget.items()]
-    return Sheet(
+    return Sheet.of(
         "Budget of the tool, in the instrument's frame",
-        ("cause", f"position [{mm}]", f"orientation [{degrees}]"),
-        frozenset((f"position [{mm}]", f"orientation [{degrees}]")),
-        (
-            *(Row((name, f"{rms[0] * length:.4f}", f"{rms[1] * turn:.4f}")) for name, rms in rows),
-            Row(("all", f"{total[0] * length:.4f}", f"{total[1] * turn:.4f}"), strong=True),
-        ),
+        ("cause", f">position [{mm}]", f">orientation [{degrees}]"),
+        [
+            Row((name, f"{rms[0] * length:.4f}", f"{rms[1] * turn:.4f}"), strong=name == "all")
+            for name, rms in (*((_CAUSES[cause], rms) for cause, rms in budget.items()), ("all", total))
+        ],
         f"one standard deviation, all coordinates together, rms over {poses} configurations; squares add up",
     )
 

@@ -32,8 +32,7 @@ _LEAST = 8
 @checked
 def table(fit: Fit) -> str:
     """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
-    sentences = (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
-    return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, sentences)))
+    return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, fit_sentences(fit))))
 
 
 def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
@@ -45,6 +44,11 @@ def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
         }
     }
     return error_sheet(figures), parameter_sheet(fit)
+
+
+def fit_sentences(fit: Fit) -> tuple[str, ...]:
+    """Return the noise of a fit, its learned priors and what the data determine, in sentences."""
+    return (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
 
 
 def plain(renderable: RenderableType) -> str:
@@ -115,7 +119,7 @@ def broken(name: str, room: int) -> str:
 
 
 def null_space_lines(
-    null_space: Sequence[NullDirection | str], most: int | None = None, *, directions: int | None = None
+    null_space: Sequence[NullDirection | str], *, directions: int | None = None
 ) -> list[RenderableType]:
     """Return the directions of the null space, under their number; nothing where there are none.
 
@@ -126,8 +130,6 @@ def null_space_lines(
     lines = Table.grid(padding=(0, 1))
     lines.add_column()
     lines.add_column(overflow="fold")
-    for direction in null_space[:most]:
+    for direction in null_space:
         lines.add_row(" -", Text(str(direction)))
-    if most is not None and len(null_space) > most:
-        lines.add_row(" -", Text(f"and {len(null_space) - most} more"))
     return [Text(f"The null space has {count(directions or len(null_space), 'direction', 'directions')}:"), lines]

@@ -1,10 +1,13 @@
 """The folder of results: it stands alone, appears whole, and never takes the place of anything but older results."""
 
 import math
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
 
 from calib.assessment.advice import advice
 from calib.assessment.hand_eye import hand_eyes
@@ -42,6 +45,7 @@ from calib.presentation.scene import render_scene
 from calib.results.calibration import Calibration, assess
 from calib.results.in_urdf import InUrdf
 from calib.results.report import report_of
+from calib.results.result_file import ResultFile
 from calib.results.scene import scene_of
 from calib.results.versions import versions
 from calib.robot import dh
@@ -168,18 +172,18 @@ def judged(found: Calibration | Fit) -> Calibration:
     return assess(found) if isinstance(found, Fit) else found
 
 
-def read_result(folder: Path) -> dict[str, Any]:
-    """Return ``result.json`` of a folder of results. Raises OutputError when it holds no readable one."""
+def read_result(folder: Path) -> ResultFile:
+    """Return what ``result.json`` of a folder of results says. Raises OutputError when it holds no readable one."""
     path = folder / RESULT_FILE
     with reading_folder(folder):
         source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
-        contents = parse_json(source)
+        parse_json(source)  # pydantic takes the last of two values under one name
+        return ResultFile.model_validate_json(source.removeprefix(BOM_UTF8))
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
-    if not isinstance(contents, dict):
-        raise OutputError(f"{path}: is not a result of this tool.")
-    return contents
+    except ValidationError as e:
+        raise OutputError(f"{path}: is not a result of this tool.") from e
 
 
 def robot_errors(folder: Path) -> dict[str, float]:
@@ -187,13 +191,11 @@ def robot_errors(folder: Path) -> dict[str, float]:
 
     Raises OutputError when the folder holds no readable result.
     """
-    path, contents = folder / RESULT_FILE, read_result(folder)
-    try:
-        found = {str(record["name"]): float(record["value"]) for record in contents["parameters"]}
-    except (ValueError, TypeError, KeyError, OverflowError) as e:
-        raise OutputError(f"{path}: is not a result of this tool.") from e
+    found = {entry.name: entry.value for entry in read_result(folder).parameters}
     if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
-        raise OutputError(f"{path}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}.")
+        raise OutputError(
+            f"{folder / RESULT_FILE}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}."
+        )
     of_set_up = ("base", "tool", "target", "length", "lens", "board")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 

@@ -1,65 +1,26 @@
 """Two results of one machine beside each other, as a report."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
-from typing import Any
 
 from calib.assessment.drift import Comparison
-from calib.assessment.metrics import Metrics
-from calib.foundations.errors import OutputError
 from calib.foundations.units import MM
 from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
 from calib.presentation.report.document import Block, Prose, Report, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import RESULT_FILE, read_result
-
-_Figures = Mapping[tuple[str, str, str], Metrics]
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What a folder of results tells of itself: metrics by use, when and quantity, checks by name, input hashes."""
-
-    folder: Path
-    trusted: bool
-    figures: _Figures
-    checks: Mapping[str, bool]
-    inputs: Mapping[str, str]
+from calib.results.folder import read_result
+from calib.results.result_file import ResultFile
 
 
-def told(folder: Path) -> Told:
-    """Read what a folder of results tells of itself. Raises OutputError when it holds no readable result."""
-    contents = read_result(folder)
-    try:
-        return Told(
-            folder,
-            bool(contents["trusted"]),
-            _figures(contents["metrics"]),
-            {str(check["name"]): bool(check["passed"]) for check in contents["checks"]},
-            {str(name): str(sha) for name, sha in contents["inputs"].items()},
-        )
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as e:
-        raise OutputError(f"{folder / RESULT_FILE}: is not a result of this tool.") from e
+def side_by_side(folders: tuple[Path, Path], found: Comparison) -> Report:
+    """Return a report of the results in an old and a new folder, and of what has moved between them.
 
-
-def _figures(metrics: Mapping[str, Any]) -> _Figures:
-    found = {}
-    for use, whens in metrics.items():
-        for when, quantities in whens.items():
-            for quantity, m in quantities.items():
-                sizes = [float(m[name]) for name in ("mean", "rms", "p95", "max")]
-                if m["unit"] not in SHOWN or not all(isfinite(size) and size >= 0.0 for size in sizes):
-                    raise ValueError
-                found[str(use), str(when), str(quantity)] = Metrics(m["unit"], int(m["n"]), *sizes)
-    return found
-
-
-def side_by_side(old: Told, new: Told, found: Comparison) -> Report:
-    """Return a report of two results and of what has moved between them."""
+    Raises OutputError when one holds no readable result.
+    """
+    old, new = map(read_result, folders)
     *reasons, headline = comparison_sentences(found)
-    warnings = [f"{one.folder} is not trusted: see its own report." for one in (old, new) if not one.trusted]
+    both = zip(folders, (old, new), strict=True)
+    warnings = [f"{folder} is not trusted: see its own report." for folder, one in both if not one.trusted]
     tiles = [
         Tile("tips differ by (rms)", f"{found.tip_rms / MM:.4f} mm"),
         Tile("explained", f"{found.stated / MM:.4f} mm"),
@@ -73,16 +34,25 @@ def side_by_side(old: Told, new: Told, found: Comparison) -> Report:
         Section("provenance", "What they were made from", (_both("Inputs, SHA-256", "file", old.inputs, new.inputs),)),
     ]
     return Report(
-        f"{old.folder.resolve().name} beside {new.folder.resolve().name}",
+        " beside ".join(folder.resolve().name for folder in folders),
         Verdict(not found.moved, headline, tuple(reasons), tuple(tiles), tuple(warnings)),
         tuple(sections),
     )
 
 
-def _errors(old: Told, new: Told) -> Sheet:
+def _errors(*results: ResultFile) -> Sheet:
     rows = []
-    for key in dict.fromkeys([*old.figures, *new.figures]):
-        pair = [told.figures.get(key) for told in (old, new)]
+    every = [
+        {
+            (use, when, quantity): m
+            for use, whens in one.metrics.items()
+            for when, quantities in whens.items()
+            for quantity, m in quantities.items()
+        }
+        for one in results
+    ]
+    for key in dict.fromkeys(key for figures in every for key in figures):
+        pair = [figures.get(key) for figures in every]
         unit = next(m.unit for m in pair if m is not None)
         same = [m if m is not None and m.unit == unit else None for m in pair]
         factor, shown = SHOWN[unit]
@@ -91,23 +61,16 @@ def _errors(old: Told, new: Told) -> Sheet:
         ]
         use, when, quantity = key
         rows.append(Row((use, when, quantity.replace("_", " "), *sizes[0], *sizes[1], shown), strong=when == "after"))
-    numbers = ("n, old", "rms, old", "max, old", "n, new", "rms, new", "max, new")
-    return Sheet(
-        "Errors, measured minus predicted",
-        ("data", "robot", "quantity", *numbers, "unit"),
-        frozenset(numbers),
-        tuple(rows),
-        "before: nominal robot, base and tool fitted",
-    )
+    numbers = (">n, old", ">rms, old", ">max, old", ">n, new", ">rms, new", ">max, new")
+    columns = ("data", "robot", "quantity", *numbers, "unit")
+    return Sheet.of("Errors, measured minus predicted", columns, rows, "before: nominal robot, base and tool fitted")
 
 
-def _passed(one: Told) -> Mapping[str, str]:
-    return {name: "yes" if passed else "NO" for name, passed in one.checks.items()}
+def _passed(one: ResultFile) -> Mapping[str, str]:
+    return {check.name: "yes" if check.passed else "NO" for check in one.checks}
 
 
 def _both(title: str, what: str, old: Mapping[str, str], new: Mapping[str, str]) -> Sheet:
     """Return what both say of the same things; strong where they differ."""
     pairs = [(name, old.get(name, "-"), new.get(name, "-")) for name in dict.fromkeys([*old, *new])]
-    return Sheet(
-        title, (what, "old", "new"), frozenset(), tuple(Row(pair, strong=pair[1] != pair[2]) for pair in pairs)
-    )
+    return Sheet.of(title, (what, "old", "new"), [Row(pair, strong=pair[1] != pair[2]) for pair in pairs])

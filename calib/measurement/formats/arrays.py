@@ -4,24 +4,19 @@ import io
 import re
 import tokenize
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import DAMAGED, MeasurementError
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000
 _MOST_COLUMNS = 1000
 # Arrays of joints, whose columns have numbers also where there are three of them.
 _JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
-_UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, KeyError, OSError, EOFError, NotImplementedError),
-    *(MemoryError, OverflowError, RuntimeError, TypeError, SyntaxError, tokenize.TokenError),
-)
 
 
 def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
@@ -37,7 +32,9 @@ def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[
             raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             arrays = {name: array for name in held.files if (array := _readable(held, name)) is not None}
-    except _UNREADABLE as e:
+    except MeasurementError:
+        raise
+    except (zipfile.BadZipFile, tokenize.TokenError, *DAMAGED) as e:
         raise MeasurementError(f"{where}: is no archive of arrays that can be read.") from e
     counts = Counter(len(array) for array in arrays.values())
     if not counts:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
-from calib.measurement.formats.yaml_events import trouble
+from calib.measurement.formats.yaml_events import read_yaml
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
 _LARGEST = 1_000_000
@@ -55,23 +56,9 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
 
 
 def _yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        import yaml  # noqa: PLC0415 - an extra
-    except ImportError as e:
-        raise JobError(f"{path}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
-    try:
-        text = read_bytes(path, JobError, _LARGEST).decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as e:
-        raise JobError(f"{path}: is not UTF-8 text; save it as UTF-8.") from e
+    text = text_of(read_bytes(path, JobError, _LARGEST), str(path), JobError).replace("\r\n", "\n")
     text = _TAG.sub("", _HEADER.sub("", text))
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    try:
-        wrong = trouble(yaml.parse(text, loader))
-        found = None if wrong else yaml.load(text, loader)
-    except (yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as e:
-        raise JobError(f"{path}: is no YAML that can be read.") from e
-    if wrong:
-        raise JobError(f"{path}: {wrong}.")
+    found = read_yaml(text, str(path), JobError, lambda yaml, text, loader: yaml.load(text, loader))
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
     return found

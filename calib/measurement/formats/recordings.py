@@ -4,8 +4,6 @@ Needs the package rosbags, which is pure Python and asks for no ROS. Times are t
 those at which they were recorded, in s since the recording began: tables of one recording have one zero.
 """
 
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import DAMAGED, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import listed, near, shown
 from calib.measurement.formats.sheet import Sheet
@@ -32,23 +30,6 @@ _TURNS = ("orientation", "rotation")
 _INSIDE = ("pose", "transform")
 _TF = "tf2_msgs/msg/TFMessage"
 _JOINTS = "sensor_msgs/msg/JointState"
-# What readers of damaged files raise.
-_DAMAGED = (
-    ValueError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    TypeError,
-    AssertionError,
-    RuntimeError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    StopIteration,
-    SyntaxError,
-    struct.error,
-    zlib.error,
-)
 _LARGEST_METADATA = 1_000_000
 # Parts of its YAML: topics have some dozens each, and a second of processor time is needed for ten thousand.
 _MOST_METADATA = 30_000
@@ -231,7 +212,7 @@ def _opened(path: Path) -> Iterator[Any]:
             yield reader
     except MeasurementError:
         raise
-    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, YAMLError, OSError, *_DAMAGED) as e:
+    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, YAMLError, *DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
 
 

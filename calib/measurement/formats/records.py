@@ -7,10 +7,11 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import TwiceError, unique_names
 from calib.foundations.words import shown
-from calib.measurement.formats.yaml_events import trouble
+from calib.measurement.formats.yaml_events import read_yaml
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
@@ -36,21 +37,12 @@ def from_json(data: bytes, where: str) -> _Rows:
 
 def from_yaml(data: bytes, where: str) -> _Rows:
     """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml."""
-    try:
-        import yaml  # noqa: PLC0415 - an extra
-    except ImportError as e:
-        raise MeasurementError(f"{where}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
-    text = _text(data, where)
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    try:
-        wrong = trouble(yaml.parse(text, loader))
-        nodes = [] if wrong else list(yaml.compose_all(text, loader))
-        documents = [found for node in nodes if node is not None and (found := _written(node))]
-    except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
-        twice = f": {e}" if isinstance(e, TwiceError) else ""
-        raise MeasurementError(f"{where}: is no YAML that can be read{twice}.") from e
-    if wrong:
-        raise MeasurementError(f"{where}: {wrong}.")
+
+    def documents_of(yaml: Any, text: str, loader: Any) -> list[Any]:
+        nodes = yaml.compose_all(text, loader)
+        return [found for node in nodes if node is not None and (found := _written(node))]
+
+    documents = read_yaml(_text(data, where), where, MeasurementError, documents_of)
     return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
 
 
@@ -68,10 +60,7 @@ def _written(node: Any) -> Any:
 
 
 def _text(data: bytes, where: str) -> str:
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as e:
-        raise MeasurementError(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+    return text_of(data, where, MeasurementError).replace("\r\n", "\n")
 
 
 def _loaded(text: str, where: str) -> Any:

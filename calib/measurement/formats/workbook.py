@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Sequence
 from typing import Any
 
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import DAMAGED, MeasurementError
 from calib.measurement.layout import is_number
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
@@ -36,7 +36,9 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
                     rows.append(cells)
             book.close()
             uncomputed = _uncomputed(openpyxl, data) if formulas else ""
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, AttributeError, IndexError, OSError, SyntaxError) as e:
+    except MeasurementError:
+        raise
+    except (zipfile.BadZipFile, *DAMAGED) as e:
         raise MeasurementError(f"{where}: is no workbook that can be read.") from e
     if uncomputed:
         raise MeasurementError(

@@ -1,12 +1,33 @@
 """What YAML may not hold, told by its events before anything is built: builders are recursive, and aliases multiply."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+from calib.foundations.errors import CalibError
+from calib.foundations.json_text import TwiceError
 from calib.foundations.words import shown
 
 # Deeper than any file that we read; PyYAML's builder in C ends the process at some ten thousand.
 _DEEPEST = 100
+
+
+def read_yaml(text: str, where: str, error: type[CalibError], build: Callable[[Any, str, Any], Any]) -> Any:
+    """Return what ``build`` makes of YAML, given the package pyyaml, the text and a loader.
+
+    Raises ``error`` where the package is missing, the text is no YAML, or it holds what it may not.
+    """
+    try:
+        import yaml  # noqa: PLC0415 - an extra
+    except ImportError as e:
+        raise error(f"{where}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        if (wrong := trouble(yaml.parse(text, loader))) is None:
+            return build(yaml, text, loader)
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
+        twice = f": {e}" if isinstance(e, TwiceError) else ""
+        raise error(f"{where}: is no YAML that can be read{twice}.") from e
+    raise error(f"{where}: {wrong}.")
 
 
 def trouble(events: Iterable[Any], most: int | None = None) -> str | None:

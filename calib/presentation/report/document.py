@@ -3,7 +3,7 @@
 Nothing that shows a document computes a number; every number in it is text already, rounded once.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,6 +35,23 @@ class Sheet:
     caption: str = ""
     brief: bool = False
     sortable: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        columns: Iterable[str],
+        rows: Iterable[Row | Sequence[str]],
+        caption: str = "",
+        *,
+        brief: bool = False,
+        sortable: bool = False,
+    ) -> "Sheet":
+        """Return a table; the names of columns of numbers begin with ``>``, and a row may be its cells alone."""
+        names = tuple(columns)
+        numbers = frozenset(name[1:] for name in names if name.startswith(">"))
+        whole = tuple(row if isinstance(row, Row) else Row(tuple(row)) for row in rows)
+        return cls(title, tuple(name.removeprefix(">") for name in names), numbers, whole, caption, brief, sortable)
 
 
 @dataclass(frozen=True, slots=True)

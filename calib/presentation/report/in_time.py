@@ -4,20 +4,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.assessment.judged import JudgedSet
 from calib.foundations.arrays import Array
 from calib.foundations.units import DISPLAY_OF, MM, MS
 from calib.identification.fit import Fit
 from calib.identification.memory import Memory
 from calib.measurement.measurements import Measurements
 from calib.presentation.report.charts import Curve, Points, chart, linear
-from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet
-from calib.presentation.report.sections import Judged
+from calib.presentation.report.document import Block, Picture, Prose, Section, Sheet
 
 # Parts of the time that are drawn, each by its mean; and lags, in s.
 _PARTS, _LONGEST = 240, 3.0
 
 
-def in_time(fit: Fit, sets: Sequence[Judged]) -> Section | None:
+def in_time(fit: Fit, sets: Sequence[JudgedSet]) -> Section | None:
     """Return the pictures of streams, None where no table is one."""
     blocks: list[Block] = []
     streams = [judged for judged in sets if judged.data.stream is not None and judged.data.position is not None]
@@ -32,12 +32,15 @@ def in_time(fit: Fit, sets: Sequence[Judged]) -> Section | None:
     return Section("time", "Over time", tuple(blocks)) if blocks else None
 
 
-def _over_time(file: str, parts: Sequence[Judged]) -> list[Block]:
+def _over_time(file: str, parts: Sequence[JudgedSet]) -> list[Block]:
     times = np.concatenate([one.data.times for one in parts if one.data.times is not None])
     order = np.argsort(times, kind="stable")
     t = times[order] - times[order[0]]
     measured = np.concatenate([one.data.position for one in parts if one.data.position is not None])[order]
-    r_before, r_after = (np.concatenate([r[:, :3] for r in some])[order] for some in _residuals(parts))
+    r_before, r_after = (
+        np.concatenate([r[:, :3] for r in some])[order]
+        for some in ([one.before for one in parts], [one.after for one in parts])
+    )
     predicted = measured - r_after
     steps = np.maximum(np.diff(t, prepend=-1.0), 1e-9)
     speed = np.linalg.norm(np.diff(predicted, axis=0, prepend=predicted[:1]), axis=1) / steps
@@ -70,10 +73,6 @@ def _over_time(file: str, parts: Sequence[Judged]) -> list[Block]:
     ]
 
 
-def _residuals(parts: Sequence[Judged]) -> tuple[list[Array], list[Array]]:
-    return [one.before for one in parts], [one.after for one in parts]
-
-
 def _following(data: Measurements) -> list[Block]:
     """Return how joints followed what they were commanded to do, where a stream says it."""
     assert data.stream is not None, "rows of a stream"
@@ -84,12 +83,12 @@ def _following(data: Measurements) -> list[Block]:
     for one in joints.following:
         factor, unit = DISPLAY_OF[one.dimension]
         rms, largest, left = (f"{factor * x:.4f} {unit}" for x in (one.rms, one.largest, one.left))
-        rows.append(Row((one.joint, rms, largest, f"{one.late / MS:.2f}", left)))
-    names = ("joint", "rms", "largest", "late [ms]", "rms without it")
+        rows.append((one.joint, rms, largest, f"{one.late / MS:.2f}", left))
+    names = ("joint", ">rms", ">largest", ">late [ms]", ">rms without it")
     said = (
         "Where joints were, less where they were commanded to be. Readings are where they were: nothing of it is lost."
     )
-    return [Sheet(f"Following error, {joints.where}", names, frozenset(names[1:]), tuple(rows), said)]
+    return [Sheet.of(f"Following error, {joints.where}", names, rows, said)]
 
 
 def _means(t: Array, *values: Array) -> tuple[Array, ...]:

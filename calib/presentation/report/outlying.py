@@ -1,35 +1,32 @@
 """The part of a report on rows, targets and groups that do not go with the rest."""
 
 from calib.assessment.outliers import Outliers
-from calib.presentation.report.document import Block, Prose, Row, Section, Sheet
+from calib.presentation.report.document import Block, Prose, Section, Sheet
 from calib.presentation.sheets import SHOWN, count
 
 _MOST_ROWS = 10
 _MOST_GROUPS = 3
-_COLUMNS = ("row", "leverage", "distance", "chance", "moves most", "by sigmas")
+_COLUMNS = ("row", ">leverage", ">distance", ">chance", "moves most", ">by sigmas")
 
 
 def outlier_section(found: Outliers) -> Section:
     """Return the rows that are no accident, or the worst ones; targets that moved; groups that disagree."""
     told = found.outlying
     title = "Outlying rows" if told else "No outlying rows; the farthest from the others"
-    sheet = Sheet(
+    sheet = Sheet.of(
         title,
         _COLUMNS,
-        frozenset(("leverage", "distance", "chance", "by sigmas")),
-        tuple(
-            Row(
-                (
-                    f"{row.file}:{row.line}",
-                    f"{row.leverage:.3f}",
-                    f"{row.studentised:.2f}",
-                    f"{row.chance:.1g}",
-                    row.without.parameter,
-                    f"{row.without.change:+.2f}",
-                )
+        [
+            (
+                f"{row.file}:{row.line}",
+                f"{row.leverage:.3f}",
+                f"{row.studentised:.2f}",
+                f"{row.chance:.1g}",
+                row.without.parameter,
+                f"{row.without.change:+.2f}",
             )
             for row in (told or found.rows)[:_MOST_ROWS]
-        ),
+        ],
         "distance: from the prediction by the other rows, in standard deviations; chance: that data without errors "
         "have one such row; moves most: the parameter that changes most without the row",
         brief=bool(told),

@@ -4,13 +4,13 @@ A part that has nothing to say is None, or is left out by whoever lists them.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.advice import told_briefly
 from calib.assessment.choice import Choice
-from calib.assessment.judged import Check
+from calib.assessment.judged import Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.fit import Fit
@@ -20,7 +20,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import rms_by_cause
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
-from calib.measurement.measurements import Measurements
+from calib.presentation.page_files import page_file
 from calib.presentation.report.charts import (
     Axis,
     Bars,
@@ -35,7 +35,6 @@ from calib.presentation.report.charts import (
     matrix,
 )
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
-from calib.presentation.report.drawings import deviation_drawing, deviation_words
 from calib.presentation.sheets import (
     SHOWN,
     budget_sheet,
@@ -54,8 +53,6 @@ from calib.presentation.sheets import (
 )
 from calib.presentation.sheets import Level as LevelFigures
 
-Use = Literal["identification", "validation"]
-
 _KEY = (("before", "before"), ("after", "after"))
 # Few dots are drawn large, in px.
 _FEW, _LARGE, _SMALL = 150, 5.0, 3.0
@@ -66,43 +63,26 @@ _MOST_CORRELATED = 20
 # Of so many configurations the budget is told.
 _MOST_CONFIGURATIONS = 200
 _ANGLES = ("rx", "ry", "rz")
-
-
-class Judged(Protocol):
-    """One table and its residuals (N, 3 or 6), measured minus predicted, in m and rad, before and after."""
-
-    @property
-    def use(self) -> Use:
-        """What the table is for."""
-
-    @property
-    def file(self) -> str:
-        """Its name in the job."""
-
-    @property
-    def data(self) -> Measurements:
-        """Its rows."""
-
-    @property
-    def before(self) -> Array:
-        """Residuals of the nominal robot, base and tool fitted."""
-
-    @property
-    def after(self) -> Array:
-        """Residuals of the calibrated one."""
+# What the drawing of a deviation shows.
+_DRAWN = (
+    "joint_2.tx, ty and tz: how far the joint is from where the URDF places it, along its own axes; rx, ry and rz: how "
+    "far it is turned about them. z is the joint's axis. Where that is z of the joint's URDF frame, x and y are those "
+    "of the frame; where it is x, they are its y and z; where it is y, its z and x. offset: what is added to the "
+    "joint's position, about z or along it."
+)
 
 
 class _Errors(NamedTuple):
     """Error norms (N,) of one quantity over the tables ``sets`` that have it, in the unit ``shown``."""
 
     quantity: str
-    sets: tuple[Judged, ...]
+    sets: tuple[JudgedSet, ...]
     before: Array
     after: Array
     shown: str
 
 
-def judged_use(sets: Sequence[Judged]) -> Use:
+def judged_use(sets: Sequence[JudgedSet]) -> Use:
     """Return by which data a calibration is judged: those held out, where there are any."""
     return "validation" if any(judged.use == "validation" for judged in sets) else "identification"
 
@@ -170,12 +150,11 @@ def checks(found: Sequence[Check]) -> Section | None:
     """Return all checks of the verdict, with what each has found and what it allows; None where there are none."""
     if not found:
         return None
-    rows = tuple(
+    rows = [
         Row((check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO"), not check.passed)
         for check in found
-    )
-    columns = ("check", "found", "allowed", "passed")
-    sheet = Sheet("Checks of the verdict", columns, frozenset(("found",)), rows, brief=True)
+    ]
+    sheet = Sheet.of("Checks of the verdict", ("check", ">found", "allowed", "passed"), rows, brief=True)
     return Section("checks", "What was checked", (sheet, Prose(tuple(check.sentence for check in found), "list")))
 
 
@@ -214,14 +193,14 @@ def chosen(choice: Choice) -> Section:
     return Section("terms", "Joint terms", (choice_sheet(choice),))
 
 
-def distribution(sets: Sequence[Judged]) -> Section:
+def distribution(sets: Sequence[JudgedSet]) -> Section:
     """Return how errors are distributed: histogram and cumulative curve."""
     use = judged_use(sets)
     pictures = [p for found in _errors(_of(sets, use)) for p in (_histogram(found, use), _cumulative(found, use))]
     return Section("distribution", "How errors are distributed", tuple(pictures))
 
 
-def pose_section(sets: Sequence[Judged]) -> Section:
+def pose_section(sets: Sequence[JudgedSet]) -> Section:
     """Return the error of every pose, and of every axis."""
     blocks: list[Block] = []
     for quantity, having, before, after, shown in _errors(sets):
@@ -246,7 +225,7 @@ def pose_section(sets: Sequence[Judged]) -> Section:
     return Section("poses", "Error of every pose and axis", tuple(blocks))
 
 
-def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
+def joints(fit: Fit, sets: Sequence[JudgedSet]) -> Section:
     """Return the error that is left over every joint's reading: a pattern is something not modelled."""
     error = _errors(_of(sets, judged_use(sets)))[0]
     readings = np.concatenate([judged.data.readings for judged in error.sets])
@@ -268,7 +247,7 @@ def joints(fit: Fit, sets: Sequence[Judged]) -> Section:
     return Section("joints", "Error over joint readings", tuple(pictures))
 
 
-def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
+def workspace(fit: Fit, sets: Sequence[JudgedSet]) -> Section:
     """Return the position error that is left over where the tool is, in the robot's base frame."""
     error = _errors(_of(sets, judged_use(sets)))[0]
     tips = [judged.data.tips(fit.robot, fit.deviations) for judged in error.sets]
@@ -287,7 +266,7 @@ def workspace(fit: Fit, sets: Sequence[Judged]) -> Section:
     return Section("workspace", "Error over the workspace", tuple(pictures))
 
 
-def budget(machine: CalibratedMachine, sets: Sequence[Judged]) -> Section | None:
+def budget(machine: CalibratedMachine, sets: Sequence[JudgedSet]) -> Section | None:
     """Return how sure the first tool's pose is, and what its errors come from; None where the machine does not say."""
     if machine.uncertainty is None:
         return None
@@ -314,7 +293,7 @@ def parameters(fit: Fit) -> Section:
     sentences = (said,) if fit.unidentifiable.any() or fit.weakly_determined.any() else ()
     blocks: list[Block] = [parameter_sheet(fit)]
     if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
-        blocks.append(Picture("What the names mean", deviation_drawing(), deviation_words()))
+        blocks.append(Picture("What the names mean", page_file("deviation.svg"), _DRAWN))
     return Section("parameters", "Parameters", (*blocks, *([Prose(sentences)] if sentences else [])))
 
 
@@ -326,11 +305,10 @@ def correlations(fit: Fit) -> Section | None:
     names = [fit.parameters[k].name for k in seen]
     pairs = sorted(((i, j) for i in range(len(seen)) for j in range(i)), key=lambda ij: (-abs(r[ij]), ij))
     strongest = pairs[:8]
-    sheet = Sheet(
+    sheet = Sheet.of(
         "Strongest correlations",
-        ("parameter", "and", "correlation"),
-        frozenset(("correlation",)),
-        tuple(Row((names[i], names[j], signed(r[i, j], 3))) for i, j in strongest),
+        ("parameter", "and", ">correlation"),
+        [(names[i], names[j], signed(r[i, j], 3)) for i, j in strongest],
         "of the uncertainties, not of the values; parameters identifiable only in combination are left out",
     )
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
@@ -385,26 +363,22 @@ def noise(fit: Fit) -> Section:
 
 def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping[str, str]) -> Section:
     """Return what made this: the command, the versions and the inputs' SHA-256; without a command, the versions."""
-    files = Sheet("Inputs", ("file", "SHA-256"), frozenset(), tuple(Row(item) for item in inputs.items()))
-    libraries = Sheet(
-        "Versions",
-        ("library", "version"),
-        frozenset(),
-        tuple(Row((name, version or "unknown")) for name, version in versions.items()),
-    )
+    files = Sheet.of("Inputs", ("file", "SHA-256"), inputs.items())
+    known = ((name, version or "unknown") for name, version in versions.items())
+    libraries = Sheet.of("Versions", ("library", "version"), known)
     if not command:
         return Section("provenance", "What made this", (Prose(("Made from Python.",)), libraries))
     where = Prose(("In the folder of the job:",))
     return Section("provenance", "How to reproduce this", (where, Prose((command,), "code"), files, libraries))
 
 
-def _of(sets: Sequence[Judged], use: Use) -> list[Judged]:
+def _of(sets: Sequence[JudgedSet], use: Use) -> list[JudgedSet]:
     return [judged for judged in sets if judged.use == use]
 
 
-def _errors(sets: Sequence[Judged]) -> list[_Errors]:
+def _errors(sets: Sequence[JudgedSet]) -> list[_Errors]:
     """Return the errors of every quantity over the tables that have it."""
-    having: dict[str, list[Judged]] = {}
+    having: dict[str, list[JudgedSet]] = {}
     for judged in sets:
         for quantity in QUANTITIES[judged.data.kind]:
             having.setdefault(quantity.name, []).append(judged)
@@ -462,7 +436,7 @@ def _cumulative(found: _Errors, use: Use) -> Picture:
     return Picture(f"Cumulative curve, {found.quantity}", chart(x, y, [*lines, level], _KEY), said)
 
 
-def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
+def _per_axis(sets: Sequence[JudgedSet], use: Use) -> list[Block]:
     """Return mean, spread and largest error along every axis, and the errors left as dots."""
     rows, pictures = [], []
     for first, axes, unit in ((0, ("x", "y", "z"), "m"), (3, _ANGLES, "rad")):
@@ -490,10 +464,9 @@ def _per_axis(sets: Sequence[Judged], use: Use) -> list[Block]:
         pictures.append(Picture(title, picture, f"Means in {shown}: {biases}."))
     if not rows:  # of pixels and lengths there are no axes
         return []
-    columns = ("axis", "robot", "mean", "spread", "largest", "unit")
-    numbers = frozenset(("mean", "spread", "largest"))
+    columns = ("axis", "robot", ">mean", ">spread", ">largest", "unit")
     caption = f"{use} data, in the instrument's frame; spread: one standard deviation"
-    return [*pictures, Sheet("Errors along the axes", columns, numbers, tuple(rows), caption)]
+    return [*pictures, Sheet.of("Errors along the axes", columns, rows, caption)]
 
 
 def _running_mean(x: Array, y: Array) -> tuple[Array, Array]:
